@@ -1,0 +1,48 @@
+"""One way to say what went wrong: what it is, with its value, and what to do about it.
+
+Whatever a user can cause or mend is raised as one of these; the command line prints it as one line, the widgets show
+it as one notification. Anything else that is raised is a defect of ours.
+"""
+
+from __future__ import annotations
+
+
+class ElsPlusError(Exception):
+    """Something the user can mend.
+
+    Parameters
+    ----------
+    problem : str
+        What is wrong, with the offending value in it.
+    remedy : str
+        What to do.
+
+    Examples
+    --------
+    >>> str(ElsPlusError("two bundle images expected, 1 found (threshold 23)", "is the probe lit from the far end?"))
+    'two bundle images expected, 1 found (threshold 23): is the probe lit from the far end?'
+    """
+
+    def __init__(self, problem: str, remedy: str) -> None:
+        super().__init__(problem, remedy)
+        self.problem = problem
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        return " ".join(f"{self.problem}: {self.remedy}".split())
+
+
+class InputError(ElsPlusError):
+    """A file, array or option that cannot be used as it is."""
+
+
+class CalibrationError(ElsPlusError):
+    """A calibration that is broken, incomplete, or does not fit what it is applied to."""
+
+
+class MeasurementError(ElsPlusError):
+    """A measurement that the data do not support: no line, no bundle, no texture."""
+
+
+class DeviceError(ElsPlusError):
+    """A camera, card or rig that is absent, busy, or has failed."""

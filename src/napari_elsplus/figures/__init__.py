@@ -1,0 +1,1 @@
+"""Pictures for files, made without a screen."""

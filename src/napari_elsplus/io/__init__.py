@@ -1,0 +1,1 @@
+"""Files: recordings, calibrations, tracks, all written beside and renamed."""

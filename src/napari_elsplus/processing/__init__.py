@@ -1,0 +1,1 @@
+"""Pure functions: arrays in, arrays or frozen dataclasses out. They read like the paper's Methods."""

@@ -1,0 +1,24 @@
+"""Fixtures that several rooms' tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """Recordings with known truth and real images; tests that need them are skipped where they are absent."""
+    default = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("ELSPLUS_TEST_DATA", default))
+    if not folder.is_dir():
+        pytest.skip(f"no test data in {folder.name}: set ELSPLUS_TEST_DATA")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def open_recording(data_folder: Path) -> Path:
+    """An ELS+ recording with known truth, made by a simulator that shares nothing with this project."""
+    return data_folder / "open-recording"

@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from napari_elsplus.calibration import AcquiredWith, Calibration, FrameSection
+from napari_elsplus.errors import CalibrationError
+
+RECORD: dict[str, Any] = {
+    "format": "napari-elsplus/calibration",
+    "version": 1,
+    "created": "2026-01-31T12:00:00Z",
+    "frame": {"shape": [320, 640], "sensor_origin": [0, 0]},
+    "acquired_with": {"rig": "simulated", "objective": "10x", "slit_rows": 3, "frame_rate_hz": 240.0, "gain_db": 0.0},
+    "offset": {"rows": -12.03, "uncertainty_rows": 0.01, "tilt_deg": 0.2},
+    "galvo": {
+        "volts_per_row": 0.00126,
+        "volts_at_row_zero": -0.459,
+        "r_squared": 0.9999,
+        "rms_rows": 0.05,
+        "lag_s": 0.0,
+        "park_v": -0.7,
+    },
+    "bundle": {
+        "confocal_centre": [161.0, 158.0],
+        "residual_centre": [149.0, 481.0],
+        "diameter_px": 290.0,
+        "residual_to_confocal": [[1.0, 0.0, 12.0], [0.0, 1.0, -323.0]],
+        "residual_gain": 1.0,
+        "residual_gain_uncertainty": 0.003,
+    },
+    "optics": {"um_per_px": 2.138, "line_period_s": 7.648e-06, "rows_per_frame": 544.8},
+    "quality": {"alignment_error": 0.012, "alignment_error_filtered": 0.004},
+}
+
+
+def changed(section: str, **values: object) -> dict[str, Any]:
+    return RECORD | {section: RECORD[section] | values}
+
+
+def test_content_survives_unchanged() -> None:
+    assert json.loads(json.dumps(Calibration.parse(RECORD).content())) == RECORD
+
+
+def test_unknown_keys_survive() -> None:
+    record = changed("galvo", operator="A.T.") | {"site": "Kent"}
+    assert Calibration.parse(record).content() == record
+
+
+def test_unmeasured_sections_are_absent_and_asked_for() -> None:
+    calibration = Calibration.parse({"offset": RECORD["offset"]})
+    assert "galvo" not in calibration.content()
+    with pytest.raises(CalibrationError, match="no galvo section.*--sweep"):
+        calibration.require("offset", "galvo")
+
+
+@pytest.mark.parametrize(
+    ("record", "word"),
+    [
+        ([], "no napari-elsplus/calibration"),
+        ({"format": "other"}, "no napari-elsplus/calibration"),
+        (RECORD | {"version": 2}, "version 2"),
+        (RECORD | {"version": "new"}, "new"),
+        (changed("bundle", confocal_centre=[float("nan"), 1]), "confocal_centre"),
+        (changed("bundle", diameter_px=-4), "-4"),
+        (changed("bundle", residual_gain=2.5), "2.5"),
+        (changed("bundle", residual_to_confocal=[[1, 0, 900], [0, 1, -323]]), "misses the confocal centre"),
+        (changed("bundle", residual_to_confocal=[[0, 0, 12], [0, 0, -323]]), "no map"),
+        (changed("galvo", volts_per_row=0), "volts_per_row is 0"),
+        (changed("optics", line_period_s=float("inf")), "line_period_s"),
+        (changed("frame", shape=[0, 640]), "frame.shape"),
+    ],
+)
+def test_broken_records_give_one_clear_line(record: object, word: str) -> None:
+    with pytest.raises(CalibrationError, match=word) as caught:
+        Calibration.parse(record)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_what_went_stale_is_said_with_the_reason() -> None:
+    calibration = Calibration.parse(RECORD)
+    assert calibration.stale_sections(AcquiredWith(objective="10x", slit_rows=3)) == {}
+    stale = calibration.stale_sections(AcquiredWith(objective="4x"))
+    assert set(stale) == {"offset", "galvo", "bundle", "optics"}
+    assert stale["galvo"] == "objective was 10x, is 4x"
+    assert "bundle" in calibration.stale_sections(AcquiredWith(), FrameSection(shape=(100, 100)))
+
+
+def test_rows_and_volts_are_inverse() -> None:
+    galvo = Calibration.parse(RECORD).galvo
+    assert galvo is not None
+    assert galvo.row(galvo.volts(123.4)) == pytest.approx(123.4)
