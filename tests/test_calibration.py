@@ -52,7 +52,7 @@ def test_unknown_keys_survive() -> None:
 def test_unmeasured_sections_are_absent_and_asked_for() -> None:
     calibration = Calibration.parse({"offset": RECORD["offset"]})
     assert "galvo" not in calibration.content()
-    with pytest.raises(CalibrationError, match="no galvo section.*--sweep"):
+    with pytest.raises(CalibrationError, match=r"no galvo section.*--sweep"):
         calibration.require("offset", "galvo")
 
 
