@@ -66,7 +66,7 @@ def test_unmeasured_sections_are_absent_and_asked_for() -> None:
         (changed("bundle", confocal_centre=[float("nan"), 1]), "confocal_centre"),
         (changed("bundle", diameter_px=-4), "-4"),
         (changed("bundle", residual_gain=2.5), "2.5"),
-        (changed("bundle", residual_to_confocal=[[1, 0, 900], [0, 1, -323]]), "misses the confocal centre"),
+        (changed("bundle", residual_to_confocal=[[1, 0, 900], [0, 1, -323]]), "888.0 px away"),
         (changed("bundle", residual_to_confocal=[[0, 0, 12], [0, 0, -323]]), "no map"),
         (changed("galvo", volts_per_row=0), "volts_per_row is 0"),
         (changed("optics", line_period_s=float("inf")), "line_period_s"),

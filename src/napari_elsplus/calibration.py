@@ -196,7 +196,9 @@ class Calibration(Section):
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"]) or "calibration"
             value = "" if isinstance(first["input"], dict) else f" (value {first['input']!r:.60})"
-            raise CalibrationError(f"{where}: {first['msg']}{value}", "measure this section again") from None
+            raise CalibrationError(
+                f"{where}: {first['msg'].removeprefix('Value error, ')}{value}", "measure this section again"
+            ) from None
 
     def content(self) -> dict[str, Any]:
         """Everything but the arrays, ready for JSON; absent sections are left out, unknown keys are kept."""
