@@ -1,0 +1,240 @@
+"""From a raw frame to LS, residual, ELS+ and ELSA: the paper's Image Processing, kept signed.
+
+The background (a mean frame of the dark tube) is subtracted, the two views are cut out of the frame and brought onto
+one grid, and the residual is subtracted from the confocal image. Nothing is clipped: a saturating subtraction turns
+noise into background.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from math import ceil, floor
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+
+from napari_elsplus.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+
+_LOBES: Final = 4
+"""Lobes of the Lanczos kernel on each side: wide enough to carry the honeycomb at 2.4 pixels per core."""
+
+
+class Mode(StrEnum):
+    """Which image is made of a raw frame."""
+
+    LS = "ls"
+    """Confocal view alone: line-scan confocal."""
+    RESIDUAL = "residual"
+    """Residual view, aligned onto the confocal one and brought to its brightness."""
+    ELS = "els"
+    """Confocal minus residual of one frame: ELS+."""
+    ELSA = "elsa"
+    """Confocal of one frame minus residual of the next: sequential ELS, for comparison."""
+
+
+def side_px(diameter_px: float) -> int:
+    """Side of the square that holds a bundle image: its diameter and a pixel of margin on each side."""
+    return ceil(diameter_px) + 2
+
+
+def disc(side: int, diameter_px: float) -> NDArray[np.bool_]:
+    """Pixels of a square grid within a circle about its middle.
+
+    Parameters
+    ----------
+    side : int
+        Rows and columns of the grid.
+    diameter_px : float
+        Diameter of the circle.
+
+    Returns
+    -------
+    numpy.ndarray
+        (side, side), bool.
+
+    Examples
+    --------
+    >>> int(disc(5, 3.0).sum())
+    9
+    """
+    axis = np.arange(side) - (side - 1) / 2
+    inside: NDArray[np.bool_] = axis[:, None] ** 2 + axis**2 <= (diameter_px / 2) ** 2
+    return inside
+
+
+class Sectioner:
+    """Cuts the two views out of raw frames and subtracts them; built once per calibration.
+
+    Results are (n, n) float32 signed grey levels on the confocal view's grid, the bundle's centre at (n - 1) / 2, zero
+    outside the lit disc. Buffers are reused from call to call: use one sectioner per thread.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Needs the bundle section; its background, where there is one, is subtracted.
+    frame_shape : tuple of int
+        Rows and columns of the raw frames.
+
+    Attributes
+    ----------
+    side : int
+        n.
+    diameter_px : float
+        Diameter of the lit disc.
+    inside : numpy.ndarray
+        (n, n), bool: the lit disc.
+
+    Raises
+    ------
+    CalibrationError
+        If the bundle was not located, or frames of another shape were calibrated.
+
+    References
+    ----------
+    Thrapp and Hughes, Methods, "Image Processing".
+    """
+
+    def __init__(self, calibration: Calibration, frame_shape: tuple[int, int]) -> None:
+        calibration.require("bundle")
+        assert calibration.bundle is not None
+        _check_fits(calibration, frame_shape)
+        bundle = calibration.bundle
+        self.diameter_px = bundle.diameter_px
+        self.side = side_px(bundle.diameter_px)
+        self.inside = disc(self.side, bundle.diameter_px + 2)
+        middle = (self.side - 1) / 2
+        grid_to_confocal = np.eye(3)
+        grid_to_confocal[:2, 2] = np.subtract(bundle.confocal_centre, middle)
+        residual_to_confocal = np.vstack([bundle.residual_to_confocal, (0.0, 0.0, 1.0)])
+        grid_to_residual = np.linalg.solve(residual_to_confocal, grid_to_confocal)
+        confocal_brightness = self.inside.astype(np.float32)
+        residual_brightness = confocal_brightness / np.float32(bundle.residual_gain)
+        background = calibration.background
+        self._confocal = _View(grid_to_confocal[:2], confocal_brightness, frame_shape, background)
+        self._residual = _View(grid_to_residual[:2], residual_brightness, frame_shape, background)
+        self._scratch = np.empty((self.side, self.side), np.float32)
+
+    def ls(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """Confocal view of a raw frame (rows, cols)."""
+        return self._confocal.cut(raw, self._given(out))
+
+    def residual(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """Residual view of a raw frame, aligned onto the confocal one and divided by its gain."""
+        return self._residual.cut(raw, self._given(out))
+
+    def els(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """ELS+ of a raw frame: exactly ``ls(raw) - residual(raw)``."""
+        return self.elsa(raw, raw, out)
+
+    def elsa(
+        self, raw: NDArray[np.generic], raw_next: NDArray[np.generic], out: NDArray[np.float32] | None = None
+    ) -> NDArray[np.float32]:
+        """Sequential ELS: confocal of one raw frame minus residual of the next."""
+        confocal = self.ls(raw, out)
+        residual = self._residual.cut(raw_next, self._scratch)
+        return np.subtract(confocal, residual, out=confocal)
+
+    def image(
+        self, frames: Sequence[NDArray[np.generic]], index: int, mode: Mode, out: NDArray[np.float32] | None = None
+    ) -> NDArray[np.float32]:
+        """Return image `index` of a mode; ELSA's is made of raw frames 2 index and 2 index + 1."""
+        match mode:
+            case Mode.LS:
+                return self.ls(frames[index], out)
+            case Mode.RESIDUAL:
+                return self.residual(frames[index], out)
+            case Mode.ELS:
+                return self.els(frames[index], out)
+            case Mode.ELSA:
+                return self.elsa(frames[2 * index], frames[2 * index + 1], out)
+
+    def _given(self, out: NDArray[np.float32] | None) -> NDArray[np.float32]:
+        return np.empty((self.side, self.side), np.float32) if out is None else out
+
+
+class _View:
+    """One of the two bundle images: its window of the frame, and how that is brought onto the common grid."""
+
+    def __init__(
+        self,
+        grid_to_frame: NDArray[np.float64],
+        brightness: NDArray[np.float32],
+        frame_shape: tuple[int, int],
+        background: NDArray[np.float32] | None,
+    ) -> None:
+        self._brightness = brightness
+        side = len(brightness)
+        corners = np.array([(r, c, 1.0) for r in (0, side - 1) for c in (0, side - 1)]) @ grid_to_frame.T
+        first = [floor(v) - _LOBES + 1 for v in corners.min(axis=0)]
+        last = [ceil(v) + _LOBES for v in corners.max(axis=0)]
+        self._window = np.zeros([b - a + 1 for a, b in zip(first, last, strict=True)], np.float32)
+        low = [max(a, 0) for a in first]
+        high = [min(b + 1, size) for b, size in zip(last, frame_shape, strict=True)]
+        if any(a >= b for a, b in zip(low, high, strict=True)):
+            raise CalibrationError(
+                f"a bundle image lies outside of the {frame_shape[0]} x {frame_shape[1]} frame", "locate the pair again"
+            )
+        self._in_frame = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        lit = tuple(slice(a - f, b - f) for a, b, f in zip(low, high, first, strict=True))
+        self._lit_window = self._window[lit]
+        self._background = None if background is None else np.ascontiguousarray(background[self._in_frame], np.float32)
+        self._grid_to_window = grid_to_frame - np.array([(0, 0, first[0]), (0, 0, first[1])])
+        self._resampled = np.empty((side, side), np.float32)
+        self._kernels = None
+        if np.allclose(grid_to_frame[:, :2], np.eye(2), rtol=0, atol=1e-6):
+            start = self._grid_to_window[:, 2]
+            self._whole = np.floor(start).astype(int)
+            self._kernels = [_lanczos(fraction) for fraction in start - self._whole]
+            self._resampled = np.empty_like(self._window)
+
+    def cut(self, raw: NDArray[np.generic], out: NDArray[np.float32]) -> NDArray[np.float32]:
+        window = raw[self._in_frame]
+        if self._background is None:
+            self._lit_window[...] = window
+        else:
+            np.subtract(window, self._background, out=self._lit_window)
+        return np.multiply(self._on_grid(), self._brightness, out=out)
+
+    def _on_grid(self) -> NDArray[np.float32]:
+        side = len(self._brightness)
+        if self._kernels is None:
+            (a, b, r0), (c, d, c0) = self._grid_to_window
+            warp = np.array([(d, c, c0), (b, a, r0)])  # OpenCV counts columns first
+            flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+            cv2.warpAffine(self._window, warp, (side, side), dst=self._resampled, flags=flags)
+            return self._resampled
+        down, across = self._kernels
+        cv2.sepFilter2D(self._window, -1, across, down, dst=self._resampled, anchor=(_LOBES - 1, _LOBES - 1))
+        row, col = self._whole
+        return self._resampled[row : row + side, col : col + side]
+
+
+def _lanczos(fraction: float) -> NDArray[np.float64]:
+    """Weights of the 2 x `_LOBES` neighbours of a point that lies a fraction of a pixel past one; their sum is 1."""
+    distance = np.arange(1 - _LOBES, _LOBES + 1) - fraction
+    weights = np.sinc(distance) * np.sinc(distance / _LOBES)
+    normalised: NDArray[np.float64] = weights / weights.sum()
+    return normalised
+
+
+def _check_fits(calibration: Calibration, frame_shape: tuple[int, int]) -> None:
+    calibrated: dict[str, tuple[int, ...]] = {}
+    if calibration.frame is not None:
+        calibrated["frame"] = calibration.frame.shape
+    if calibration.background is not None:
+        calibrated["background"] = calibration.background.shape
+    for name, shape in calibrated.items():
+        if shape != tuple(frame_shape):
+            raise CalibrationError(
+                f"the calibration's {name} has {shape[0]} x {shape[1]} pixels, "
+                f"the recording {frame_shape[0]} x {frame_shape[1]}",
+                "use the calibration that was made with this camera region",
+            )
