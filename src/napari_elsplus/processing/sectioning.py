@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from math import ceil, floor
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import cv2
 import numpy as np
@@ -17,8 +17,6 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from napari_elsplus.calibration import Calibration
@@ -38,6 +36,14 @@ class Mode(StrEnum):
     """Confocal minus residual of one frame: ELS+."""
     ELSA = "elsa"
     """Confocal of one frame minus residual of the next: sequential ELS, for comparison."""
+
+
+class Frames(Protocol):
+    """Raw frames by number: an array (T, rows, cols), a list, an open recording."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> NDArray[np.generic]: ...
 
 
 def side_px(diameter_px: float) -> int:
@@ -143,7 +149,7 @@ class Sectioner:
         return np.subtract(confocal, residual, out=confocal)
 
     def image(
-        self, frames: Sequence[NDArray[np.generic]], index: int, mode: Mode, out: NDArray[np.float32] | None = None
+        self, frames: Frames, index: int, mode: Mode, out: NDArray[np.float32] | None = None
     ) -> NDArray[np.float32]:
         """Return image `index` of a mode; ELSA's is made of raw frames 2 index and 2 index + 1."""
         match mode:

@@ -1,0 +1,127 @@
+"""From a recording to images: stateless, random access, one calibration."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.processing.cores import CoreFilter
+from napari_elsplus.processing.sectioning import Mode, Sectioner
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.processing.sectioning import Frames
+
+_DARKEST_FLAT = 0.1
+"""Where the flat field is darker than this share of its mean, dividing by it would only show noise."""
+
+
+class Images:
+    """The images that a recording gives in one mode: a lazy sequence of (n, n) float32 arrays.
+
+    Parameters
+    ----------
+    raw : Frames
+        Raw frames (rows, cols): an array (T, rows, cols) or an open recording.
+    calibration : Calibration
+        Of the rig that made them.
+    mode : Mode or str
+        ``"ls"``, ``"residual"``, ``"els"`` or ``"elsa"``.
+    cores : CoreFilter or str
+        How the core pattern is suppressed.
+    flat_field : bool
+        Divide by the calibration's flat field.
+
+    Raises
+    ------
+    InputError
+        If there are no frames, or only one and ELSA needs two.
+    CalibrationError
+        If the calibration does not fit the frames, or lacks what the options need.
+
+    Notes
+    -----
+    One thread at a time: buffers are reused from image to image.
+    """
+
+    def __init__(
+        self,
+        raw: Frames,
+        calibration: Calibration,
+        mode: Mode | str,
+        *,
+        cores: CoreFilter | str = CoreFilter.NONE,
+        flat_field: bool = False,
+    ) -> None:
+        self.mode = Mode(mode)
+        frames_per_image = 2 if self.mode is Mode.ELSA else 1
+        if len(raw) < frames_per_image:
+            raise InputError(
+                f"{self.mode.value} needs {frames_per_image} frames, the recording has {len(raw)}", "record more frames"
+            )
+        self._raw = raw
+        self._count = len(raw) // frames_per_image
+        rows, cols = raw[0].shape
+        self.sectioner = Sectioner(calibration, (rows, cols))
+        flat = calibration.flat
+        if flat is not None and flat.shape != (self.side, self.side):
+            raise CalibrationError(
+                f"the flat field has {flat.shape} pixels, the images {self.side} x {self.side}", "calibrate it again"
+            )
+        self._inverse_flat = None
+        if flat_field:
+            if flat is None:
+                raise CalibrationError("the calibration has no flat field", "measure it with `calibrate --flat`")
+            lit = self.sectioner.inside & (flat > _DARKEST_FLAT)
+            self._inverse_flat = np.divide(1, flat, out=np.zeros_like(flat), where=lit)
+        self._filter = CoreFilter(cores).prepared(flat, self.sectioner.inside)
+
+    @property
+    def side(self) -> int:
+        """Rows and columns of an image."""
+        return self.sectioner.side
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of images, rows, columns."""
+        return self._count, self.side, self.side
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: int) -> NDArray[np.float32]:
+        if not -self._count <= index < self._count:
+            raise IndexError(index)
+        image = self.sectioner.image(self._raw, index % self._count, self.mode)
+        if self._inverse_flat is not None:
+            image *= self._inverse_flat
+        return self._filter(image)
+
+    def __iter__(self) -> Iterator[NDArray[np.float32]]:
+        return (self[index] for index in range(self._count))
+
+
+def images(
+    raw: Frames,
+    calibration: Calibration,
+    mode: Mode | str,
+    *,
+    cores: CoreFilter | str = CoreFilter.NONE,
+    flat_field: bool = False,
+) -> NDArray[np.float32]:
+    """Return all images that a recording gives in one mode.
+
+    Parameters and errors are those of :class:`Images`.
+
+    Returns
+    -------
+    numpy.ndarray
+        (T, n, n) float32, signed grey levels, the bundle's centre at (n - 1) / 2.
+    """
+    return np.stack(list(Images(raw, calibration, mode, cores=cores, flat_field=flat_field)))

@@ -1,0 +1,255 @@
+"""The honeycomb of fibre cores, and three ways to be rid of it.
+
+The paper smooths with a 3x3 median where the bundle is well sampled and with nothing where it is not. A Gaussian is
+linear, so that it keeps the sum of the light; interpolation over the cores, which a flat field shows once and for all,
+takes the values where the light is and rebuilds the image between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import ceil, sqrt
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import resample
+from scipy.spatial import Delaunay
+from skimage.feature import peak_local_max
+
+from napari_elsplus.compiled import kernel
+from napari_elsplus.errors import MeasurementError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Filter = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+
+GAUSSIAN_SIGMA_PITCHES: Final = 0.4
+"""Sigma of the Gaussian filter in core pitches: it leaves 3 % of the honeycomb."""
+_LEAST_PITCH_PX: Final = 2.0
+_LEAST_PROMINENCE: Final = 3.0
+_DARKEST_CORE: Final = 0.1
+_READING_SIGMA_PITCHES: Final = 0.2
+
+
+class CoreFilter(StrEnum):
+    """How the core pattern is suppressed."""
+
+    NONE = "none"
+    MEDIAN = "median"
+    """3x3 median, the paper's."""
+    GAUSSIAN = "gaussian"
+    """Gaussian of 0.4 core pitches."""
+    INTERPOLATE = "interpolate"
+    """Barycentric interpolation over the cores that the flat field shows."""
+
+    @property
+    def needs_flat(self) -> bool:
+        """Whether the filter is calibrated with a flat field."""
+        return self in {CoreFilter.GAUSSIAN, CoreFilter.INTERPOLATE}
+
+    def prepared(self, flat: NDArray[np.float32] | None, inside: NDArray[np.bool_]) -> Filter:
+        """Return the filter, ready for images of one bundle.
+
+        Parameters
+        ----------
+        flat : numpy.ndarray or None
+            (n, n) float32 image of evenly lit cores, on the images' grid; needed if `needs_flat`.
+        inside : numpy.ndarray
+            (n, n) bool, the lit disc.
+
+        Returns
+        -------
+        callable
+            (n, n) float32 to (n, n) float32; the argument is left as it was.
+
+        Raises
+        ------
+        MeasurementError
+            If the cores cannot be told apart in the flat field.
+        """
+        match self:
+            case CoreFilter.NONE:
+                return lambda image: image
+            case CoreFilter.MEDIAN:
+                return lambda image: cv2.medianBlur(image, 3)
+        if flat is None:
+            raise MeasurementError(
+                f"the core filter {self.value!r} needs a flat field",
+                "calibrate with --bundle or --flat, or filter with 'median'",
+            )
+        if self is CoreFilter.GAUSSIAN:
+            sigma_px = GAUSSIAN_SIGMA_PITCHES * core_pitch_px(flat, inside)
+            return lambda image: cv2.GaussianBlur(image, (0, 0), sigma_px)
+        return CoreInterpolation.from_flat(flat, inside)
+
+
+def core_pitch_px(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> float:
+    """Mean distance between neighbouring cores, from the ring that the honeycomb leaves in the power spectrum.
+
+    Parameters
+    ----------
+    flat : numpy.ndarray
+        (n, n) image of evenly lit cores.
+    inside : numpy.ndarray
+        (n, n) bool, the lit disc.
+
+    Returns
+    -------
+    float
+        Core pitch in pixels. A hexagonal lattice of pitch p has its ring at 2 / (sqrt(3) p) cycles per pixel.
+
+    Raises
+    ------
+    MeasurementError
+        If no ring stands out: the camera does not resolve the cores.
+    """
+    side = len(flat)
+    level = float(flat[inside].mean())
+    window = np.hanning(side)
+    spectrum = np.abs(np.fft.rfft2(np.where(inside, flat - level, 0) * np.outer(window, window))) ** 2
+    frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
+    ring = np.minimum((frequency * side / 2).astype(int), side)
+    power = np.bincount(ring.ravel(), spectrum.ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
+    centre = (np.arange(len(power)) + 0.5) * 2 / side
+    readable = (centre > 0.06) & (centre < 2 / sqrt(3) / _LEAST_PITCH_PX)
+    prominence = np.where(readable, power / np.maximum(median_filter(power, max(9, side // 16)), 1e-30), 0)
+    peak = int(prominence.argmax())
+    if prominence[peak] < _LEAST_PROMINENCE:
+        raise MeasurementError(
+            f"no honeycomb stands out in the flat field (ring {prominence[peak]:.1f} times its surroundings)",
+            "the cores are not resolved: use the core filter 'median' or 'none'",
+        )
+    around = slice(max(peak - 2, 0), peak + 3)
+    return float(2 / sqrt(3) / np.average(centre[around], weights=power[around]))
+
+
+def find_cores(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Centres of the cores that a flat field shows.
+
+    Parameters
+    ----------
+    flat : numpy.ndarray
+        (n, n) image of evenly lit cores.
+    inside : numpy.ndarray
+        (n, n) bool, the lit disc.
+
+    Returns
+    -------
+    numpy.ndarray
+        (cores, 2) float64, row and column in pixels.
+
+    Raises
+    ------
+    MeasurementError
+        If the camera does not resolve the cores.
+    """
+    pitch_px = core_pitch_px(flat, inside)
+    zoom = ceil(8 / pitch_px)
+    fine = np.where(inside, flat, 0)
+    for axis, size in enumerate(flat.shape):
+        fine = resample(fine, zoom * size, axis=axis)
+    darkest = _DARKEST_CORE * float(flat[inside].mean())
+    peaks = peak_local_max(fine, min_distance=int(0.35 * zoom * pitch_px), threshold_abs=darkest)
+    centres: NDArray[np.float64] = peaks / zoom
+    return centres
+
+
+@dataclass(frozen=True)
+class CoreInterpolation:
+    """Values taken at the cores, interpolated linearly in the triangles between them.
+
+    Each core is read with a narrow Gaussian, divided by what it reads in the flat field and scaled to the
+    flat field's local mean, so that brightness and vignette stay while each core's transmission goes.
+
+    Attributes
+    ----------
+    cores : numpy.ndarray
+        (cores, 2) float64, row and column.
+    corners : numpy.ndarray
+        (n, n, 3) int32, the cores around each pixel; -1 where there are none.
+    weights : numpy.ndarray
+        (n, n, 3) float32, barycentric.
+    gain : numpy.ndarray
+        (cores,) float32, local mean over reading in the flat field.
+    sigma_px : float
+        Width of the reading.
+    """
+
+    cores: NDArray[np.float64]
+    corners: NDArray[np.int32]
+    weights: NDArray[np.float32]
+    gain: NDArray[np.float32]
+    sigma_px: float
+
+    @classmethod
+    def from_flat(cls, flat: NDArray[np.float32], inside: NDArray[np.bool_]) -> CoreInterpolation:
+        """Find the cores and tabulate the triangles.
+
+        Raises
+        ------
+        MeasurementError
+            If the camera does not resolve the cores.
+        """
+        pitch_px = core_pitch_px(flat, inside)
+        cores = find_cores(flat, inside)
+        triangles = Delaunay(cores)
+        side = len(flat)
+        pixels = np.indices((side, side)).reshape(2, -1).T.astype(float)
+        simplex = triangles.find_simplex(pixels)
+        transform = triangles.transform[simplex]
+        two = np.einsum("ijk,ik->ij", transform[:, :2], pixels - transform[:, 2])
+        weights = np.column_stack([two, 1 - two.sum(axis=1)]).astype(np.float32)
+        corners = np.where((simplex >= 0)[:, None] & inside.ravel()[:, None], triangles.simplices[simplex], -1)
+        sigma_px = _READING_SIGMA_PITCHES * pitch_px
+        lit = inside.astype(np.float32)
+        wide = 2 * pitch_px
+        mean = cv2.GaussianBlur(np.where(inside, flat, 0).astype(np.float32), (0, 0), wide)
+        mean /= np.maximum(cv2.GaussianBlur(lit, (0, 0), wide), 1e-3)
+        row, col = cores.astype(np.float32).T
+        reading = _read_at(cv2.GaussianBlur(flat, (0, 0), sigma_px), row, col)
+        gain = _read_at(mean, row, col) / np.maximum(reading, _DARKEST_CORE * float(flat[inside].mean()))
+        return cls(
+            cores,
+            np.ascontiguousarray(corners.reshape(side, side, 3), np.int32),
+            weights.reshape(side, side, 3),
+            gain.astype(np.float32),
+            sigma_px,
+        )
+
+    def __call__(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Interpolate an image (n, n) float32 over the cores; zero outside of them."""
+        row, col = self.cores.astype(np.float32).T
+        values = _read_at(cv2.GaussianBlur(image, (0, 0), self.sigma_px), row, col) * self.gain
+        out = np.empty(image.shape, np.float32)
+        _interpolate(values, self.corners, self.weights, out)
+        return out
+
+
+def _read_at(image: cv2.typing.MatLike, row: NDArray[np.float32], col: NDArray[np.float32]) -> NDArray[np.float32]:
+    values: NDArray[np.float32] = cv2.remap(image, col[:, None], row[:, None], cv2.INTER_LINEAR)[:, 0]
+    return values
+
+
+@kernel
+def _interpolate(
+    values: NDArray[np.float32],
+    corners: NDArray[np.int32],
+    weights: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    rows, cols = out.shape
+    for r in range(rows):
+        for c in range(cols):
+            if corners[r, c, 0] < 0:
+                out[r, c] = 0
+            else:
+                total = np.float32(0)
+                for k in range(3):
+                    total += weights[r, c, k] * values[corners[r, c, k]]
+                out[r, c] = total
