@@ -1,0 +1,280 @@
+#!/usr/bin/env python3
+"""Install and start napari-elsplus, or test it. Needs Python and nothing else; on Windows say ``py`` for ``python3``.
+
+python3 run.py               opens napari with the plugin; without a screen runs the demonstration
+python3 run.py test          lint, types and tests
+python3 run.py test --all    the same, with the slow accuracy sweeps
+
+What is installed goes into ``.venv`` beside this file; the first run takes some minutes, the next ones seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import glob
+import hashlib
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from pathlib import Path
+
+OLDEST_PYTHON = (3, 11)
+INTERRUPTED = 130
+
+ROOT = Path(__file__).resolve().parent
+VENV = ROOT / ".venv"
+STAMP = VENV / "elsplus-stamp.json"
+DEMO = ROOT / "elsplus-demo"
+
+NOT_FOR_CHILDREN = ("PYTHONHOME", "PYTHONPATH", "PIP_USER", "PIP_TARGET")
+"""Variables that would make the .venv import, or install into, other places than itself."""
+
+WINDOW_LIBRARIES = {
+    "libdbus-1-3": "libdbus-1.so.3",
+    "libegl1": "libEGL.so.1",
+    "libgl1": "libGL.so.1",
+    "libopengl0": "libOpenGL.so.0",
+    "libxcb-cursor0": "libxcb-cursor.so.0",
+    "libxcb-icccm4": "libxcb-icccm.so.4",
+    "libxcb-image0": "libxcb-image.so.0",
+    "libxcb-keysyms1": "libxcb-keysyms.so.1",
+    "libxcb-randr0": "libxcb-randr.so.0",
+    "libxcb-render-util0": "libxcb-render-util.so.0",
+    "libxcb-shape0": "libxcb-shape.so.0",
+    "libxcb-xinerama0": "libxcb-xinerama.so.0",
+    "libxkbcommon-x11-0": "libxkbcommon-x11.so.0",
+}
+"""What a Qt window needs on Linux: Debian's package and the library that is in it."""
+
+
+VIRTUAL_SCREEN = {"xauth": "xauth", "xvfb": "xvfb-run"}
+"""What the windows are tested on where there is no screen: Debian's package and the program that is in it."""
+
+
+class Stop(Exception):
+    """The end of the run: one line for the user, and the exit code."""
+
+    def __init__(self, line: str, code: int = 1) -> None:
+        super().__init__(line)
+        self.code = code
+
+
+# Processes ------------------------------------------------------------------------------------------------------------
+
+
+def say(line: str) -> None:
+    """Print at once, in step with what child processes print."""
+    print(line, flush=True)
+
+
+def environment(**more: str) -> dict[str, str]:
+    """Give child processes our environment without what would lead them out of the .venv."""
+    kept = {name: value for name, value in os.environ.items() if name not in NOT_FOR_CHILDREN}
+    return {**kept, **more}
+
+
+def run(command: list[str], **more_environment: str) -> int:
+    """Run a command to its end and give its exit code; an interruption or termination of ours reaches it."""
+    child = subprocess.Popen(command, cwd=str(ROOT), env=environment(**more_environment))
+    before = signal.signal(signal.SIGTERM, lambda *_: child.terminate())
+    try:
+        code = child.wait()
+    except KeyboardInterrupt:  # on a terminal the child has it too, and may be parking the mirror: give it time
+        try:
+            child.wait(timeout=20)
+        except subprocess.TimeoutExpired:
+            child.terminate()
+            child.wait()
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    return code if code >= 0 else 128 - code  # as a shell counts a child that a signal ended
+
+
+def must(what: str, command: list[str], **more_environment: str) -> None:
+    """Run a command that everything after it depends on."""
+    code = run(command, **more_environment)
+    if code:
+        raise Stop(f"run.py: {what} failed (exit {code}); what it said stands above", code)
+
+
+# The .venv ------------------------------------------------------------------------------------------------------------
+
+
+def python() -> str:
+    """Path of the .venv's interpreter."""
+    return str(VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python"))
+
+
+def fingerprint() -> str:
+    """Say in one number what the .venv was made from: requirements, Python, platform, place."""
+    parts = [(ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt")]
+    parts += [text.encode() for text in (sys.version, sysconfig.get_platform(), str(ROOT))]
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()
+
+
+def installed_groups() -> set[str] | None:
+    """Dependency groups that the .venv holds; None when it is absent, unfinished or stale."""
+    try:
+        stamp = json.loads(STAMP.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    whole = stamp.get("fingerprint") == fingerprint() and os.path.exists(python())
+    return set(stamp["groups"]) if whole else None
+
+
+def prepare(*groups: str) -> None:
+    """Bring the .venv up to date: the project with its Qt, and these dependency groups. The stamp comes last."""
+    present = installed_groups()
+    if present is not None and present.issuperset(groups):
+        return
+    quiet = [] if sys.stdout.isatty() else ["-qq"]
+    pip = [python(), "-m", "pip", "install", "--disable-pip-version-check", *quiet]
+    if present is None:
+        say(f"installing into {VENV}: some minutes, the first time only")
+        if importlib.util.find_spec("ensurepip") is None:
+            system_packages(["python{}.{}-venv".format(*sys.version_info)], "making a .venv")
+        base = getattr(sys, "_base_executable", None) or sys.executable  # this may be the .venv that is cleared
+        must("making .venv", [base, "-m", "venv", "--clear", str(VENV)])
+        must("upgrading pip", [*pip, "--upgrade", "pip>=25.1"])  # older ones know no dependency groups
+    elif STAMP.exists():
+        STAMP.unlink()
+    wanted = sorted((present or set()).union(groups))
+    chosen = [word for group in wanted for word in ("--group", group)]
+    must("installing", [*pip, "--constraint", "constraints.txt", "--editable", ".[pyqt]", *chosen])
+    STAMP.write_text(json.dumps({"fingerprint": fingerprint(), "groups": wanted}), encoding="utf-8")
+
+
+# Screen and system libraries ------------------------------------------------------------------------------------------
+
+
+def screen_answers() -> bool:
+    """Whether Qt, asked in a process of its own, can open a window here."""
+    probe = [python(), "-m", "napari_elsplus._screen"]
+    try:
+        return subprocess.run(probe, env=environment(), capture_output=True, timeout=60, check=False).returncode == 0
+    except subprocess.TimeoutExpired:
+        return False
+
+
+def loads(library: str) -> bool:
+    """Whether the system finds this shared library."""
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+def missing_packages(virtual_screen: bool) -> list[str]:
+    """Debian packages that a window on this Linux lacks; with a virtual screen and what draws on it if asked."""
+    missing = [package for package, library in WINDOW_LIBRARIES.items() if not loads(library)]
+    if virtual_screen:
+        if not glob.glob("/usr/lib*/**/dri/*_dri.so", recursive=True):
+            missing.append("libgl1-mesa-dri")
+        missing += [
+            package for package, program in (("xauth", "xauth"), ("xvfb", "xvfb-run")) if not shutil.which(program)
+        ]
+    return missing
+
+
+def system_packages(packages: list[str], purpose: str) -> None:
+    """Install Debian packages when root on Debian or Ubuntu; else stop with the exact line that does it."""
+    install = ["apt-get", "install", "--yes", "--no-install-recommends", *packages]
+    line = " ".join(install)
+    if not shutil.which("apt-get"):
+        raise Stop(f"run.py: {purpose} needs what Debian calls {' '.join(packages)}: install it, then start again")
+    if os.geteuid() != 0:
+        raise Stop(
+            f"run.py: {purpose} needs system packages: run `sudo apt-get update && sudo {line}`, then start again"
+        )
+    say(f"{purpose} needs system packages: apt-get update && {line}")
+    must("apt-get update", ["apt-get", "update", "-qq"])
+    must("apt-get install", [install[0], "-qq", *install[1:]], DEBIAN_FRONTEND="noninteractive")
+
+
+# The two commands -----------------------------------------------------------------------------------------------------
+
+
+def start() -> int:
+    """Open napari with the plugin, or run the demonstration where no window can be opened."""
+    prepare()
+    has_window = screen_answers()
+    display_named = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    if not has_window and sys.platform.startswith("linux") and display_named:
+        missing = missing_packages(virtual_screen=False)
+        if missing:
+            system_packages(missing, "a window")
+            has_window = screen_answers()
+    if has_window:
+        return run([python(), "-m", "napari_elsplus._window"])
+    say("no screen answers: running the demonstration instead of opening napari")
+    program = Path(python()).with_name("napari-elsplus.exe" if os.name == "nt" else "napari-elsplus")
+    code = run([str(program), "demo", "--out", str(DEMO), "--force"])
+    if code == 0:
+        say(f"the results lie in {DEMO}")
+    return code
+
+
+def test(everything: bool) -> int:
+    """Lint, types, manifest and tests; every step runs, and the first failure gives the exit code."""
+    prepare("lint", "test")
+    pytest = [python(), "-m", "pytest", "--durations=15", *([] if everything else ["-m", "not slow"])]
+    if sys.platform.startswith("linux") and not screen_answers():
+        missing = missing_packages(virtual_screen=True)
+        if missing:
+            system_packages(missing, "testing the windows")
+        pytest = ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1280x1024x24", *pytest]
+    steps = (
+        ("ruff check", [python(), "-m", "ruff", "check", "."]),
+        ("ruff format", [python(), "-m", "ruff", "format", "--check", "."]),
+        ("mypy", [python(), "-m", "mypy"]),
+        ("npe2 validate", [python(), "-m", "npe2", "validate", "--imports", "napari-elsplus"]),
+        ("pytest", pytest),
+    )
+    codes = {}
+    with tempfile.TemporaryDirectory() as folder:
+        settings = str(Path(folder, "settings.yaml"))
+        for name, command in steps:
+            say(f"== {name}")
+            codes[name] = run(command, NAPARI_CONFIG=settings, NAPARI_STRICT_QT="1")
+    failed = [name for name, code in codes.items() if code]
+    if failed:
+        raise Stop(f"run.py: failed: {', '.join(failed)}", codes[failed[0]])
+    return 0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Do what the command line asks and give the exit code."""
+    if sys.version_info < OLDEST_PYTHON:
+        print(
+            "napari-elsplus needs Python {}.{} or newer, this is {}.{}: start run.py with a newer one".format(
+                *OLDEST_PYTHON, *sys.version_info[:2]
+            ),
+            file=sys.stderr,
+        )
+        return 1
+    parser = argparse.ArgumentParser(prog="run.py", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    commands = parser.add_subparsers(dest="command", metavar="test")
+    testing = commands.add_parser("test", help="lint, types and tests")
+    testing.add_argument("--all", action="store_true", help="with the slow accuracy sweeps")
+    options = parser.parse_args(arguments)
+    try:
+        return test(options.all) if options.command == "test" else start()
+    except Stop as stop:
+        print(stop, file=sys.stderr)
+        return stop.code
+    except KeyboardInterrupt:
+        print("run.py: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())
