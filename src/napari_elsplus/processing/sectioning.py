@@ -8,21 +8,18 @@ noise into background.
 from __future__ import annotations
 
 from enum import StrEnum
-from math import ceil, floor
-from typing import TYPE_CHECKING, Final, Protocol
+from math import ceil
+from typing import TYPE_CHECKING, Protocol
 
-import cv2
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
+from napari_elsplus.processing.resampling import Resampler
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.calibration import Calibration
-
-_LOBES: Final = 4
-"""Lobes of the Lanczos kernel on each side: wide enough to carry the honeycomb at 2.4 pixels per core."""
 
 
 class Mode(StrEnum):
@@ -177,58 +174,24 @@ class _View:
         background: NDArray[np.float32] | None,
     ) -> None:
         self._brightness = brightness
-        side = len(brightness)
-        corners = np.array([(r, c, 1.0) for r in (0, side - 1) for c in (0, side - 1)]) @ grid_to_frame.T
-        first = [floor(v) - _LOBES + 1 for v in corners.min(axis=0)]
-        last = [ceil(v) + _LOBES for v in corners.max(axis=0)]
-        self._window = np.zeros([b - a + 1 for a, b in zip(first, last, strict=True)], np.float32)
-        low = [max(a, 0) for a in first]
-        high = [min(b + 1, size) for b, size in zip(last, frame_shape, strict=True)]
+        self._resampler = Resampler(grid_to_frame, len(brightness))
+        first, window = self._resampler.first, self._resampler.window
+        low = [max(f, 0) for f in first]
+        high = [min(f + size, limit) for f, size, limit in zip(first, window.shape, frame_shape, strict=True)]
         if any(a >= b for a, b in zip(low, high, strict=True)):
             raise CalibrationError(
                 f"a bundle image lies outside of the {frame_shape[0]} x {frame_shape[1]} frame", "locate the pair again"
             )
-        self._in_frame = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-        lit = tuple(slice(a - f, b - f) for a, b, f in zip(low, high, first, strict=True))
-        self._lit_window = self._window[lit]
+        self._in_frame = (slice(low[0], high[0]), slice(low[1], high[1]))
+        self._on_sensor = window[low[0] - first[0] : high[0] - first[0], low[1] - first[1] : high[1] - first[1]]
         self._background = None if background is None else np.ascontiguousarray(background[self._in_frame], np.float32)
-        self._grid_to_window = grid_to_frame - np.array([(0, 0, first[0]), (0, 0, first[1])])
-        self._resampled = np.empty((side, side), np.float32)
-        self._kernels = None
-        if np.allclose(grid_to_frame[:, :2], np.eye(2), rtol=0, atol=1e-6):
-            start = self._grid_to_window[:, 2]
-            self._whole = np.floor(start).astype(int)
-            self._kernels = [_lanczos(fraction) for fraction in start - self._whole]
-            self._resampled = np.empty_like(self._window)
 
     def cut(self, raw: NDArray[np.generic], out: NDArray[np.float32]) -> NDArray[np.float32]:
-        window = raw[self._in_frame]
         if self._background is None:
-            self._lit_window[...] = window
+            self._on_sensor[...] = raw[self._in_frame]
         else:
-            np.subtract(window, self._background, out=self._lit_window)
-        return np.multiply(self._on_grid(), self._brightness, out=out)
-
-    def _on_grid(self) -> NDArray[np.float32]:
-        side = len(self._brightness)
-        if self._kernels is None:
-            (a, b, r0), (c, d, c0) = self._grid_to_window
-            warp = np.array([(d, c, c0), (b, a, r0)])  # OpenCV counts columns first
-            flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-            cv2.warpAffine(self._window, warp, (side, side), dst=self._resampled, flags=flags)
-            return self._resampled
-        down, across = self._kernels
-        cv2.sepFilter2D(self._window, -1, across, down, dst=self._resampled, anchor=(_LOBES - 1, _LOBES - 1))
-        row, col = self._whole
-        return self._resampled[row : row + side, col : col + side]
-
-
-def _lanczos(fraction: float) -> NDArray[np.float64]:
-    """Weights of the 2 x `_LOBES` neighbours of a point that lies a fraction of a pixel past one; their sum is 1."""
-    distance = np.arange(1 - _LOBES, _LOBES + 1) - fraction
-    weights = np.sinc(distance) * np.sinc(distance / _LOBES)
-    normalised: NDArray[np.float64] = weights / weights.sum()
-    return normalised
+            np.subtract(raw[self._in_frame], self._background, out=self._on_sensor, casting="unsafe")
+        return np.multiply(self._resampler(), self._brightness, out=out)
 
 
 def _check_fits(calibration: Calibration, frame_shape: tuple[int, int]) -> None:

@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.quality import alignment_error, contrast, white_level
+from napari_elsplus.processing.sectioning import disc
+
+
+def test_one_pixel_in_ten_thousand_saturates() -> None:
+    image = np.random.default_rng(0).normal(100, 20, (400, 400))
+    inside = np.ones(image.shape, bool)
+    assert (image > white_level(image, inside)).sum() == 16
+
+
+def test_white_level_of_darkness_can_be_divided_by() -> None:
+    assert white_level(np.zeros((8, 8)), np.ones((8, 8), bool)) > 0
+
+
+def test_alignment_error_is_the_paper_s() -> None:
+    confocal = np.full((50, 50), 100.0)
+    checks = np.where(np.indices((50, 50)).sum(0) % 2, 5.5, -5.5)
+    assert alignment_error(confocal, confocal + checks, 50) == pytest.approx(0.055)
+    assert np.isnan(alignment_error(np.zeros((50, 50)), checks, 50))
+
+
+def test_alignment_error_ignores_the_rim() -> None:
+    confocal = np.full((50, 50), 100.0)
+    residual = np.where(disc(50, 46), confocal, 0)
+    assert alignment_error(confocal, residual, 50) == 0
+
+
+def test_contrast_falls_with_a_pedestal() -> None:
+    image = np.random.default_rng(0).uniform(0, 100, (100, 100))
+    inside = np.ones(image.shape, bool)
+    assert contrast(image, inside).michelson == pytest.approx(0.8, abs=0.02)
+    assert contrast(image + 100, inside).michelson == pytest.approx(0.8 / 3, abs=0.02)
