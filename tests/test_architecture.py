@@ -27,6 +27,7 @@ ROOMS = (
     "acquisition",
     "evaluation",
     "figures",
+    "diagnosis",
     "cli",
     "settings",
     "napari's doors",

@@ -13,7 +13,7 @@ import click
 from napari_elsplus import __version__
 from napari_elsplus.errors import ElsPlusError
 
-COMMANDS: tuple[str, ...] = ()
+COMMANDS: tuple[str, ...] = ("doctor",)
 """Names of the commands; each is the ``command`` of the module of that name in this package."""
 
 EXIT_BAD_INPUT = 2
@@ -31,10 +31,15 @@ class _CommandPerModule(click.Group):
         return command
 
 
-@click.group(cls=_CommandPerModule, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=_CommandPerModule, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__)
-def elsplus() -> None:
-    """Enhanced line-scan (ELS+) fibre-bundle endomicroscopy."""
+@click.pass_context
+def elsplus(ctx: click.Context) -> None:
+    """Enhanced line-scan (ELS+) fibre-bundle endomicroscopy. Without a command: open napari with the plugin."""
+    if ctx.invoked_subcommand is None:
+        import_module("napari_elsplus.cli.window").open_window()
 
 
 def main(arguments: list[str] | None = None) -> None:

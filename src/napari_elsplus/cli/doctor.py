@@ -1,0 +1,32 @@
+"""``napari-elsplus doctor``: what is installed, which devices are seen, what is wrong and what mends it."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import click
+
+from napari_elsplus.diagnosis import diagnose
+from napari_elsplus.diagnosis.finding import Level
+
+COLOURS = {Level.OK: "green", Level.WARNING: "yellow", Level.PROBLEM: "red"}
+
+
+@click.command()
+def command() -> None:
+    """Say what is installed, what is wrong, and the command that mends it.
+
+    Exits 0 when the software can be used, 1 when it cannot.
+    """
+    found: Counter[Level] = Counter()
+    for finding in diagnose():
+        level, _, rest = str(finding).partition(" ")
+        click.echo(click.style(level, fg=COLOURS[finding.level]) + " " + rest)
+        found[finding.level] += 1
+    usable = not found[Level.PROBLEM]
+    counts = ", ".join(
+        f"{count} {level}{'s' if count > 1 else ''}" for level, count in found.items() if level != Level.OK
+    )
+    click.echo(f"{'ready for use' if usable else 'not fit for use'} ({counts or 'nothing to mend'})")
+    if not usable:
+        raise SystemExit(1)

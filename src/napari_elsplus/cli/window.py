@@ -1,0 +1,22 @@
+"""``napari-elsplus`` alone: napari with the plugin, or one line that says why there is no window."""
+
+from __future__ import annotations
+
+import runpy
+
+from napari_elsplus.diagnosis.machine import WITHOUT_SCREEN, ask_for_screen
+from napari_elsplus.errors import DeviceError
+
+
+def open_window() -> None:
+    """Open napari with the plugin docked and stay until it is closed.
+
+    Raises
+    ------
+    DeviceError
+        If no screen answers.
+    """
+    screen = ask_for_screen()
+    if not screen.answers:
+        raise DeviceError(f"no window can be opened ({screen.detail})", WITHOUT_SCREEN)
+    runpy.run_module("napari_elsplus._window", run_name="__main__")

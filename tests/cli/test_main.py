@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import click
+import pytest
+
+import napari_elsplus
+from napari_elsplus.cli import COMMANDS, elsplus, main, window
+from napari_elsplus.diagnosis.machine import Screen
+from napari_elsplus.errors import InputError
+
+
+def leaves(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Exit code and what was said on standard error."""
+    with pytest.raises(SystemExit) as left:
+        main(arguments)
+    return int(left.value.code or 0), capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (InputError("0 frames in a.tif", "record again"), 2, "napari-elsplus: 0 frames in a.tif: record again\n"),
+        (FileNotFoundError(2, "No such file", "a.tif"), 2, "napari-elsplus: a.tif: No such file: check the path"),
+        (KeyboardInterrupt(), 130, "napari-elsplus: interrupted\n"),
+    ],
+)
+def test_what_a_user_can_mend_is_one_line(
+    error: BaseException, code: int, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail() -> None:
+        raise error
+
+    monkeypatch.setattr(window, "open_window", fail)
+    left, said = leaves([], capsys)
+    assert left == code
+    assert said.lstrip("\n").startswith(line)
+    assert len(said.strip().splitlines()) == 1
+
+
+def test_a_defect_of_ours_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(window, "open_window", fail)
+    with pytest.raises(ZeroDivisionError):
+        main([])
+
+
+def test_an_unknown_command_exits_2(capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = leaves(["mosiac"], capsys)
+    assert code == 2
+    assert "mosiac" in said
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name: str) -> None:
+    context = click.Context(elsplus, info_name="napari-elsplus")
+    command = elsplus.get_command(context, name)
+    assert command is not None
+    assert command.get_short_help_str()
+    assert elsplus.get_command(context, name.upper()) is None
+
+
+def test_without_a_screen_it_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(window, "ask_for_screen", lambda: Screen(False, "DISPLAY is not set"))
+    code, said = leaves([], capsys)
+    assert code == 2
+    assert said.startswith("napari-elsplus: no window can be opened (DISPLAY is not set): start it on a desktop")
+
+
+def test_with_a_screen_it_opens_napari(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(window, "ask_for_screen", lambda: Screen(True, "xcb"))
+    monkeypatch.setattr(window.runpy, "run_module", lambda name, run_name: opened.append(name))
+    main([])
+    assert opened == ["napari_elsplus._window"]
+
+
+def test_version_and_help_load_nothing_heavy() -> None:
+    code = (
+        "import sys; from napari_elsplus.cli import main; main(['--version']);"
+        "print([m for m in ('napari', 'qtpy', 'cv2', 'numba', 'numpy') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[:2] == [f"napari-elsplus, version {napari_elsplus.__version__}", "[]"]
