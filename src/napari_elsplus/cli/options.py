@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 FILE = click.Path(path_type=Path)
 
+calibration_option = click.option(
+    "-c", "--calibration", type=FILE, required=True, help="The rig's calibration, as `calibrate` writes it."
+)
+output_option = click.option("-o", "--output", type=FILE, required=True, help="File to write.")
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output file.")
 
 
