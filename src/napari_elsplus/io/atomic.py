@@ -1,0 +1,136 @@
+"""Files appear whole or not at all: written beside the target, flushed to the disk, then renamed onto it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from secrets import token_hex
+from typing import TYPE_CHECKING
+
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+def refuse_existing(path: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Make sure that a target may be written, before any work is done for it.
+
+    Parameters
+    ----------
+    path : path-like
+        The file that will be written.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    InputError
+        If it exists and `force` is not given, is a folder, or lies in a folder that does not exist.
+    """
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: there is no folder {path.parent}", "create it, or name another output")
+    if os.path.lexists(path) and not force:
+        raise InputError(f"{path} exists", "give --force to replace it, or name another output")
+    if path.is_dir() and path.suffix != ".zarr":
+        raise InputError(f"{path} is a folder", "name a file")
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[Path]:
+    """Write a file beside its target and rename it at the end.
+
+    On any error, Ctrl-C included, what was written is removed and the target stays as it was.
+
+    Parameters
+    ----------
+    path : path-like
+        The target.
+    force : bool
+        Whether an existing target may be replaced.
+
+    Yields
+    ------
+    pathlib.Path
+        Where to write; in the target's folder, with the target's suffixes.
+
+    Raises
+    ------
+    InputError
+        At once, if the target exists and `force` is not given, or its folder does not exist.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> with replacing(folder / "offset.txt") as beside:
+    ...     _ = beside.write_text("-12.03")
+    >>> (folder / "offset.txt").read_text(), len(list(folder.iterdir()))
+    ('-12.03', 1)
+    """
+    target = Path(path)
+    refuse_existing(target, force=force)
+    beside = target.with_name(f".{token_hex(4)}.{target.name}")
+    try:
+        yield beside
+        _flush(beside)
+        if target.is_dir():
+            shutil.rmtree(target)
+        beside.replace(target)
+        _flush_folder(target.parent)
+    finally:
+        _remove(beside)
+
+
+@contextmanager
+def replacing_all(*paths: str | os.PathLike[str], force: bool = False) -> Iterator[list[Path]]:
+    """Write the several files of one result: all targets are checked first, and renamed last to first at the end.
+
+    Parameters
+    ----------
+    *paths : path-like
+        The targets; the one that readers look for comes first, so that it appears when the others are in place.
+    force : bool
+        Whether existing targets may be replaced.
+
+    Yields
+    ------
+    list of pathlib.Path
+        Where to write each; a file that is not written is left out.
+
+    Raises
+    ------
+    InputError
+        As :func:`replacing`, for any of the targets.
+    """
+    for path in paths:
+        refuse_existing(path, force=force)
+    with ExitStack() as stack:
+        yield [stack.enter_context(replacing(path, force=force)) for path in paths]
+
+
+def _flush(path: Path) -> None:
+    if path.is_file():
+        with path.open("rb+") as file:
+            os.fsync(file.fileno())
+
+
+def _flush_folder(folder: Path) -> None:
+    if os.name != "posix":  # other systems cannot open a folder
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # some network file systems refuse; the rename itself has succeeded
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,222 @@
+"""Calibration files: NAME.json for the numbers, NAME.npz beside it for background and flat field."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from napari_elsplus.calibration import FORMAT, Calibration
+from napari_elsplus.errors import CalibrationError
+from napari_elsplus.io.atomic import refuse_existing, replacing
+
+if TYPE_CHECKING:
+    import os
+
+    from numpy.typing import NDArray
+
+LARGEST_JSON: Final = 4 << 20
+LARGEST_ARRAYS: Final = 1 << 30
+ARRAYS: Final = ("background", "flat")
+
+
+def read_calibration(path: str | os.PathLike[str]) -> Calibration:
+    """Read a calibration, with its background and flat field where they lie beside it.
+
+    Parameters
+    ----------
+    path : path-like
+        NAME.json; NAME.npz is read too if it exists. It is never unpickled.
+
+    Returns
+    -------
+    Calibration
+        Validated; keys that this version does not know are kept.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is missing, broken, of another kind or of a newer version, or holds NaN or an impossible number.
+    """
+    path = Path(path)
+    calibration = parse_calibration(_read_text(path), name=path.name)
+    arrays = _read_arrays(path.with_suffix(".npz"), calibration)
+    return calibration.model_copy(update=arrays)
+
+
+def write_calibration(path: str | os.PathLike[str], calibration: Calibration, force: bool = False) -> Path:
+    """Write a calibration as NAME.json and, if it has a background or a flat field, NAME.npz beside it.
+
+    Parameters
+    ----------
+    path : path-like
+        NAME.json.
+    calibration : Calibration
+        What to write.
+    force : bool
+        Whether existing files may be replaced; arrays that no longer belong to the record are then removed.
+
+    Returns
+    -------
+    pathlib.Path
+        The JSON file.
+
+    Raises
+    ------
+    InputError
+        If a file exists and `force` is not given, or the folder does not exist.
+    CalibrationError
+        If the record cannot be said in JSON, or `path` does not end in .json.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".json":
+        raise CalibrationError(f"{path.name} is no name for a calibration", "let it end in .json")
+    beside = path.with_suffix(".npz")
+    arrays = {name: value for name in ARRAYS if (value := getattr(calibration, name)) is not None}
+    refuse_existing(beside, force=force)
+    text = format_calibration(calibration, indent=1)
+    with replacing(path, force=force) as json_path:
+        json_path.write_text(text + "\n", encoding="utf-8")
+        if arrays:
+            with replacing(beside, force=force) as npz_path, npz_path.open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **arrays)
+        else:
+            beside.unlink(missing_ok=True)
+    return path
+
+
+def parse_calibration(text: str, *, name: str = "calibration") -> Calibration:
+    """Read a calibration's JSON text; see :func:`read_calibration`."""
+    try:
+        content = json.loads(text, parse_constant=_refuse_constant, parse_float=_finite)
+    except (ValueError, RecursionError) as error:
+        raise CalibrationError(f"{name} is no calibration ({error!s:.80})", "calibrate again") from None
+    try:
+        return Calibration.parse(content)
+    except CalibrationError as error:
+        raise CalibrationError(f"{name}: {error.problem}", error.remedy) from None
+
+
+def format_calibration(calibration: Calibration, indent: int | None = None) -> str:
+    """Write a calibration's JSON text, without its arrays.
+
+    Raises
+    ------
+    CalibrationError
+        If an unknown key holds NaN or anything else that JSON cannot say.
+    """
+    try:
+        return json.dumps(calibration.content(), indent=indent, allow_nan=False)
+    except (ValueError, TypeError, RecursionError) as error:
+        raise CalibrationError(f"the calibration cannot be written ({error!s:.80})", "calibrate again") from None
+
+
+def calibration_beside(recording: str | os.PathLike[str]) -> Path | None:
+    """Find the calibration that lies beside a recording.
+
+    Looked for are, in the recording's folder, NAME.calibration.json, NAME.json and calibration.json; files of
+    another kind are passed over.
+
+    Parameters
+    ----------
+    recording : path-like
+        A recording, say NAME.ome.tif.
+
+    Returns
+    -------
+    pathlib.Path or None
+        The calibration's JSON file, if there is one.
+    """
+    recording = Path(recording)
+    candidates = [beside(recording, ".calibration.json"), beside(recording, ".json")]
+    if recording.is_dir():
+        candidates.append(recording / "calibration.json")
+    candidates.append(recording.with_name("calibration.json"))
+    return next((path for path in candidates if path.is_file() and _declares_our_format(path)), None)
+
+
+def beside(recording: str | os.PathLike[str], ending: str) -> Path:
+    """Name a file that belongs to a recording.
+
+    Examples
+    --------
+    >>> beside("scan.ome.tif", ".depths.csv").name
+    'scan.depths.csv'
+    """
+    path = Path(recording)
+    stem = path.name
+    for suffix in (".tif", ".tiff", ".avi", ".npy", ".zarr", ".ome"):
+        stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and stem.lower() != suffix else stem
+    return path.with_name(stem + ending)
+
+
+def _read_text(path: Path) -> str:
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_JSON:
+            raise CalibrationError(f"{path.name} has {size} bytes", "name the .json file that `calibrate` wrote")
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise CalibrationError(f"there is no file {path}", "name the .json file that `calibrate` wrote") from None
+    except UnicodeDecodeError:
+        raise CalibrationError(f"{path.name} is no text", "name the .json file that `calibrate` wrote") from None
+    except (OSError, ValueError) as error:
+        raise CalibrationError(f"{path} cannot be read ({error!s:.80})", "check the path and its permissions") from None
+
+
+def _read_arrays(path: Path, calibration: Calibration) -> dict[str, NDArray[np.float32]]:
+    if not path.exists():
+        return {}
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if not isinstance(file, np.lib.npyio.NpzFile) or file.zip is None:
+                raise CalibrationError(f"{path.name} holds no named arrays", "calibrate again")
+            unpacked = sum(member.file_size for member in file.zip.infolist())
+            if unpacked > LARGEST_ARRAYS:
+                raise CalibrationError(f"{path.name} unpacks to {unpacked} bytes", "calibrate again")
+            arrays = {name: _checked(path, name, file[name]) for name in ARRAYS if name in file}
+    except (OSError, ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile) as error:
+        raise CalibrationError(f"{path.name} cannot be read ({error!s:.80})", "calibrate again") from None
+    frame, background = calibration.frame, arrays.get("background")
+    if frame is not None and background is not None and background.shape != frame.shape:
+        raise CalibrationError(
+            f"{path.name}: the background is {background.shape}, the frame {frame.shape}",
+            "it belongs to another calibration: calibrate again",
+        )
+    return arrays
+
+
+def _checked(path: Path, name: str, array: NDArray[Any]) -> NDArray[np.float32]:
+    if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "uif":
+        raise CalibrationError(
+            f"{path.name}: the {name} has shape {array.shape} and type {array.dtype}", "calibrate again"
+        )
+    with np.errstate(over="ignore"):
+        image = np.ascontiguousarray(array, np.float32)
+    if not np.isfinite(image).all():
+        raise CalibrationError(f"{path.name}: the {name} holds NaN or infinity", "calibrate again")
+    return image
+
+
+def _declares_our_format(path: Path) -> bool:
+    """Whether a file says that it is a calibration; if it is a broken one, reading it tells why."""
+    try:
+        with path.open("rb") as file:
+            return FORMAT.encode() in file.read(LARGEST_JSON)
+    except OSError:
+        return False
+
+
+def _refuse_constant(token: str) -> float:
+    raise ValueError(f"it holds {token}, which is no number")
+
+
+def _finite(token: str) -> float:
+    value = float(token)
+    if not math.isfinite(value):
+        raise ValueError(f"{token} is out of range")
+    return value

@@ -1,0 +1,98 @@
+"""CSV files of one column: the depths of an axial scan, the voltages of a sweep."""
+
+from __future__ import annotations
+
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io.atomic import replacing
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+DEPTH: Final = "depth_um"
+VOLTS: Final = "volts"
+LARGEST: Final = 64 << 20
+
+
+def read_depths_um(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read the depths of an axial scan: header ``depth_um``, a line per frame.
+
+    Parameters
+    ----------
+    path : path-like
+        CSV file.
+
+    Returns
+    -------
+    numpy.ndarray, (T,)
+        Micrometres.
+
+    Raises
+    ------
+    InputError
+        Naming the line and its value, if it is no such file.
+    """
+    return read_column(path, DEPTH)
+
+
+def read_volts(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read the voltages of a sweep: header ``volts``, a line per frame; see :func:`read_depths_um`."""
+    return read_column(path, VOLTS)
+
+
+def read_column(path: str | os.PathLike[str], header: str) -> NDArray[np.float64]:
+    """Read a CSV file of one column under the header given; see :func:`read_depths_um`."""
+    path = Path(path)
+    lines = _lines(path)
+    if not lines or lines[0].strip().strip('"') != header:
+        found = repr(lines[0][:40]) if lines else "nothing"
+        raise InputError(
+            f"{path.name}: line 1 is {found}", f"a header line `{header}` is expected, then a number per frame"
+        )
+    while lines[-1].strip() == "":
+        lines.pop()
+    values = [_number(path, number, line) for number, line in enumerate(lines[1:], start=2)]
+    if not values:
+        raise InputError(f"{path.name} holds no number below its header", "a number per frame is expected")
+    return np.array(values)
+
+
+def write_column(
+    path: str | os.PathLike[str], header: str, values: Sequence[float] | NDArray[np.floating], force: bool = False
+) -> None:
+    """Write a CSV file of one column, as :func:`read_column` reads it, every digit kept."""
+    with replacing(path, force=force) as beside:
+        beside.write_text(
+            "".join(f"{line}\n" for line in (header, *(float(value) for value in values))), encoding="ascii"
+        )
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        if path.stat().st_size > LARGEST:
+            raise InputError(f"{path.name} has {path.stat().st_size} bytes", "a CSV file of one column is expected")
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        raise InputError(f"there is no file {path}", "check the path") from None
+    except ValueError:
+        raise InputError(f"{path.name} is no text", "a CSV file of one column is expected") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror})", "check the path and its permissions") from None
+
+
+def _number(path: Path, line_number: int, line: str) -> float:
+    try:
+        value = float(line)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise InputError(f"{path.name}: line {line_number} is {line[:40]!r}", "one finite number per line is expected")
+    return value

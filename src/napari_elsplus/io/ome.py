@@ -1,0 +1,111 @@
+"""OME-XML: what a file says of its frames, and back again."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final
+from xml.etree import ElementTree
+
+import numpy as np
+import tifffile
+
+from napari_elsplus import __version__
+from napari_elsplus.calibration import FORMAT
+from napari_elsplus.io.calibrations import format_calibration
+from napari_elsplus.io.sources import positive
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from napari_elsplus.calibration import Calibration
+
+SOFTWARE: Final = f"napari-elsplus {__version__}"
+SETTINGS: Final = "napari-elsplus/settings"
+_UM: Final = {"µm": 1.0, "μm": 1.0, "um": 1.0, "micron": 1.0, "nm": 1e-3, "mm": 1e3, "m": 1e6}
+_S: Final = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "μs": 1e-6, "us": 1e-6, "min": 60.0}
+
+
+def description(
+    *,
+    um_per_px: float | None = None,
+    frame_period_s: float | None = None,
+    times_s: Sequence[float] | None = None,
+    calibration: Calibration | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Name what is known of a stack in the words of tifffile's OME metadata."""
+    words: dict[str, Any] = {"Description": SOFTWARE}
+    if um_per_px is not None:
+        words |= {"PhysicalSizeX": um_per_px, "PhysicalSizeY": um_per_px}
+        words |= {"PhysicalSizeXUnit": "µm", "PhysicalSizeYUnit": "µm"}
+    if frame_period_s is not None:
+        words |= {"TimeIncrement": frame_period_s, "TimeIncrementUnit": "s"}
+    if times_s is not None:
+        words["Plane"] = {"DeltaT": list(times_s), "DeltaTUnit": ["s"] * len(times_s)}
+    notes = []
+    if calibration is not None:
+        notes.append({"Namespace": FORMAT, "Value": format_calibration(calibration)})
+    if settings:
+        notes.append({"Namespace": SETTINGS, "Value": json.dumps(dict(settings), default=str)})
+    if notes:
+        words["CommentAnnotation"] = notes
+    return words
+
+
+def recording_xml(shape: tuple[int, int, int], dtype: np.dtype[Any], **known: Any) -> bytes:
+    """Write the OME-XML of a recording with one page per frame."""
+    count, rows, cols = shape
+    xml = tifffile.OmeXml(creator=SOFTWARE)
+    xml.addimage(dtype.name, shape, (count, 1, 1, rows, cols, 1), axes="TYX", **description(**known))
+    return xml.tostring(declaration=True).encode()
+
+
+def parse(xml: str) -> dict[str, Any]:
+    """Read what an OME-XML says of its first image; what it says wrongly is left out."""
+    known: dict[str, Any] = {}
+    try:
+        root = ElementTree.fromstring(xml.encode())
+    except ElementTree.ParseError:
+        return known
+    pixels = root.find("{*}Image/{*}Pixels")
+    if pixels is None:
+        return known
+    scale = _UM.get(pixels.get("PhysicalSizeXUnit", "µm"))
+    if scale and (size := positive(pixels.get("PhysicalSizeX"))):
+        known["um_per_px"] = size * scale
+    scale = _S.get(pixels.get("TimeIncrementUnit", "s"))
+    if scale and (period := positive(pixels.get("TimeIncrement"))):
+        known["frame_period_s"] = period * scale
+    times = [_delta_s(plane) for plane in pixels.iterfind("{*}Plane")]
+    finite = [time for time in times if time is not None]
+    if times and len(finite) == len(times) and all(a <= b for a, b in pairwise(finite)):
+        known["times_s"] = finite
+    if creator := root.get("Creator"):
+        known["software"] = creator
+    return known | _annotations(root)
+
+
+def _delta_s(plane: ElementTree.Element) -> float | None:
+    try:
+        value = float(plane.get("DeltaT", "nan")) * _S.get(plane.get("DeltaTUnit", "s"), float("nan"))
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None
+
+
+def _annotations(root: ElementTree.Element) -> dict[str, Any]:
+    known: dict[str, Any] = {}
+    for note in root.iterfind("{*}StructuredAnnotations/{*}CommentAnnotation"):
+        name = {FORMAT: "calibration", SETTINGS: "settings"}.get(note.get("Namespace", ""))
+        text = note.findtext("{*}Value")
+        if name is None or text is None:
+            continue
+        if name == "calibration":
+            known[name] = text
+            continue
+        try:
+            known[name] = json.loads(text)
+        except (ValueError, RecursionError):
+            continue
+    return known

@@ -1,0 +1,221 @@
+"""Crash-safe recording: every frame is a whole page of a BigTIFF as soon as it is written."""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+from contextlib import suppress
+from pathlib import Path
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+import tifffile
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import ome
+from napari_elsplus.io.atomic import refuse_existing
+from napari_elsplus.io.calibrations import beside, write_calibration
+from napari_elsplus.io.strided import STAMP_TAG
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import DTypeLike, NDArray
+
+    from napari_elsplus.calibration import Calibration
+
+FLUSH_PERIOD_S: Final = 1.0
+PAGE_DESCRIPTION: Final = "napari-elsplus raw frame"
+
+
+class RecordingWriter:
+    """Write raw frames to a file from which nothing is lost but what was never written.
+
+    Each frame becomes one uncompressed page of a BigTIFF, all of the same length, with its time and number in a
+    private tag. The file is flushed to the disk each second. After a kill all whole pages open; after a power cut,
+    those of the last flush. OME-XML is put into the first page when the recording is closed.
+
+    Parameters
+    ----------
+    path : path-like
+        The recording, NAME.ome.tif.
+    frame_shape : tuple of int
+        Rows and columns of a raw frame.
+    dtype : dtype-like
+        uint8 or uint16.
+    calibration : Calibration, optional
+        In force while recording; written beside, NAME.calibration.json, before the first frame.
+    settings : mapping, optional
+        The rig's settings, kept in the OME-XML.
+    force : bool
+        Whether existing files may be replaced.
+
+    Raises
+    ------
+    InputError
+        If a file exists and `force` is not given, or the frames are no raw frames.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from napari_elsplus.io import open_recording
+    >>> path = Path(tempfile.mkdtemp()) / "still.ome.tif"
+    >>> with RecordingWriter(path, (40, 60), np.uint8) as writer:
+    ...     for k in range(3):
+    ...         writer.append(np.full((40, 60), k, np.uint8), time_s=k / 240, frame_number=k)
+    >>> with open_recording(path) as recording:
+    ...     recording.shape, int(recording[2].max()), recording.frame_numbers.tolist()
+    ((3, 40, 60), 2, [0, 1, 2])
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        frame_shape: tuple[int, int],
+        dtype: DTypeLike,
+        *,
+        calibration: Calibration | None = None,
+        settings: Mapping[str, Any] | None = None,
+        force: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        self.frame_shape = (int(frame_shape[0]), int(frame_shape[1]))
+        self.dtype = np.dtype(dtype)
+        if self.dtype not in (np.uint8, np.uint16) or min(self.frame_shape) < 1:
+            raise InputError(f"frames of {self.frame_shape}, {self.dtype}", "raw frames are uint8 or uint16, not empty")
+        self._calibration, self._settings = calibration, dict(settings or {})
+        refuse_existing(self.path, force=force)
+        if calibration is not None:
+            write_calibration(beside(self.path, ".calibration.json"), calibration, force=force)
+        self.path.unlink(missing_ok=True)
+        self._times_s: list[float] = []
+        self._end = 0
+        self._writer: tifffile.TiffWriter | None = tifffile.TiffWriter(self.path, bigtiff=True, byteorder="<")
+        self._stop = Event()
+        self._flusher = Thread(target=self._flush_each_second, name="recording-flush", daemon=True)
+        self._flusher.start()
+
+    def __len__(self) -> int:
+        return len(self._times_s)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the recording has ended, by :meth:`close` or by a failure of the disk."""
+        return self._writer is None
+
+    def append(self, frame: NDArray[Any], time_s: float, frame_number: int) -> None:
+        """Write one frame; the caller's buffer may be reused as soon as this returns.
+
+        Parameters
+        ----------
+        frame : numpy.ndarray, (rows, cols)
+            Raw frame.
+        time_s : float
+            When it was taken, in seconds on any one clock.
+        frame_number : int
+            The camera's number.
+
+        Raises
+        ------
+        InputError
+            If the frame is of another shape or type, or the recording has ended.
+        OSError
+            If the disk is full or fails: raised once, the recording has then ended with all whole frames in it.
+        """
+        if self._writer is None:
+            raise InputError(f"{self.path.name} has ended after {len(self)} frames", "start another recording")
+        if frame.shape != self.frame_shape or frame.dtype != self.dtype:
+            raise InputError(
+                f"frame {frame_number} is {frame.shape}, {frame.dtype}",
+                f"this recording takes {self.frame_shape}, {self.dtype}",
+            )
+        try:
+            placed = self._writer.write(
+                np.ascontiguousarray(frame),
+                contiguous=False,
+                metadata=None,
+                photometric="minisblack",
+                description=PAGE_DESCRIPTION,
+                software=ome.SOFTWARE,
+                rowsperstrip=self.frame_shape[0],
+                align=2,
+                extratags=[(STAMP_TAG, tifffile.DATATYPE.DOUBLE, 2, (float(time_s), float(frame_number)), False)],
+                returnoffset=True,
+            )
+        except OSError as error:
+            self._end_after_failure()
+            reason = error.strerror or str(error)
+            raise OSError(
+                error.errno or errno.EIO, f"the recording ended after {len(self)} frames ({reason})", str(self.path)
+            ) from error
+        assert placed is not None
+        self._end = placed[0] + placed[1]
+        self._times_s.append(float(time_s))
+
+    def close(self) -> None:
+        """End the recording: put the OME-XML into its first page and flush it to the disk."""
+        if self._writer is None:
+            return
+        self._let_go()
+        if not self._times_s:
+            self.path.unlink()
+            return
+        xml = self._xml()
+        try:
+            with tifffile.TiffFile(self.path, mode="r+") as file:
+                file.pages.first.tags[270].overwrite(xml, erase=False)
+            self._flush()
+        except OSError:
+            os.truncate(self.path, self._end)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _xml(self) -> bytes:
+        times = np.array(self._times_s)
+        period = float(np.median(np.diff(times))) if len(times) > 1 else None
+        optics = self._calibration.optics if self._calibration is not None else None
+        return ome.recording_xml(
+            (len(self), *self.frame_shape),
+            self.dtype,
+            um_per_px=optics.um_per_px if optics is not None else None,
+            frame_period_s=period if period and period > 0 else None,
+            times_s=self._times_s,
+            calibration=self._calibration,
+            settings=self._settings,
+        )
+
+    def _let_go(self) -> None:
+        writer, self._writer = self._writer, None
+        self._stop.set()
+        self._flusher.join()
+        if writer is not None:
+            writer.close()
+
+    def _end_after_failure(self) -> None:
+        """Cut the file to its whole pages; the failure itself is what the caller hears of."""
+        with suppress(OSError):
+            self._let_go()
+        if self._times_s:
+            os.truncate(self.path, self._end)
+        else:
+            self.path.unlink()
+
+    def _flush_each_second(self) -> None:
+        due = time.monotonic() + FLUSH_PERIOD_S
+        while not self._stop.wait(max(0.0, due - time.monotonic())):
+            self._flush()
+            due = time.monotonic() + FLUSH_PERIOD_S
+
+    def _flush(self) -> None:
+        descriptor = os.open(self.path, os.O_RDWR)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

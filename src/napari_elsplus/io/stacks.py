@@ -1,0 +1,188 @@
+"""Finished images to OME-TIFF: stacks of any length, streamed, and mosaics with their pyramid."""
+
+from __future__ import annotations
+
+from collections.abc import Sized
+from itertools import chain, islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import tifffile
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import ome
+from napari_elsplus.io.atomic import replacing
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+
+CLASSIC_LIMIT: Final = 2 << 30
+"""Bytes; what is larger, or of unknown length, is written as BigTIFF."""
+SMALLEST_LEVEL: Final = 512
+TILE: Final = (256, 256)
+
+
+def write_stack(
+    path: str | os.PathLike[str],
+    images: Iterable[NDArray[Any]],
+    *,
+    um_per_px: float | None = None,
+    frame_period_s: float | None = None,
+    metadata: Mapping[str, Any] | None = None,
+    calibration: Calibration | None = None,
+    force: bool = False,
+    axes: str = "TYX",
+) -> int:
+    """Write equal images to an OME-TIFF, one after the other, holding one at a time.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    images : iterable of numpy.ndarray, (rows, cols)
+        Equal in shape and type.
+    um_per_px : float, optional
+        Pixel size; the calibration's by default.
+    frame_period_s : float, optional
+        Time from one image to the next; the calibration's by default.
+    metadata : mapping, optional
+        Anything else to keep, as JSON.
+    calibration : Calibration, optional
+        Kept in the file, without its arrays.
+    force : bool
+        Whether an existing file may be replaced.
+    axes : str
+        Meaning of the axes: ``"TYX"`` or, for a scan of depths, ``"ZYX"``.
+
+    Returns
+    -------
+    int
+        Number of images written.
+
+    Raises
+    ------
+    InputError
+        If there is no image, the images differ, or the file exists and `force` is not given.
+    """
+    with replacing(path, force=force) as beside:
+        stream = iter(images)
+        head = [np.asarray(image) for image in islice(stream, 2)]
+        if not head:
+            raise InputError("there is no image to write", "is the recording, or the range of frames, empty?")
+        first = head[0]
+        if first.ndim != 2 or first.size == 0:
+            raise InputError(f"the images have shape {first.shape}", "a stack of images (rows, cols) is expected")
+        if calibration is not None and calibration.optics is not None:
+            optics = calibration.optics
+            um_per_px = um_per_px or optics.um_per_px
+            if frame_period_s is None and optics.line_period_s and optics.rows_per_frame:
+                frame_period_s = optics.line_period_s * optics.rows_per_frame
+        words = ome.description(
+            um_per_px=um_per_px, frame_period_s=frame_period_s, calibration=calibration, settings=metadata
+        )
+        words["axes"] = axes if len(head) > 1 else axes[-2:]
+        length = len(images) if isinstance(images, Sized) else None
+        big = length is None or length * first.nbytes > CLASSIC_LIMIT
+        count = 0
+        with tifffile.TiffWriter(beside, bigtiff=big, ome=True) as writer:
+            for image in chain(head, stream):
+                image = np.asarray(image)
+                if image.shape != first.shape or image.dtype != first.dtype:
+                    raise InputError(
+                        f"image {count} is {image.shape}, {image.dtype}, the first {first.shape}, {first.dtype}",
+                        "write them to files of their own",
+                    )
+                writer.write(
+                    np.ascontiguousarray(image), contiguous=True, photometric="minisblack",
+                    software=ome.SOFTWARE, metadata=words,
+                )  # fmt: skip
+                count += 1
+    return count
+
+
+def write_mosaic(
+    path: str | os.PathLike[str],
+    image: NDArray[Any],
+    um_per_px: float | None = None,
+    *,
+    metadata: Mapping[str, Any] | None = None,
+    calibration: Calibration | None = None,
+    force: bool = False,
+) -> Path:
+    """Write a mosaic to a tiled OME-TIFF with a pyramid of halves, so that viewers open any size at once.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    image : numpy.ndarray, (rows, cols)
+        The mosaic at full resolution; pixels that were never covered are 0.
+    um_per_px : float, optional
+        Pixel size; the calibration's by default.
+    metadata : mapping, optional
+        Anything else to keep, as JSON.
+    calibration : Calibration, optional
+        Kept in the file, without its arrays.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the image is no mosaic, or the file exists and `force` is not given.
+    """
+    with replacing(path, force=force) as beside:
+        image = np.ascontiguousarray(image)
+        if image.ndim != 2 or image.size == 0:
+            raise InputError(f"the mosaic has shape {image.shape}", "a mosaic (rows, cols) is expected")
+        if um_per_px is None and calibration is not None and calibration.optics is not None:
+            um_per_px = calibration.optics.um_per_px
+        words = ome.description(um_per_px=um_per_px, calibration=calibration, settings=metadata)
+        levels = pyramid(image)
+        with tifffile.TiffWriter(beside, bigtiff=image.nbytes > CLASSIC_LIMIT, ome=True) as writer:
+            for index, level in enumerate(levels):
+                writer.write(
+                    level, photometric="minisblack", tile=TILE, compression="zlib", software=ome.SOFTWARE,
+                    subifds=len(levels) - 1 if index == 0 else None,
+                    subfiletype=None if index == 0 else 1,
+                    metadata={**words, "axes": "YX"} if index == 0 else None,
+                )  # fmt: skip
+    return Path(path)
+
+
+def pyramid(image: NDArray[Any]) -> list[NDArray[Any]]:
+    """Halve an image, by means of 2 x 2 pixels, until it is small.
+
+    Parameters
+    ----------
+    image : numpy.ndarray, (rows, cols)
+        Full resolution.
+
+    Returns
+    -------
+    list of numpy.ndarray
+        The image itself and its halves, largest first, all of its type.
+
+    Examples
+    --------
+    >>> [level.shape for level in pyramid(np.zeros((1500, 1100), np.float32))]
+    [(1500, 1100), (750, 550), (375, 275)]
+    """
+    levels = [image]
+    while max(levels[-1].shape) > SMALLEST_LEVEL and min(levels[-1].shape) > 1:
+        last = levels[-1]
+        rows, cols = last.shape[0] // 2, last.shape[1] // 2
+        quads = last[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2).astype(np.float32)
+        levels.append(quads.mean(axis=(1, 3)).astype(image.dtype))
+    return levels

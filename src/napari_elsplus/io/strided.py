@@ -1,0 +1,118 @@
+"""Our own recordings: BigTIFF, one uncompressed page per frame, every page of the same length.
+
+Because the pages are alike, frame k lies at a known place: nothing but the first page is parsed, and frames, times and
+numbers are views into the mapped file. Pages are whole up to some point after a crash, which bisection finds.
+"""
+
+from __future__ import annotations
+
+import mmap
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import tifffile
+
+from napari_elsplus.io import ome
+from napari_elsplus.io.sources import FrameSource
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+STAMP_TAG: Final = 65000
+"""Private TIFF tag of each page: time in seconds and frame number, two doubles."""
+_ENTRY: Final = 20  # bytes of a tag in BigTIFF
+_COUNT: Final = 8  # bytes of the number of tags
+
+
+class StridedTiff(FrameSource):
+    """Frames of one of our own recordings, as read-only views into the mapped file."""
+
+    def __init__(self, path: Path, first: tifffile.TiffPage, size: int) -> None:
+        rows, cols = first.shape
+        dtype = np.dtype(first.parent.byteorder + first.dtype.char)  # type: ignore[union-attr]
+        with path.open("rb") as file:
+            self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        tags = first.tags
+        self._ifd = first.offset
+        self._head = first.dataoffsets[0] - first.offset
+        self._stamp = tags[STAMP_TAG].valueoffset - first.offset
+        self._pointer = tags[273].offset + _ENTRY - 8 - first.offset
+        self._next = _COUNT + _ENTRY * len(tags)
+        self._frame_bytes = rows * cols * dtype.itemsize
+        self._stride = self._page_length()
+        super().__init__(path, (self._whole_pages(size), rows, cols), dtype, _known(first))
+        self.metadata.pop("times_s", None)  # the pages know them
+
+    def frame(self, index: int) -> NDArray[Any]:
+        """Read one frame, (rows, cols), as the file holds it."""
+        return self._frames()[index, :, :]
+
+    def block(self, indices: range) -> NDArray[Any]:
+        """View several frames, (len(indices), rows, cols), in the mapped file."""
+        view = self._frames()
+        stop = indices.stop if indices.stop >= 0 else None
+        return view[indices.start : stop : indices.step]
+
+    def times_s(self) -> NDArray[np.float64]:
+        """Time of each frame, from its page."""
+        return self._stamps()[:, 0].copy()
+
+    def frame_numbers(self) -> NDArray[np.int64]:
+        """Camera's number of each frame, from its page."""
+        return self._stamps()[:, 1].astype(np.int64)
+
+    def _frames(self) -> NDArray[Any]:
+        return self._view(self._head, self.shape[1:], self.stored_dtype)
+
+    def _stamps(self) -> NDArray[np.float64]:
+        return self._view(self._stamp, (2,), np.dtype("<f8"))
+
+    def _view(self, offset: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+        inner = np.empty(shape, dtype).strides if len(shape) == 1 else (shape[1] * dtype.itemsize, dtype.itemsize)
+        return np.ndarray((self.shape[0], *shape), dtype, self._map, self._ifd + offset, (self._stride, *inner))
+
+    def _page_length(self) -> int:
+        following = self._word(self._ifd + self._next)
+        return following - self._ifd if following > self._ifd else self._head + self._frame_bytes
+
+    def _whole_pages(self, size: int) -> int:
+        """Count the pages that are there in full; after a crash, what follows them is not."""
+        low, high = 1, max((size - self._ifd - self._head - self._frame_bytes) // self._stride + 1, 1)
+        while low < high:
+            middle = (low + high + 1) // 2
+            low, high = (middle, high) if self._is_page(middle - 1) else (low, middle - 1)
+        return low
+
+    def _is_page(self, index: int) -> bool:
+        ifd = self._ifd + index * self._stride
+        return self._word(ifd) == self._word(self._ifd) and self._word(ifd + self._pointer) == ifd + self._head
+
+    def _word(self, offset: int) -> int:
+        return int.from_bytes(self._map[offset : offset + 8], "little")
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._map = mmap.mmap(-1, 1)  # views that were handed out keep the old one alive
+
+
+def is_strided(first: tifffile.TiffPage) -> bool:
+    """Whether a file is one of our own recordings, judged by its first page."""
+    stamp = first.tags.get(STAMP_TAG)
+    return (
+        stamp is not None
+        and stamp.dtype == tifffile.DATATYPE.DOUBLE
+        and stamp.count == 2
+        and first.parent.is_bigtiff
+        and first.parent.byteorder == "<"
+        and first.compression == 1
+        and len(first.shape) == 2
+        and len(first.dataoffsets) == 1
+        and 273 in first.tags
+    )
+
+
+def _known(first: tifffile.TiffPage) -> dict[str, Any]:
+    known = ome.parse(first.description) if first.description.rstrip().endswith("OME>") else {}
+    return {"software": first.software} | known

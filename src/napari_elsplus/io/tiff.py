@@ -1,0 +1,162 @@
+"""Any multi-page TIFF: 8 or 16 bit, compressed or not, plain, ImageJ or OME."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import contextmanager
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import tifffile
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import ome
+from napari_elsplus.io.sources import FrameSource, decoding, positive
+from napari_elsplus.io.strided import StridedTiff, is_strided
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what it complains of, we raise
+
+
+class PagedTiff(FrameSource):
+    """Frames of a TIFF that others wrote, decoded one at a time."""
+
+    def __init__(self, path: Path, tiff: tifffile.TiffFile) -> None:
+        self._tiff = tiff
+        self._lock = Lock()
+        tiff.filehandle.set_lock(True)
+        with _complaints() as complaints:
+            series = tiff.series
+        if complaints:
+            raise InputError(f"{path.name} is truncated or damaged ({complaints[0]:.80})", "copy or record it again")
+        first = series[0]
+        page = first.keyframe
+        if page.photometric == tifffile.PHOTOMETRIC.PALETTE or page.samplesperpixel > 1:
+            raise InputError(
+                f"{path.name} is a colour image ({page.samplesperpixel} samples per pixel)", "save it as grey levels"
+            )
+        if len(series) > 1:
+            shapes = ", ".join(str(one.shape) for one in series[:3])
+            raise InputError(f"{path.name} holds {len(series)} image series {shapes}", "save one stack per file")
+        self._series = first
+        rows, cols = page.imagelength, page.imagewidth
+        if first.shape[-2:] != (rows, cols):
+            raise InputError(f"{path.name} has axes {first.axes}", "a stack of frames (T, rows, cols) is expected")
+        count = int(np.prod(first.shape[:-2], dtype=np.int64))
+        dtype = np.dtype(first.dtype)
+        super().__init__(path, (count, rows, cols), dtype, _metadata(tiff))
+        offset = first.dataoffset
+        self._mapped = self._map(offset) if offset is not None else None
+        if self._mapped is None:
+            self._refuse_truncated(len(first.pages))
+
+    def frame(self, index: int) -> NDArray[Any]:
+        """Read one frame, (rows, cols), as the file holds it."""
+        if self._mapped is not None:
+            return self._mapped[index, :, :]
+        with self._lock:
+            page = self._series.pages[index]
+        if page is None:
+            raise InputError(f"{self.path.name}: frame {index} is missing", "copy or record it again")
+        image = page.asarray(maxworkers=1)
+        return image.reshape(self.shape[1:]) if image.size == self.shape[1] * self.shape[2] else image
+
+    def _map(self, offset: int) -> NDArray[Any]:
+        dtype = np.dtype(self._tiff.byteorder + self.stored_dtype.char)
+        end = offset + int(np.prod(self.shape, dtype=np.int64)) * dtype.itemsize
+        if end > self._tiff.filehandle.size:
+            raise InputError(
+                f"{self.path.name} is truncated: {self._tiff.filehandle.size} of {end} bytes", "copy or record it again"
+            )
+        return np.memmap(self.path, dtype, "r", offset, self.shape)
+
+    def _refuse_truncated(self, pages: int) -> None:
+        if pages != self.shape[0]:
+            raise InputError(
+                f"{self.path.name} is truncated: {pages} of {self.shape[0]} frames", "copy or record it again"
+            )
+        last = self._series.pages[-1]
+        ends = [a + b for a, b in zip(last.dataoffsets, last.databytecounts, strict=False)] if last is not None else []
+        if max(ends, default=0) > self._tiff.filehandle.size:
+            raise InputError(f"{self.path.name} is truncated in its last frame", "copy or record it again")
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._mapped = None
+        self._tiff.close()
+
+
+def open_tiff(path: Path) -> FrameSource:
+    """Open a TIFF file: our own by its layout, any other page by page."""
+    size = path.stat().st_size
+    if size == 0:
+        raise InputError(f"{path.name} is empty", "copy or record it again")
+    try:
+        tiff = tifffile.TiffFile(path)
+    except tifffile.TiffFileError:
+        raise InputError(
+            f"{path.name} is no TIFF file", "name a TIFF, AVI, .npy, OME-Zarr or a folder of TIFFs"
+        ) from None
+    try:
+        first = tiff.pages.first
+        if is_strided(first):
+            with tiff:
+                if first.dataoffsets[0] + first.databytecounts[0] > size:
+                    raise InputError(f"{path.name} holds no whole frame", "record it again")
+                return StridedTiff(path, first, size)
+        return PagedTiff(path, tiff)
+    except BaseException:
+        tiff.close()
+        raise
+
+
+def read_image(path: Path) -> NDArray[Any]:
+    """Read a TIFF that holds one grey image, (rows, cols)."""
+    with decoding(path):
+        source = open_tiff(path)
+        try:
+            if source.shape[0] != 1:
+                raise InputError(f"{path.name} holds {source.shape[0]} frames", "a folder's files hold one frame each")
+            return source.checked(0).copy()
+        finally:
+            source.close()
+
+
+def _metadata(tiff: tifffile.TiffFile) -> dict[str, Any]:
+    first = tiff.pages.first
+    known: dict[str, Any] = {"software": first.software} if first.software else {}
+    if tiff.is_ome and tiff.ome_metadata:
+        return known | ome.parse(tiff.ome_metadata)
+    words = tiff.imagej_metadata or {}
+    interval = words.get("finterval")
+    if (period := positive(interval)) is not None:
+        known["frame_period_s"] = period
+    resolution = first.tags.get("XResolution")
+    if str(words.get("unit", "")).strip("\\").lower() in {"um", "micron", "µm", "u00b5m"} and resolution is not None:
+        pixels, per = resolution.value
+        if (size := positive(per / pixels if pixels else None)) is not None:
+            known["um_per_px"] = size
+    return known
+
+
+@contextmanager
+def _complaints() -> Iterator[list[str]]:
+    """Collect what tifffile logs as errors instead of raising."""
+    collected: list[str] = []
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            collected.append(record.getMessage())
+
+    logger, handler = logging.getLogger("tifffile"), Collector(logging.ERROR)
+    logger.addHandler(handler)
+    try:
+        yield collected
+    finally:
+        logger.removeHandler(handler)

@@ -1,0 +1,163 @@
+"""Track files: where the probe was in every frame, and how surely."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Protocol
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io.atomic import replacing
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterable
+
+STATES: Final = ("tracked", "predicted", "lost")
+
+
+class _TrackRow(Protocol):
+    """Whatever knows where the probe was in one frame."""
+
+    @property
+    def frame(self) -> int: ...
+    @property
+    def time_s(self) -> float: ...
+    @property
+    def segment(self) -> int: ...
+    @property
+    def row_px(self) -> float: ...
+    @property
+    def col_px(self) -> float: ...
+    @property
+    def row_um(self) -> float: ...
+    @property
+    def col_um(self) -> float: ...
+    @property
+    def score(self) -> float: ...
+    @property
+    def sigma_px(self) -> float: ...
+    @property
+    def state(self) -> str: ...
+
+
+@dataclass(frozen=True, slots=True)
+class TrackPoint:
+    """One line of a track file.
+
+    Parameters
+    ----------
+    frame : int
+        Index of the frame in the recording.
+    time_s : float
+        When it was taken.
+    segment : int
+        Frames of one segment share an origin; a new one starts after the probe was lost.
+    row_px, col_px : float
+        Position in the scene, full-resolution confocal camera pixels, when the bundle's middle row is read; NaN where
+        lost.
+    row_um, col_um : float
+        The same in micrometres; NaN where the scale is unknown.
+    score : float
+        Registration score.
+    sigma_px : float
+        Larger axis of the position's covariance relative to the previous frame.
+    state : str
+        ``tracked``, ``predicted`` or ``lost``.
+    """
+
+    frame: int
+    time_s: float
+    segment: int
+    row_px: float
+    col_px: float
+    row_um: float
+    col_um: float
+    score: float
+    sigma_px: float
+    state: str
+
+
+HEADER: Final = tuple(field.name for field in fields(TrackPoint))
+_INTEGERS: Final = ("frame", "segment")
+
+
+def write_track(path: str | os.PathLike[str], rows: Iterable[_TrackRow], force: bool = False) -> None:
+    """Write a track file, a row for every frame, every digit kept.
+
+    Parameters
+    ----------
+    path : path-like
+        The CSV file.
+    rows : iterable of TrackPoint
+        Or of anything with its attributes, in the order of frames.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    InputError
+        If a row's state is none of the three, or the file exists and `force` is not given.
+    """
+    with replacing(path, force=force) as beside, beside.open("w", newline="", encoding="ascii") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(HEADER)
+        for row in rows:
+            if row.state not in STATES:
+                raise InputError(
+                    f"frame {row.frame} has state {row.state!r}", f"one of {', '.join(STATES)} is expected"
+                )
+            table.writerow(_said(name, getattr(row, name)) for name in HEADER)
+
+
+def read_track(path: str | os.PathLike[str]) -> list[TrackPoint]:
+    """Read a track file.
+
+    Parameters
+    ----------
+    path : path-like
+        The CSV file.
+
+    Returns
+    -------
+    list of TrackPoint
+        A point for every frame.
+
+    Raises
+    ------
+    InputError
+        Naming the line, if it is no track file.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"there is no file {path}", "check the path") from None
+    except ValueError:
+        raise InputError(f"{path.name} is no text", "a track file is expected") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror})", "check the path and its permissions") from None
+    lines = text.splitlines()
+    if not lines or tuple(lines[0].split(",")) != HEADER:
+        raise InputError(
+            f"{path.name} has the header {lines[0][:60] if lines else ''!r}", f"{','.join(HEADER)} is expected"
+        )
+    return [_point(path, number, line) for number, line in enumerate(lines[1:], start=2)]
+
+
+def _said(name: str, value: object) -> object:
+    if name == "state":
+        return value
+    return int(value) if name in _INTEGERS else float(value)  # type: ignore[call-overload, arg-type]
+
+
+def _point(path: Path, number: int, line: str) -> TrackPoint:
+    cells = line.split(",")
+    try:
+        if len(cells) != len(HEADER) or cells[-1] not in STATES:
+            raise ValueError(line)
+        frame, time_s, segment, *numbers, state = cells
+        return TrackPoint(int(frame), float(time_s), int(segment), *map(float, numbers), state=state)  # type: ignore[misc, arg-type]
+    except ValueError:
+        raise InputError(f"{path.name}: line {number} is {line[:60]!r}", f"{','.join(HEADER)} is expected") from None

@@ -1,0 +1,282 @@
+"""Every format opens as the same lazy sequence of frames."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+import tifffile
+import zarr
+
+from napari_elsplus.errors import ElsPlusError, InputError
+from napari_elsplus.io import Recording, RecordingWriter, open_recording
+
+SHAPE = (7, 40, 64)
+
+
+@pytest.fixture
+def frames():
+    return np.random.default_rng(1).integers(0, 255, SHAPE, dtype=np.uint8)
+
+
+def ours(path, frames):
+    with RecordingWriter(path, frames.shape[1:], frames.dtype) as writer:
+        for k, frame in enumerate(frames):
+            writer.append(frame, k / 240, k)
+
+
+def zlib_tiff(path, frames):
+    tifffile.imwrite(path, frames, compression="zlib")
+
+
+def ome_tiff(path, frames):
+    tifffile.imwrite(path, frames, ome=True, metadata={"axes": "TYX"})
+
+
+def imagej_tiff(path, frames):
+    tifffile.imwrite(path, frames, imagej=True, metadata={"axes": "TYX"})
+
+
+def plain_pages(path, frames):
+    with tifffile.TiffWriter(path) as writer:
+        for frame in frames:
+            writer.write(frame, contiguous=False, metadata=None)
+
+
+def big_endian(path, frames):
+    tifffile.imwrite(path, frames, byteorder=">")
+
+
+def tiled(path, frames):
+    tifffile.imwrite(path, frames, tile=(16, 16), compression="lzw")
+
+
+def numpy_file(path, frames):
+    with path.open("wb") as file:
+        np.save(file, frames)
+
+
+def zarr_2(path, frames, zarr_format=2):
+    group = zarr.open_group(path, mode="w", zarr_format=zarr_format)
+    array = group.create_array("0", shape=frames.shape, dtype=frames.dtype, chunks=(2, 40, 64))
+    array[:] = frames
+    axes = [{"name": "t", "unit": "millisecond"}, {"name": "y"}, {"name": "x", "unit": "micrometer"}]
+    scale = [{"type": "scale", "scale": [5.0, 0.9, 0.9]}]
+    image = {"axes": axes, "datasets": [{"path": "0", "coordinateTransformations": scale}]}
+    if zarr_format == 2:
+        group.attrs["multiscales"] = [image]
+    else:
+        group.attrs["ome"] = {"version": "0.5", "multiscales": [image]}
+
+
+def zarr_3(path, frames):
+    zarr_2(path, frames, zarr_format=3)
+
+
+def zarr_array(path, frames):
+    zarr.save_array(path, frames)
+
+
+def folder(path, frames):
+    path.mkdir()
+    for k, frame in enumerate(frames):
+        tifffile.imwrite(path / f"frame{k + 5}.tif", frame)  # 5 to 11: natural order differs from alphabetical
+
+
+def avi(path, frames):
+    size = frames.shape[:0:-1]
+    writer = imageio_ffmpeg.write_frames(
+        str(path), size, pix_fmt_in="gray", pix_fmt_out="gray", codec="rawvideo", fps=50, macro_block_size=1
+    )
+    writer.send(None)
+    for frame in frames:
+        writer.send(np.ascontiguousarray(frame))
+    writer.close()
+
+
+FORMATS = {
+    "r.ome.tif": ours,
+    "zlib.tif": zlib_tiff,
+    "ome.ome.tif": ome_tiff,
+    "imagej.tif": imagej_tiff,
+    "pages.tiff": plain_pages,
+    "motorola.tif": big_endian,
+    "tiled.tif": tiled,
+    "stack.npy": numpy_file,
+    "v2.zarr": zarr_2,
+    "v3.zarr": zarr_3,
+    "array.zarr": zarr_array,
+    "folder": folder,
+    "video.avi": avi,
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_gives_the_frames_that_were_written(tmp_path, frames, name):
+    FORMATS[name](tmp_path / name, frames)
+    with open_recording(tmp_path / name) as recording:
+        assert isinstance(recording, Recording)
+        assert (recording.shape, recording.dtype, len(recording)) == (SHAPE, np.uint8, 7)
+        np.testing.assert_array_equal(recording[3], frames[3])
+        np.testing.assert_array_equal(recording[-1], frames[-1])
+        np.testing.assert_array_equal(recording[1:6:2], frames[1:6:2])
+        np.testing.assert_array_equal(recording[::-1], frames[::-1])
+        np.testing.assert_array_equal(np.asarray(recording), frames)
+        assert recording[5:5].shape == (0, 40, 64)
+        assert recording.frame_numbers.tolist() == list(range(7))
+        with pytest.raises(IndexError):
+            recording[7]
+
+
+@pytest.mark.parametrize("name", [name for name in FORMATS if name != "video.avi"])
+def test_16_bit_frames_keep_their_depth(tmp_path, frames, name):
+    deep = frames.astype(np.uint16) * 257
+    FORMATS[name](tmp_path / name, deep)
+    with open_recording(tmp_path / name) as recording:
+        assert recording.dtype == np.uint16
+        assert recording.dtype.isnative
+        np.testing.assert_array_equal(recording[:], deep)
+
+
+@pytest.mark.parametrize("name", [name for name in FORMATS if name not in {"imagej.tif", "video.avi"}])
+def test_a_single_image_is_a_recording_of_one_frame(tmp_path, frames, name):
+    FORMATS[name](tmp_path / name, frames[:1])
+    with open_recording(tmp_path / name) as recording:
+        assert recording.shape == (1, 40, 64)
+        np.testing.assert_array_equal(recording[0], frames[0])
+
+
+def test_a_plain_two_dimensional_image_is_one_frame(tmp_path, frames):
+    np.save(tmp_path / "one.npy", frames[0])
+    tifffile.imwrite(tmp_path / "one.tif", frames[0])
+    for name in ("one.npy", "one.tif"):
+        with open_recording(tmp_path / name) as recording:
+            np.testing.assert_array_equal(recording[0], frames[0])
+
+
+@pytest.mark.parametrize("name", ["zlib.tif", "r.ome.tif", "v3.zarr", "video.avi"])
+def test_threads_may_read_at_once(tmp_path, frames, name):
+    FORMATS[name](tmp_path / name, frames)
+    with open_recording(tmp_path / name) as recording, ThreadPoolExecutor(4) as pool:
+        order = [k % 7 for k in range(0, 60, 3)]
+        for k, frame in zip(order, pool.map(recording.__getitem__, order), strict=True):
+            np.testing.assert_array_equal(frame, frames[k])
+
+
+def test_scale_and_interval_are_read(tmp_path, frames):
+    words = {"axes": "TYX", "PhysicalSizeX": 900, "PhysicalSizeXUnit": "nm"}
+    words |= {"TimeIncrement": 5, "TimeIncrementUnit": "ms"}
+    tifffile.imwrite(tmp_path / "a.ome.tif", frames, metadata=words)
+    tifffile.imwrite(
+        tmp_path / "b.tif", frames, imagej=True, resolution=(1 / 0.9, 1 / 0.9),
+        metadata={"axes": "TYX", "unit": "um", "finterval": 0.005},
+    )  # fmt: skip
+    zarr_3(tmp_path / "c.zarr", frames)
+    for name in ("a.ome.tif", "b.tif", "c.zarr"):
+        with open_recording(tmp_path / name) as recording:
+            assert recording.metadata["um_per_px"] == pytest.approx(0.9, rel=1e-5)
+            assert recording.times_s == pytest.approx(0.005 * np.arange(7))
+
+
+def test_finite_floats_are_accepted_and_nan_is_refused(tmp_path, frames):
+    floats = frames.astype(np.float64)
+    floats[4, 2, 3] = np.nan
+    tifffile.imwrite(tmp_path / "float.tif", floats)
+    with open_recording(tmp_path / "float.tif") as recording:
+        assert recording[0].dtype == np.float32
+        with pytest.raises(InputError, match=r"frame 4 holds NaN"):
+            recording[4]
+        with pytest.raises(InputError, match=r"frame 4 holds NaN"):
+            recording[:]
+
+
+def test_a_closed_recording_says_so(tmp_path, frames):
+    zlib_tiff(tmp_path / "a.tif", frames)
+    recording = open_recording(tmp_path / "a.tif")
+    recording.close()
+    recording.close()
+    with pytest.raises(InputError, match="closed"):
+        recording[0]
+
+
+def write_bad(folder, name):
+    path = folder / name
+    whole = np.random.default_rng(2).integers(0, 255, (9, 40, 64), dtype=np.uint8)
+    match name:
+        case "empty.tif" | "empty.avi" | "empty.npy":
+            path.write_bytes(b"")
+        case "text.tif" | "text.avi" | "text.npy" | "text":
+            path.write_text("not a recording")
+        case "rgb.tif":
+            tifffile.imwrite(path, np.zeros((3, 40, 60, 3), np.uint8))
+        case "rgb.npy":
+            np.save(path, np.zeros((3, 40, 60, 3), np.uint8))
+        case "colour.avi":
+            size = (64, 48)
+            writer = imageio_ffmpeg.write_frames(str(path), size, codec="mjpeg", pix_fmt_out="yuvj420p")
+            writer.send(None)
+            writer.send(np.full((48, 64, 3), (250, 10, 10), np.uint8))
+            writer.close()
+        case "cut-pages.tif" | "cut-contiguous.tif" | "cut-last.tif":
+            tifffile.imwrite(path, whole, compression=None if name == "cut-contiguous.tif" else "zlib")
+            blob = path.read_bytes()
+            path.write_bytes(blob[: len(blob) // 3] if name != "cut-last.tif" else blob[:-50])
+        case "cut.npy":
+            np.save(path, whole)
+            path.write_bytes(path.read_bytes()[:-1])
+        case "pickled.npy":
+            np.save(path, np.array([{}], object), allow_pickle=True)
+        case "signed.tif":
+            tifffile.imwrite(path, whole.astype(np.int16))
+        case "several.tif":
+            with tifffile.TiffWriter(path) as writer:
+                writer.write(whole[0])
+                writer.write(whole[0][:10])
+        case "nothing":
+            path.mkdir()
+        case "mixed":
+            path.mkdir()
+            tifffile.imwrite(path / "a1.tif", whole[0])
+            tifffile.imwrite(path / "a2.tif", whole[0][:10])
+        case "no-image.zarr":
+            zarr.open_group(path, mode="w")
+        case "absent.tif":
+            pass
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    {
+        "empty.tif": "is empty",
+        "empty.avi": "is empty",
+        "empty.npy": "cannot be read",
+        "text.tif": "is no TIFF",
+        "text.avi": "cannot be read",
+        "text.npy": "cannot be read",
+        "text": "is no TIFF",
+        "rgb.tif": "colour",
+        "rgb.npy": r"shape \(3, 40, 60, 3\)",
+        "colour.avi": "colour",
+        "cut-pages.tif": "truncated",
+        "cut-contiguous.tif": "truncated",
+        "cut-last.tif": "truncated",
+        "cut.npy": "cannot be read",
+        "pickled.npy": "cannot be read",
+        "signed.tif": "int16 pixels",
+        "several.tif": "2 image series",
+        "nothing": "holds no TIFF",
+        "mixed": "a2.tif",
+        "no-image.zarr": "multiscales",
+        "absent.tif": "no file",
+    }.items(),
+)
+def test_bad_recordings_are_refused_in_one_line(tmp_path, capfd, name, said):
+    path = write_bad(tmp_path, name)
+    with pytest.raises(InputError, match=said) as caught, open_recording(path) as recording:
+        recording[:]
+    assert "\n" not in str(caught.value)
+    assert isinstance(caught.value, ElsPlusError)
+    assert capfd.readouterr().err == ""
