@@ -17,6 +17,7 @@ from napari_elsplus.io.sources import positive
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from napari_elsplus.calibration import Calibration
 
@@ -53,12 +54,29 @@ def description(
     return words
 
 
-def recording_xml(shape: tuple[int, int, int], dtype: np.dtype[Any], **known: Any) -> bytes:
-    """Write the OME-XML of a recording with one page per frame."""
+def put_into_first_page(
+    path: Path, shape: tuple[int, int, int], dtype: np.dtype[Any], axes: str = "TYX", **known: Any
+) -> None:
+    """Give a finished TIFF of one page per frame its OME-XML, in place of the first page's description.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file; its first page has a description.
+    shape : tuple of int
+        (T, rows, cols).
+    dtype : numpy.dtype
+        Of the frames.
+    axes : str
+        ``"TYX"`` or ``"ZYX"``.
+    **known
+        As :func:`description`.
+    """
     count, rows, cols = shape
     xml = tifffile.OmeXml(creator=SOFTWARE)
-    xml.addimage(dtype.name, shape, (count, 1, 1, rows, cols, 1), axes="TYX", **description(**known))
-    return xml.tostring(declaration=True).encode()
+    xml.addimage(dtype.name, shape, (count, 1, 1, rows, cols, 1), axes=axes, **description(**known))
+    with tifffile.TiffFile(path, mode="r+") as file:
+        file.pages.first.tags["ImageDescription"].overwrite(xml.tostring(declaration=True).encode(), erase=False)
 
 
 def parse(xml: str) -> dict[str, Any]:
@@ -81,8 +99,6 @@ def parse(xml: str) -> dict[str, Any]:
     finite = [time for time in times if time is not None]
     if times and len(finite) == len(times) and all(a <= b for a, b in pairwise(finite)):
         known["times_s"] = finite
-    if creator := root.get("Creator"):
-        known["software"] = creator
     return known | _annotations(root)
 
 

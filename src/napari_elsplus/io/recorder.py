@@ -162,10 +162,8 @@ class RecordingWriter:
         if not self._times_s:
             self.path.unlink()
             return
-        xml = self._xml()
         try:
-            with tifffile.TiffFile(self.path, mode="r+") as file:
-                file.pages.first.tags[270].overwrite(xml, erase=False)
+            ome.put_into_first_page(self.path, (len(self), *self.frame_shape), self.dtype, **self._known())
             self._flush()
         except OSError:
             os.truncate(self.path, self._end)
@@ -177,19 +175,17 @@ class RecordingWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _xml(self) -> bytes:
+    def _known(self) -> dict[str, Any]:
         times = np.array(self._times_s)
         period = float(np.median(np.diff(times))) if len(times) > 1 else None
         optics = self._calibration.optics if self._calibration is not None else None
-        return ome.recording_xml(
-            (len(self), *self.frame_shape),
-            self.dtype,
-            um_per_px=optics.um_per_px if optics is not None else None,
-            frame_period_s=period if period and period > 0 else None,
-            times_s=self._times_s,
-            calibration=self._calibration,
-            settings=self._settings,
-        )
+        return {
+            "um_per_px": optics.um_per_px if optics is not None else None,
+            "frame_period_s": period if period and period > 0 else None,
+            "times_s": self._times_s,
+            "calibration": self._calibration,
+            "settings": self._settings,
+        }
 
     def _let_go(self) -> None:
         writer, self._writer = self._writer, None

@@ -72,7 +72,7 @@ def write_stack(
     """
     with replacing(path, force=force) as beside:
         stream = iter(images)
-        head = [np.asarray(image) for image in islice(stream, 2)]
+        head = list(islice(stream, 1))
         if not head:
             raise InputError("there is no image to write", "is the recording, or the range of frames, empty?")
         first = head[0]
@@ -83,26 +83,25 @@ def write_stack(
             um_per_px = um_per_px or optics.um_per_px
             if frame_period_s is None and optics.line_period_s and optics.rows_per_frame:
                 frame_period_s = optics.line_period_s * optics.rows_per_frame
-        words = ome.description(
-            um_per_px=um_per_px, frame_period_s=frame_period_s, calibration=calibration, settings=metadata
-        )
-        words["axes"] = axes if len(head) > 1 else axes[-2:]
         length = len(images) if isinstance(images, Sized) else None
         big = length is None or length * first.nbytes > CLASSIC_LIMIT
         count = 0
-        with tifffile.TiffWriter(beside, bigtiff=big, ome=True) as writer:
+        with tifffile.TiffWriter(beside, bigtiff=big) as writer:
             for image in chain(head, stream):
-                image = np.asarray(image)
                 if image.shape != first.shape or image.dtype != first.dtype:
                     raise InputError(
                         f"image {count} is {image.shape}, {image.dtype}, the first {first.shape}, {first.dtype}",
                         "write them to files of their own",
                     )
                 writer.write(
-                    np.ascontiguousarray(image), contiguous=True, photometric="minisblack",
-                    software=ome.SOFTWARE, metadata=words,
+                    np.ascontiguousarray(image), contiguous=True, photometric="minisblack", metadata=None,
+                    software=ome.SOFTWARE, description=ome.SOFTWARE,
                 )  # fmt: skip
                 count += 1
+        ome.put_into_first_page(
+            beside, (count, first.shape[0], first.shape[1]), first.dtype, axes,
+            um_per_px=um_per_px, frame_period_s=frame_period_s, calibration=calibration, settings=metadata,
+        )  # fmt: skip
     return count
 
 

@@ -39,7 +39,7 @@ class StridedTiff(FrameSource):
         self._head = first.dataoffsets[0] - first.offset
         self._stamp = tags[STAMP_TAG].valueoffset - first.offset
         self._pointer = tags[273].offset + _ENTRY - 8 - first.offset
-        self._next = _COUNT + _ENTRY * len(tags)
+        self._next = _COUNT + _ENTRY * self._word(self._ifd)
         self._frame_bytes = rows * cols * dtype.itemsize
         self._stride = self._page_length()
         super().__init__(path, (self._whole_pages(size), rows, cols), dtype, _known(first))

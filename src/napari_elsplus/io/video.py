@@ -1,44 +1,49 @@
-"""AVI recordings of a grey camera, decoded by ffmpeg."""
+"""AVI recordings of a grey camera, decoded by the ffmpeg that imageio brings."""
 
 from __future__ import annotations
 
+import subprocess
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+import imageio_ffmpeg
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io.sources import FrameSource, decoding, positive
+from napari_elsplus.io.sources import FrameSource, decoding
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
+SHORT_JUMP: Final = 30
+"""Frames; a jump forwards that is no longer is read through rather than sought."""
+
 
 class Video(FrameSource):
     """Frames of a video; going forwards is fast, a jump starts the decoder anew."""
 
     def __init__(self, path: Path) -> None:
-        import imageio.v2
-
-        if path.stat().st_size == 0:
-            raise InputError(f"{path.name} is empty", "copy or record it again")
-        reader: Any = imageio.v2.get_reader(path, format="FFMPEG")
-        self._reader = reader
+        rows, cols = _first_frame_shape(path)
+        count, duration_s = imageio_ffmpeg.count_frames_and_secs(str(path))
+        if count < 1 or not duration_s > 0:
+            raise InputError(f"{path.name} holds no frames", "copy or record it again")
+        self._period_s = duration_s / count
+        self._decoder: subprocess.Popen[bytes] | None = None
+        self._next = 0
         self._lock = Lock()
-        about = self._reader.get_meta_data()
-        cols, rows = about["size"]
-        period = positive(about.get("fps"))
-        known = {"frame_period_s": 1 / period} if period else {}
-        super().__init__(path, (reader.count_frames(), rows, cols), np.dtype(np.uint8), known)
+        super().__init__(path, (count, rows, cols), np.dtype(np.uint8), {"frame_period_s": self._period_s})
 
     def frame(self, index: int) -> NDArray[Any]:
         """Read one frame, (rows, cols), as the file holds it."""
         with self._lock:
-            image = np.asarray(self._reader.get_data(index))
-        if image.ndim == 2:
-            return image
+            if self._decoder is None or not 0 <= index - self._next <= SHORT_JUMP:
+                self._start_at(index)
+            while self._next < index:
+                self._read(index)
+            pixels = self._read(index)
+        image = np.frombuffer(pixels, np.uint8).reshape(*self.shape[1:], 3)
         grey = image[..., 1]
         if not ((image[..., 0] == grey).all() and (image[..., 2] == grey).all()):
             raise InputError(f"{self.path.name}: frame {index} is in colour", "save the video as grey levels")
@@ -46,11 +51,43 @@ class Video(FrameSource):
 
     def close(self) -> None:
         """Let go of the file."""
-        self._reader.close()
+        with self._lock:
+            self._stop()
+
+    def _start_at(self, index: int) -> None:
+        self._stop()
+        start_s = max(index - 0.5, 0) * self._period_s  # between two frames, so that rounding cannot matter
+        seek = ["-ss", f"{start_s:.6f}"] if index else []
+        self._decoder = subprocess.Popen(
+            _command(*seek, "-i", str(self.path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        self._next = index
+
+    def _read(self, index: int) -> bytes:
+        assert self._decoder is not None
+        assert self._decoder.stdout is not None
+        size = 3 * self.shape[1] * self.shape[2]
+        pixels = self._decoder.stdout.read(size)
+        if len(pixels) < size:
+            self._stop()
+            raise InputError(f"{self.path.name}: frame {index} is missing", "the video is damaged: copy it again")
+        self._next += 1
+        return pixels
+
+    def _stop(self) -> None:
+        decoder, self._decoder = self._decoder, None
+        if decoder is not None:
+            decoder.kill()
+            decoder.communicate()
 
 
 def open_video(path: Path) -> FrameSource:
     """Open an AVI file; its first frame tells whether it is grey."""
+    if path.stat().st_size == 0:
+        raise InputError(f"{path.name} is empty", "copy or record it again")
     with decoding(path):
         video = Video(path)
         try:
@@ -59,3 +96,19 @@ def open_video(path: Path) -> FrameSource:
             video.close()
             raise
         return video
+
+
+def _command(*options: str) -> list[str]:
+    return [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-v", "error", *options]
+
+
+def _first_frame_shape(path: Path) -> tuple[int, int]:
+    """Rows and columns, from the header of the first frame as a portable pixmap."""
+    command = _command("-i", str(path), "-frames:v", "1", "-f", "image2pipe", "-c:v", "ppm", "-")
+    run = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    header = run.stdout[:40].split()
+    if run.returncode or header[:1] != [b"P6"]:
+        said = run.stderr.decode(errors="replace").strip().splitlines()
+        reason = said[-1] if said else "no frame"
+        raise InputError(f"{path.name} cannot be decoded ({reason:.100})", "the file is damaged or no video")
+    return int(header[2]), int(header[1])

@@ -1,0 +1,146 @@
+"""A calibration survives its file, and a broken file is told in one line."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from napari_elsplus.calibration import Calibration
+from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError
+from napari_elsplus.io import beside, calibration_beside, read_calibration, write_calibration
+from napari_elsplus.io.calibrations import parse_calibration
+
+FULL = {
+    "format": "napari-elsplus/calibration",
+    "version": 1,
+    "created": "2026-01-31T12:00:00Z",
+    "frame": {"shape": [20, 40], "sensor_origin": [0, 0]},
+    "acquired_with": {"rig": "simulated", "objective": "10x", "slit_rows": 3.0, "frame_rate_hz": 240.0, "gain_db": 0.0},
+    "offset": {"rows": -12.03, "uncertainty_rows": 0.01, "tilt_deg": 0.2},
+    "galvo": {
+        "volts_per_row": 0.00126, "volts_at_row_zero": -0.459, "r_squared": 0.9999, "rms_rows": 0.05, "lag_s": 0.0,
+        "park_v": -0.7,
+    },
+    "bundle": {
+        "confocal_centre": [161.0, 158.0], "residual_centre": [149.0, 481.0], "diameter_px": 290.0,
+        "residual_to_confocal": [[1.0, 0.0, 12.0], [0.0, 1.0, -323.0]], "residual_gain": 1.0,
+        "residual_gain_uncertainty": 0.003,
+    },
+    "optics": {"um_per_px": 2.138, "line_period_s": 7.648e-06, "rows_per_frame": 544.8},
+    "quality": {"alignment_error": 0.012, "alignment_error_filtered": 0.004},
+}  # fmt: skip
+ARRAYS = {"background": np.full((20, 40), 7.25, np.float32), "flat": np.ones((15, 15), np.float32)}
+
+
+def test_everything_comes_back_and_unknown_keys_survive(tmp_path):
+    content = FULL | {"operator": "Änne", "offset": FULL["offset"] | {"method": [1, {"deep": "x"}]}}
+    calibration = Calibration.parse(content).model_copy(update=ARRAYS)
+    write_calibration(tmp_path / "c.json", calibration)
+    again = read_calibration(tmp_path / "c.json")
+    assert again.content() == calibration.content() == content
+    assert json.loads((tmp_path / "c.json").read_text(encoding="utf-8")) == content
+    np.testing.assert_array_equal(again.background, ARRAYS["background"])
+    np.testing.assert_array_equal(again.flat, ARRAYS["flat"])
+
+
+def test_arrays_that_no_longer_belong_are_removed(tmp_path):
+    bare = Calibration.parse(FULL)
+    write_calibration(tmp_path / "c.json", bare.model_copy(update=ARRAYS))
+    with pytest.raises(InputError, match="exists"):
+        write_calibration(tmp_path / "c.json", bare)
+    assert read_calibration(tmp_path / "c.json").background is not None
+    write_calibration(tmp_path / "c.json", bare, force=True)
+    assert read_calibration(tmp_path / "c.json").background is None
+    assert [path.name for path in tmp_path.iterdir()] == ["c.json"]
+
+
+BAD = {
+    "NaN": '{"offset": {"rows": NaN, "uncertainty_rows": 1}}',
+    "Infinity": '{"unknown": Infinity}',
+    "1e999 is out of range": '{"unknown": 1e999}',
+    "no napari-elsplus/calibration record": "[]",
+    "version 999": '{"version": 999}',
+    "residual_gain": json.dumps(FULL | {"bundle": FULL["bundle"] | {"residual_gain": 3.0}}),
+    "c.json is no calibration": "not json",
+    "is no calibration": "[" * 100_000,
+    "Expecting value": "",
+}
+
+
+@pytest.mark.parametrize(("said", "text"), BAD.items())
+def test_bad_records_are_refused_in_one_line(tmp_path, said, text):
+    (tmp_path / "c.json").write_text(text)
+    with pytest.raises(CalibrationError, match=said) as caught:
+        read_calibration(tmp_path / "c.json")
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_no_text_missing_or_huge(tmp_path):
+    (tmp_path / "b.json").write_bytes(b"\xff\xfe\x00")
+    with (tmp_path / "huge.json").open("wb") as file:
+        file.truncate(1 << 40)
+    for path in ("b.json", "huge.json", "absent.json", "."):
+        with pytest.raises(CalibrationError):
+            read_calibration(tmp_path / path)
+
+
+def pickled(path):
+    np.savez(path, background=np.array([{}], object))
+
+
+def other_shape(path):
+    np.savez(path, background=np.zeros((3, 3)))
+
+
+def with_nan(path):
+    np.savez(path, flat=np.full((3, 3), np.nan))
+
+
+def text(path):
+    path.write_text("no archive")
+
+
+def complex_numbers(path):
+    np.savez(path, flat=np.zeros((3, 3), complex))
+
+
+@pytest.mark.parametrize("write", [pickled, other_shape, with_nan, text, complex_numbers])
+def test_bad_arrays_are_refused(tmp_path, write):
+    (tmp_path / "c.json").write_text(json.dumps(FULL))
+    write(tmp_path / "c.npz")
+    with pytest.raises(CalibrationError, match=r"c\.npz"):
+        read_calibration(tmp_path / "c.json")
+
+
+@pytest.mark.parametrize("name", ["scan.calibration.json", "scan.json", "calibration.json"])
+def test_the_calibration_beside_a_recording_is_found(tmp_path, name):
+    (tmp_path / "scan.json").write_text('{"positions": []}')
+    (tmp_path / name).write_text(json.dumps(FULL))
+    assert calibration_beside(tmp_path / "scan.ome.tif") == tmp_path / name
+
+
+def test_no_calibration_beside(tmp_path):
+    (tmp_path / "truth.json").write_text("{}")
+    assert calibration_beside(tmp_path / "scan.tif") is None
+
+
+@pytest.mark.parametrize(
+    ("name", "stem"),
+    [("a.ome.tif", "a"), ("a.tiff", "a"), ("a.b.npy", "a.b"), ("a.ome.zarr", "a"), ("folder", "folder")],
+)
+def test_names_beside(name, stem):
+    assert beside(name, ".depths.csv").name == f"{stem}.depths.csv"
+
+
+@given(st.binary(max_size=12), st.integers(0, 1000), st.integers(0, 30))
+def test_mutated_json_raises_nothing_but_our_own_errors(noise, place, cut):
+    blob = json.dumps(FULL).encode()
+    place %= len(blob)
+    mutated = (blob[:place] + noise + blob[place + cut :]).decode("utf-8", "replace")
+    with suppress(ElsPlusError):
+        json.dumps(parse_calibration(mutated).content(), allow_nan=False)

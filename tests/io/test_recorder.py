@@ -1,0 +1,214 @@
+"""Recordings survive kills, full disks and their own callers."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import tifffile
+
+from napari_elsplus.calibration import Calibration
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import RecordingWriter, open_recording, read_calibration
+
+CALIBRATION = Calibration.parse(
+    {
+        "frame": {"shape": [30, 47]},
+        "optics": {"um_per_px": 1.333, "line_period_s": 7.6e-6, "rows_per_frame": 545.0},
+        "made_by": "µ",
+    }
+).model_copy(update={"background": np.full((30, 47), 3.5, np.float32)})
+
+
+def frame(k, shape=(30, 47), dtype=np.uint8):
+    return np.random.default_rng(k).integers(0, np.iinfo(dtype).max, shape, dtype=dtype)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(30, 47), (7, 5), (1, 1)])
+def test_everything_that_was_recorded_is_read_back(tmp_path, dtype, shape):
+    path = tmp_path / "r.ome.tif"
+    numbers = [0, 1, 2, 5, 6]  # two frames were dropped
+    with RecordingWriter(path, shape, dtype, calibration=CALIBRATION, settings={"gain_db": 3.0}) as writer:
+        for k in numbers:
+            writer.append(frame(k, shape, dtype), 10 + k / 240, k)
+        assert len(writer) == 5
+    with open_recording(path) as recording:
+        assert recording.shape == (5, *shape)
+        np.testing.assert_array_equal(recording[:], [frame(k, shape, dtype) for k in numbers])
+        assert recording.frame_numbers.tolist() == numbers
+        np.testing.assert_array_equal(recording.times_s, 10 + np.array(numbers) / 240)
+        assert recording.metadata["um_per_px"] == 1.333
+        assert recording.metadata["frame_period_s"] == pytest.approx(1 / 240)
+        assert recording.metadata["settings"] == {"gain_db": 3.0}
+        assert recording.metadata["software"].startswith("napari-elsplus")
+        assert recording.calibration.optics.um_per_px == 1.333
+        assert recording.calibration.background.mean() == 3.5
+
+
+def test_other_software_reads_it_too(tmp_path):
+    path = tmp_path / "r.ome.tif"
+    with RecordingWriter(path, (30, 47), np.uint8, calibration=CALIBRATION) as writer:
+        for k in range(4):
+            writer.append(frame(k), k / 240, k)
+    with tifffile.TiffFile(path) as file:
+        assert file.is_ome
+        assert file.is_bigtiff
+        assert file.series[0].axes == "TYX"
+        np.testing.assert_array_equal(file.asarray(), [frame(k) for k in range(4)])
+        starts = [page.dataoffsets[0] for page in file.pages]
+        assert len(set(np.diff(starts))) == 1
+        assert "napari-elsplus/calibration" in file.ome_metadata
+
+
+def test_frames_are_views_of_the_file(tmp_path):
+    path = tmp_path / "r.ome.tif"
+    with RecordingWriter(path, (30, 47), np.uint8) as writer:
+        for k in range(4):
+            writer.append(frame(k), k / 240, k)
+    recording = open_recording(path)
+    block = recording[1:3]
+    assert not block.flags.owndata
+    assert not block.flags.writeable
+    recording.close()
+    np.testing.assert_array_equal(block[1], frame(2))
+
+
+def test_the_callers_buffer_is_its_own(tmp_path):
+    path, buffer = tmp_path / "r.ome.tif", np.zeros((30, 47), np.uint8)
+    with RecordingWriter(path, (30, 47), np.uint8) as writer:
+        for k in range(5):
+            buffer[:] = k
+            writer.append(buffer, k / 240, k)
+        buffer[:] = 255
+        assert sys.getrefcount(buffer) == 2
+    with open_recording(path) as recording:
+        assert recording[:].max(axis=(1, 2)).tolist() == [0, 1, 2, 3, 4]
+
+
+def test_calibration_lies_beside_before_the_first_frame(tmp_path):
+    writer = RecordingWriter(tmp_path / "r.ome.tif", (30, 47), np.uint8, calibration=CALIBRATION)
+    assert read_calibration(tmp_path / "r.calibration.json").background is not None
+    writer.close()
+
+
+def test_nothing_recorded_leaves_no_recording(tmp_path):
+    RecordingWriter(tmp_path / "r.ome.tif", (30, 47), np.uint8).close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_wrong_frames_and_existing_files_are_refused(tmp_path):
+    path = tmp_path / "r.ome.tif"
+    with RecordingWriter(path, (30, 47), np.uint8) as writer:
+        writer.append(frame(0), 0, 0)
+        with pytest.raises(InputError, match=r"frame 1 is \(30, 46\)"):
+            writer.append(frame(0)[:, 1:], 0, 1)
+        with pytest.raises(InputError, match="uint16"):
+            writer.append(frame(0).astype(np.uint16), 0, 1)
+    with pytest.raises(InputError, match="ended"):
+        writer.append(frame(0), 0, 0)
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="exists"):
+        RecordingWriter(path, (30, 47), np.uint8)
+    assert path.read_bytes() == before
+    with pytest.raises(InputError, match="float64"):
+        RecordingWriter(tmp_path / "f.ome.tif", (30, 47), np.float64)
+    with RecordingWriter(path, (30, 47), np.uint8, force=True) as writer:
+        writer.append(frame(7), 0, 0)
+    with open_recording(path) as recording:
+        np.testing.assert_array_equal(recording[:], [frame(7)])
+
+
+ENDLESS = """
+import itertools, sys
+import numpy as np
+from napari_elsplus.io import RecordingWriter
+writer = RecordingWriter(sys.argv[1], (200, 300), np.uint8)
+for k in itertools.count():
+    writer.append(np.full((200, 300), k % 251, np.uint8), k / 240, k)
+    if k == 20:
+        print("going", flush=True)
+"""
+
+
+@pytest.mark.parametrize("patience_s", [0.0, 0.013, 0.05, 0.11])
+def test_after_a_kill_all_whole_pages_open(tmp_path, patience_s):
+    path = tmp_path / "r.ome.tif"
+    with subprocess.Popen([sys.executable, "-c", ENDLESS, str(path)], stdout=subprocess.PIPE) as child:
+        assert child.stdout.readline() == b"going\n"
+        time.sleep(patience_s)
+        child.kill()
+    with open_recording(path) as recording:
+        count = len(recording)
+        assert count >= 20
+        assert recording.frame_numbers.tolist() == list(range(count))
+        assert recording[:].min(axis=(1, 2)).tolist() == [k % 251 for k in range(count)]
+        assert recording[:].max(axis=(1, 2)).tolist() == [k % 251 for k in range(count)]
+    assert path.stat().st_size // count <= 2 * recording.shape[1] * recording.shape[2]
+
+
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.999])
+def test_a_page_that_was_cut_is_not_opened(tmp_path, part):
+    path = tmp_path / "r.ome.tif"
+    with RecordingWriter(path, (30, 47), np.uint8) as writer:
+        for k in range(9):
+            writer.append(frame(k), k / 240, k)
+    with tifffile.TiffFile(path) as file:
+        start, end = file.pages[5].offset, file.pages[6].offset
+    path.write_bytes(path.read_bytes()[: int(start + part * (end - start))])
+    with open_recording(path) as recording:
+        np.testing.assert_array_equal(recording[:], [frame(k) for k in range(5)])
+
+
+def test_zeros_after_a_power_cut_are_not_frames(tmp_path):
+    path = tmp_path / "r.ome.tif"
+    with RecordingWriter(path, (30, 47), np.uint8) as writer:
+        for k in range(9):
+            writer.append(frame(k), k / 240, k)
+    with tifffile.TiffFile(path) as file:
+        end = file.pages[6].offset
+    path.write_bytes(path.read_bytes()[:end] + bytes(10_000))
+    with open_recording(path) as recording:
+        np.testing.assert_array_equal(recording[:], [frame(k) for k in range(6)])
+
+
+FULL_DISK = """
+import json, resource, signal, sys
+import numpy as np
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import RecordingWriter
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+writer, said = RecordingWriter(sys.argv[1], (100, 200), np.uint8), []
+for k in range(30):
+    try:
+        writer.append(np.full((100, 200), k, np.uint8), k / 240, k)
+    except OSError as error:
+        said.append(str(error))
+        break
+try:
+    writer.append(np.zeros((100, 200), np.uint8), 0, 0)
+except InputError as error:
+    said.append("ended")
+writer.close()
+print(json.dumps([said, len(writer), writer.closed]))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a limit on the size of files")
+def test_a_full_disk_is_said_once_and_keeps_what_was_written(tmp_path):
+    path = tmp_path / "r.ome.tif"
+    run = subprocess.run([sys.executable, "-c", FULL_DISK, str(path)], capture_output=True, text=True, check=True)
+    said, count, closed = json.loads(run.stdout)
+    assert len(said) == 2
+    assert "ended after 14 frames" in said[0]
+    assert closed
+    assert run.stderr == ""
+    with open_recording(path) as recording:
+        assert len(recording) == count == 14
+        assert recording[:].max(axis=(1, 2)).tolist() == list(range(14))
+    assert len(tifffile.imread(path, key=slice(None))) == 14
