@@ -75,6 +75,8 @@ class GalvoSection(Section):
     rms_rows: NonNegative
     lag_s: Finite = 0.0
     park_v: Finite | None = None
+    volts_per_row_uncertainty: NonNegative | None = None
+    volts_at_row_zero_uncertainty: NonNegative | None = None
 
     @model_validator(mode="after")
     def _slope_moves_the_line(self) -> Self:
@@ -104,6 +106,9 @@ class BundleSection(Section):
     residual_to_confocal: AffineRows
     residual_gain: Annotated[float, Field(ge=0.5, le=2)] = 1.0
     residual_gain_uncertainty: NonNegative = 0.0
+    centre_uncertainty_px: NonNegative | None = None
+    diameter_uncertainty_px: NonNegative | None = None
+    alignment_uncertainty_px: NonNegative | None = None
 
     @model_validator(mode="after")
     def _maps_onto_the_confocal_image(self) -> Self:

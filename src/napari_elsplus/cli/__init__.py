@@ -13,7 +13,7 @@ import click
 from napari_elsplus import __version__
 from napari_elsplus.errors import ElsPlusError
 
-COMMANDS: tuple[str, ...] = ("doctor",)
+COMMANDS: tuple[str, ...] = ("calibrate", "doctor")
 """Names of the commands; each is the ``command`` of the module of that name in this package."""
 
 EXIT_BAD_INPUT = 2

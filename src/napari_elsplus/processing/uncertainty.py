@@ -1,0 +1,57 @@
+"""Standard deviations that hold when residuals are not independent.
+
+Under a bundle the residuals of any fit come in lumps: the cores are brighter or dimmer than the model by their own
+transmission, which photon statistics know nothing of. Residuals are therefore summed over clusters (columns, arcs,
+runs of frames) that are wider than a lump, and the spread of those sums gives the covariance: the sandwich estimator
+(Liang & Zeger 1986, https://doi.org/10.1093/biomet/73.1.13).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+
+def clustered_influence(jacobian: Floats, residuals: Floats, clusters: NDArray[np.intp], count: int) -> Floats:
+    """Return what each cluster of residuals contributes to the error of a least-squares fit.
+
+    The covariance of the parameters is ``influence.T @ influence``; that of a difference of two fits of the same
+    clusters follows from the difference of their influences, with what they share cancelled.
+
+    Parameters
+    ----------
+    jacobian : numpy.ndarray
+        Derivatives of the model, shape (samples, parameters).
+    residuals : numpy.ndarray
+        Data minus model, shape (samples,).
+    clusters : numpy.ndarray
+        Cluster of each sample, 0 to ``count - 1``, shape (samples,).
+    count : int
+        Number of clusters.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (count, parameters), float64.
+
+    Examples
+    --------
+    >>> x = np.linspace(-1, 1, 400)
+    >>> noise = np.random.default_rng(0).normal(0, 0.5, x.size)
+    >>> influence = clustered_influence(np.c_[np.ones_like(x), x], noise, np.arange(400) // 10, 40)
+    >>> bool(0.02 < np.sqrt(np.square(influence[:, 0]).sum()) < 0.03)  # 0.5 / sqrt(400) = 0.025
+    True
+    """
+    scores = np.stack(
+        [np.bincount(clusters, weights=column * residuals, minlength=count) for column in jacobian.T], axis=1
+    )
+    bread = np.linalg.pinv(jacobian.T @ jacobian)
+    filled = np.count_nonzero(np.bincount(clusters, minlength=count))
+    freedom = filled / max(filled - jacobian.shape[1] / 2, 1.0)
+    return np.asarray(np.sqrt(freedom) * (scores @ bread), np.float64)
