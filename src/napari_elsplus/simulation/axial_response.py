@@ -1,0 +1,213 @@
+"""Axial response in closed form: what confocal, residual and ELS+ see of a thin fluorescent plane at a distance.
+
+Across the laser line the light at the bundle's face is a core and a halo (cross-talk and leaky modes of the bundle).
+Out of focus it spreads as a Gaussian whose width grows linearly, split equally between excitation and collection. The
+signal is the mean of the spread line over the slit. Everything is an error function, so the model costs nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import erf
+
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Curve = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LineModel:
+    """The laser line at the bundle's face and its spread in depth.
+
+    Parameters
+    ----------
+    core_um : float
+        Standard deviation s0 of the line's core.
+    halo_share : float
+        Share c of the light that travels in the halo.
+    halo_um : float
+        Standard deviation s1 of the halo.
+    spread : float
+        Two-way spread k: micrometres of standard deviation per micrometre of depth.
+    gap_um : float
+        Gap z0 between a stained plate and the probe's face when they touch (tilt of the plate); the plate's only.
+
+    Raises
+    ------
+    InputError
+        If a number is impossible.
+    """
+
+    core_um: float
+    halo_share: float
+    halo_um: float
+    spread: float
+    gap_um: float
+
+    def __post_init__(self) -> None:
+        for name in ("core_um", "halo_um", "spread"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0):
+                raise InputError(f"{name} of the line is {value}", "it must be a positive number")
+        if not 0 <= self.halo_share <= 1:
+            raise InputError(f"halo_share of the line is {self.halo_share}", "it must lie between 0 and 1")
+        if not self.halo_um > self.core_um:
+            raise InputError(f"the halo ({self.halo_um} um) is narrower than its line ({self.core_um} um)", "widen it")
+
+    @property
+    def parts(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Share and standard deviation (um) of core and halo."""
+        return (1 - self.halo_share, self.core_um), (self.halo_share, self.halo_um)
+
+
+LINE_MODELS: Final = {
+    "a": LineModel(core_um=5.43, halo_share=0.652, halo_um=34.8, spread=0.236, gap_um=14.3),
+    "b": LineModel(core_um=2.34, halo_share=0.17, halo_um=33.8, spread=0.224, gap_um=20.2),
+}
+"""``a``: fitted to panels (a, b) of the paper's drop-off figure (Thrapp and Hughes, Sec. 3.1). ``b``: the sharper line
+of its panels (c, d), which were measured in another state of the rig; the two are never mixed."""
+
+
+def gaussian_over_slit(offset_um: ArrayLike, slit_um: ArrayLike, sigma_um: ArrayLike) -> Curve:
+    """Mean of a unit-area Gaussian over a slit, per micrometre.
+
+    Parameters
+    ----------
+    offset_um, slit_um, sigma_um : array_like
+        Distance of the slit's middle from the Gaussian's, the slit's width (0: a point), the standard deviation.
+
+    Examples
+    --------
+    >>> print(round(float(gaussian_over_slit(0.0, 0.0, 1.0)), 4), round(float(gaussian_over_slit(0.0, 2.0, 1.0)), 4))
+    0.3989 0.3413
+    """
+    offset, slit, sigma = np.broadcast_arrays(*(np.asarray(a, np.float64) for a in (offset_um, slit_um, sigma_um)))
+    wide = slit > 1e-3 * sigma
+    half = np.where(wide, slit, sigma) / 2
+    scale = 1 / (np.sqrt(2) * sigma)
+    area = 0.5 * (erf((offset + half) * scale) - erf((offset - half) * scale))
+    point = np.exp(-0.5 * (offset / sigma) ** 2) / (np.sqrt(2 * np.pi) * sigma)
+    return np.asarray(np.where(wide, area / (2 * half), point))
+
+
+def line_response(depth_um: ArrayLike, offset_um: ArrayLike, slit_um: ArrayLike, line: LineModel) -> Curve:
+    """Signal of a uniform thin plane, per micrometre of slit, for a line that stands off the slit by an offset.
+
+    Parameters
+    ----------
+    depth_um : array_like
+        Distance of the plane from the probe's face (a plate's gap is not added here).
+    offset_um : array_like
+        Distance of the line from the middle of the slit.
+    slit_um : array_like
+        Slit width.
+    line : LineModel
+        The line.
+    """
+    spread = line.spread * np.asarray(depth_um, np.float64)
+    return np.asarray(
+        sum(share * gaussian_over_slit(offset_um, slit_um, np.hypot(sigma, spread)) for share, sigma in line.parts)
+    )
+
+
+class Response(NamedTuple):
+    """Signals of one plane, all on the scale on which the confocal signal in contact is 1."""
+
+    ls: Curve
+    residual: Curve
+    els: Curve
+
+
+def axial_response(
+    depth_um: ArrayLike, *, offset_um: ArrayLike, slit_um: ArrayLike = 2.9, line: LineModel = LINE_MODELS["a"]
+) -> Response:
+    """Confocal, residual and ELS+ signal of a stained plate against its distance.
+
+    Parameters
+    ----------
+    depth_um : array_like
+        Distance of the plate from where it touches.
+    offset_um : array_like
+        Slit offset of the residual view; its sign does not matter here.
+    slit_um : array_like
+        Slit width.
+    line : LineModel
+        The line; its gap is added to the depth.
+
+    Returns
+    -------
+    Response
+        Arrays of the broadcast shape; confocal in contact is 1.
+
+    References
+    ----------
+    .. [1] A. D. Thrapp and M. R. Hughes, "Reduced motion artifacts and speed improvements in enhanced line-scanning
+       fiber bundle endomicroscopy", J. Biomed. Opt. 26(5), 056501 (2021), Sec. 3.1.
+       :DOI:`10.1117/1.JBO.26.5.056501`
+
+    Examples
+    --------
+    >>> response = axial_response([0.0, 120.6], offset_um=29.0)
+    >>> (response.els / response.els[0]).round(2)
+    array([1. , 0.1])
+    """
+    depth = np.asarray(depth_um, np.float64) + line.gap_um
+    in_contact = line_response(line.gap_um, 0.0, slit_um, line)
+    ls = line_response(depth, 0.0, slit_um, line) / in_contact
+    residual = line_response(depth, offset_um, slit_um, line) / in_contact
+    ls, residual = np.broadcast_arrays(ls, residual)
+    return Response(ls, residual, ls - residual)
+
+
+class DropOffs(NamedTuple):
+    """Distances at which a plate's signal has fallen to a half and to a tenth."""
+
+    drop_3db_um: float
+    drop_10db_um: float
+
+
+def drop_offs(
+    *, offset_um: float | None, slit_um: float = 2.9, line: LineModel = LINE_MODELS["a"], far_um: float = 1e6
+) -> DropOffs:
+    """Solve the model for the 3 dB and 10 dB drop-off distances of ELS+, or of LS where no offset is given.
+
+    Raises
+    ------
+    InputError
+        If the offset is 0: then ELS+ has no signal.
+
+    Examples
+    --------
+    >>> [round(um, 1) for um in drop_offs(offset_um=None)]
+    [57.7, 557.0]
+    >>> [round(um, 1) for um in drop_offs(offset_um=29.0)]
+    [35.0, 120.7]
+    """
+    if offset_um == 0:
+        raise InputError("the offset is 0 um, so ELS+ is zero everywhere", "offset the residual slit")
+
+    def signal(depth_um: float) -> float:
+        response = axial_response(depth_um, offset_um=offset_um or 0.0, slit_um=slit_um, line=line)
+        return float(response.ls if offset_um is None else response.els)
+
+    contact = signal(0.0)
+    return DropOffs(*(float(brentq(lambda z, f=f: signal(z) / contact - f, 0.0, far_um)) for f in (0.5, 0.1)))
+
+
+def signal_kept(*, offset_um: float, slit_um: float = 2.9, line: LineModel = LINE_MODELS["a"]) -> float:
+    """In-focus signal of ELS+ relative to LS, in contact with the plate.
+
+    Examples
+    --------
+    >>> round(signal_kept(offset_um=29.0), 2), round(signal_kept(offset_um=77.0), 3)
+    (0.82, 0.977)
+    """
+    return float(axial_response(0.0, offset_um=offset_um, slit_um=slit_um, line=line).els)

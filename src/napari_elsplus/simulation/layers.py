@@ -1,0 +1,117 @@
+"""Blurred planes, made block by block where the probe looks, kept in a window that rolls along with it."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.simulation.textures import Texture
+
+BLOCK: Final = 64
+_KEPT_BLOCKS: Final = 2048
+
+
+@dataclass(frozen=True, slots=True)
+class Blur:
+    """Standard deviations (um) by which a plane is blurred along rows' and columns' direction."""
+
+    rows_um: float
+    cols_um: float
+
+
+class Layer:
+    """A blurred plane on a regular grid, of which a window around the probe is held.
+
+    Sample (i, j) lies at ``(i, j) * step_um`` in the scene and is kept at ``window[i & mask, j & mask]``: moving on
+    overwrites what was left behind, and memory stays the same however far the probe goes. Blocks that were left are
+    kept for a while (at most 32 MB), so that a probe that comes back need not wait.
+
+    Parameters
+    ----------
+    texture : Texture
+        What to blur.
+    blur : Blur
+        By how much.
+    finest_um : float
+        Step of the grid where the blur asks for no coarser one.
+    reach_um : float
+        Half the width of what one frame looks at.
+    """
+
+    def __init__(self, texture: Texture, blur: Blur, finest_um: float, reach_um: float) -> None:
+        self._texture = texture
+        narrowest = min(blur.rows_um, blur.cols_um)
+        self.step_um = finest_um * 2 ** max(0, int(np.log2(max(1.0, narrowest / (2 * finest_um)))))
+        # Bilinear sampling blurs by a triangle of variance step^2 / 6: the filter leaves that much out.
+        self._sigma_rows, self._sigma_cols = (
+            float(np.sqrt(max(sigma**2 - self.step_um**2 / 6, 0.01 * self.step_um**2)) / self.step_um)
+            for sigma in (blur.rows_um, blur.cols_um)
+        )
+        self._margins = int(np.ceil(4 * self._sigma_rows)) + 1, int(np.ceil(4 * self._sigma_cols)) + 1
+        needed = 2 * reach_um / self.step_um + 3 * BLOCK
+        self.size = 1 << int(np.ceil(np.log2(needed)))
+        self.window: NDArray[np.float32] = np.zeros((self.size, self.size), np.float32)
+        per_side = self.size // BLOCK
+        self._held = np.full((per_side, per_side, 2), np.iinfo(np.int64).min, np.int64)
+        self._kept: OrderedDict[tuple[int, int], NDArray[np.float32]] = OrderedDict()
+
+    def cover(self, top_um: float, left_um: float, bottom_um: float, right_um: float) -> None:
+        """Make sure that a region of the scene is in the window.
+
+        Raises
+        ------
+        InputError
+            If the region is larger than the window.
+        """
+        spans = []
+        for low, high in ((top_um, bottom_um), (left_um, right_um)):
+            first = int(np.floor(low / self.step_um)) // BLOCK
+            last = (int(np.floor(high / self.step_um)) + 1) // BLOCK
+            if last - first >= self.size // BLOCK:
+                raise InputError(
+                    f"one frame spans {high - low:.0f} um of the scene, "
+                    f"more than the {self.size * self.step_um:.0f} um that are held",
+                    "move the probe more slowly",
+                )
+            spans.append(range(first, last + 1))
+        per_side = self.size // BLOCK
+        for i in spans[0]:
+            for j in spans[1]:
+                held = self._held[i % per_side, j % per_side]
+                if held[0] != i or held[1] != j:
+                    row, col = (i % per_side) * BLOCK, (j % per_side) * BLOCK
+                    self.window[row : row + BLOCK, col : col + BLOCK] = self._block(i, j)
+                    held[:] = i, j
+
+    def _block(self, i: int, j: int) -> NDArray[np.float32]:
+        if (i, j) in self._kept:
+            self._kept.move_to_end((i, j))
+            return self._kept[i, j]
+        rows, cols = (
+            (np.arange(-margin, BLOCK + margin) + index * BLOCK) * self.step_um
+            for index, margin in zip((i, j), self._margins, strict=True)
+        )
+        sharp = self._texture.sample(rows, cols)
+        blurred = cv2.sepFilter2D(
+            sharp, -1, _gaussian(self._sigma_cols, self._margins[1]), _gaussian(self._sigma_rows, self._margins[0])
+        )
+        inside = (slice(margin, margin + BLOCK) for margin in self._margins)
+        block: NDArray[np.float32] = blurred[tuple(inside)].copy()
+        self._kept[i, j] = block
+        if len(self._kept) > _KEPT_BLOCKS:
+            self._kept.popitem(last=False)
+        return block
+
+
+def _gaussian(sigma: float, reach: int) -> NDArray[np.float32]:
+    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    return np.asarray(taps / taps.sum(), np.float32)

@@ -1,0 +1,233 @@
+"""Scene to raw camera frames: cores, rolling shutter, two views, noise, eight bits.
+
+Every core samples the scene at the time its own row is read, in each view; what it receives there depends on where the
+laser line stood (:mod:`scan`). Cores are then spread over pixels and the camera's noise is added (:mod:`sensor`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from napari_elsplus.compiled import kernel
+from napari_elsplus.errors import InputError
+from napari_elsplus.simulation.layers import Layer
+from napari_elsplus.simulation.scan import CoreLight, Scan, views
+from napari_elsplus.simulation.sensor import expose, spread_spots
+from napari_elsplus.simulation.trajectories import Still, Trajectory
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.simulation.instrument import Instrument
+    from napari_elsplus.simulation.scenes import Scene
+
+    Frame = NDArray[np.uint8]
+
+SAME_LINE_ROWS = 0.02
+"""Line positions that differ by less are the same scan: a fiftieth of a row changes no core by a grey level."""
+
+
+class Renderer:
+    """Raw frames of a scene, as the instrument would record them.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Optics, bundle, camera.
+    scene : Scene
+        What lies before the probe.
+    trajectory : Trajectory
+        How the probe moves.
+    seed : int
+        Seed of the camera's noise; the same seed and frame index give the same frame.
+    noise : bool
+        Whether the camera is noisy.
+
+    Examples
+    --------
+    >>> from napari_elsplus.simulation.instrument import Instrument
+    >>> from napari_elsplus.simulation.scenes import scene
+    >>> renderer = Renderer(Instrument.of("240hz"), scene("uniform"))
+    >>> frame = np.empty(renderer.frame_shape, np.uint8)
+    >>> frame is renderer.render(0, frame)
+    True
+    >>> stalled = np.full(renderer.frame_shape[0], 250.0)  # the mirror rests: one bright line in each image
+    >>> frame = renderer.render(0, line_rows=stalled)
+    >>> int(frame[250].mean()) > 5 * int(frame[450].mean())
+    True
+    """
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        scene: Scene,
+        trajectory: Trajectory | None = None,
+        *,
+        seed: int = 0,
+        noise: bool = True,
+    ) -> None:
+        self.instrument = instrument if noise else replace(instrument, electrons_per_dn=1e9, read_noise_e=0.0)
+        self.scene = scene
+        self.trajectory = Still() if trajectory is None else trajectory
+        self.frame_shape = instrument.frame_shape
+        self._seed = seed
+        self._cores = instrument.bundle.cores()
+        self._scan = Scan(instrument, scene, self._cores)
+        self._views = views(instrument, self._cores)
+        um_per_px = instrument.optics.um_per_px
+        self._spots = tuple(
+            spread_spots(view.rows_px, view.cols_px, self.frame_shape, instrument.bundle, um_per_px)
+            for view in self._views
+        )
+        reach_um = instrument.bundle.radius_um + abs(instrument.offset_um) / 2
+        self._layers = [Layer(term.plane.texture, term.blur, um_per_px, reach_um) for term in self._scan.terms]
+        self._line_rows: NDArray[np.float64] | None = None
+        self._light = self._lit(None)
+        self._values = np.empty((2, len(self._cores.rows_um)), np.float32)
+        self._places = np.empty((2, len(self._cores.rows_um)))
+        self._row_signal = np.empty(self.frame_shape[1], np.float32)
+
+    def render(
+        self, frame_index: int, out: Frame | None = None, *, line_rows: NDArray[np.float64] | None = None
+    ) -> Frame:
+        """Fill a frame.
+
+        Parameters
+        ----------
+        frame_index : int
+            Frame k spans the frame periods k to k + 1; its row r is read at k + r / rows_per_frame.
+        out : numpy.ndarray, optional
+            (rows, cols) uint8, C-contiguous; made anew if not given.
+        line_rows : numpy.ndarray, optional
+            Row of the left image on which the laser line really stood in the middle of each camera row's exposure,
+            shape (rows,); NaN where the laser was off. An ideal scan is ``numpy.arange(rows)``, and so is None. A
+            standing line is the same number in every row.
+
+        Returns
+        -------
+        numpy.ndarray
+            ``out``.
+
+        Raises
+        ------
+        InputError
+            If the probe leaves a finite scene, or an array has the wrong shape.
+        """
+        if out is None:
+            out = np.empty(self.frame_shape, np.uint8)
+        elif out.shape != self.frame_shape or out.dtype != np.uint8:
+            raise InputError(f"a frame buffer {out.shape} {out.dtype}", f"give {self.frame_shape} uint8")
+        self._follow_line(line_rows)
+        positions_um = self.row_positions_um(frame_index)
+        self._refuse_outside(frame_index, positions_um)
+        self._cover(positions_um)
+        for view, light, values in zip(self._views, self._light, self._values, strict=True):
+            values[:] = light.steady
+            if self._layers:
+                place_cores(self._places, view.rows_px, self._cores.rows_um, self._cores.cols_um, positions_um)
+            for layer, scale, shift_um in zip(self._layers, light.scale, light.shift_um, strict=True):
+                gather(values, layer.window, 1 / layer.step_um, self._places, shift_um, scale)
+        camera = self.instrument
+        left, right = self._spots
+        expose(
+            out,
+            left.first, left.column, left.cores, left.weights, self._values[0] * np.float32(left.scale),
+            right.first, right.column, right.cores, right.weights, self._values[1] * np.float32(right.scale),
+            self._row_signal,
+            camera.black_dn, camera.electrons_per_dn, camera.read_noise_e, _noise_key(self._seed, frame_index),
+        )  # fmt: skip
+        return out
+
+    def row_positions_um(self, frame_index: int) -> NDArray[np.float64]:
+        """Position of the probe over the scene when each camera row of a frame is read, (rows, 2) row and column."""
+        optics = self.instrument.optics
+        periods = frame_index + np.arange(self.frame_shape[0]) / optics.rows_per_frame
+        return np.ascontiguousarray(self.trajectory.positions_um(periods * optics.frame_period_s))
+
+    def _lit(self, line_rows: NDArray[np.float64] | None) -> tuple[CoreLight, ...]:
+        return tuple(self._scan.light(view, line_rows) for view in self._views)
+
+    def _follow_line(self, line_rows: NDArray[np.float64] | None) -> None:
+        """Work out anew what the cores receive, if the line moves otherwise than in the last frame."""
+        rows = np.arange(self.frame_shape[0], dtype=np.float64)
+        if line_rows is not None:
+            if line_rows.shape != rows.shape:
+                raise InputError(f"line positions of shape {line_rows.shape}", f"give one for each of {len(rows)} rows")
+            if np.allclose(line_rows, rows, rtol=0, atol=SAME_LINE_ROWS):
+                line_rows = None
+        if line_rows is None or self._line_rows is None:
+            same = line_rows is self._line_rows
+        else:
+            same = np.allclose(line_rows, self._line_rows, rtol=0, atol=SAME_LINE_ROWS, equal_nan=True)
+        if not same:
+            self._light = self._lit(line_rows)
+            self._line_rows = None if line_rows is None else line_rows.copy()
+
+    def _cover(self, positions_um: NDArray[np.float64]) -> None:
+        radius = self.instrument.bundle.radius_um
+        low, high = positions_um.min(0) - radius, positions_um.max(0) + radius
+        for t, layer in enumerate(self._layers):
+            shifts = [light.shift_um[t] for light in self._light]
+            up, down = min(float(s.min()) for s in shifts), max(float(s.max()) for s in shifts)
+            layer.cover(low[0] + up, low[1], high[0] + down, high[1])
+
+    def _refuse_outside(self, frame_index: int, positions_um: NDArray[np.float64]) -> None:
+        bounds = self.scene.bounds_um
+        if bounds is None:
+            return
+        radius = self.instrument.bundle.radius_um
+        low, high = positions_um.min(0) - radius, positions_um.max(0) + radius
+        beyond = max(bounds[0] - low[0], bounds[1] - low[1], high[0] - bounds[2], high[1] - bounds[3])
+        if beyond > 0:
+            tall, wide = bounds[2] - bounds[0], bounds[3] - bounds[1]
+            raise InputError(
+                f"frame {frame_index} looks {beyond:.0f} um beyond the edge of the scene of {tall:.0f} x {wide:.0f} um",
+                "give a larger scene or a shorter path",
+            )
+
+
+def _noise_key(seed: int, frame_index: int) -> int:
+    return int(np.random.SeedSequence((seed, frame_index)).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+@kernel
+def place_cores(
+    places: NDArray[np.float64],
+    camera_rows: NDArray[np.float64],
+    rows_um: NDArray[np.float64],
+    cols_um: NDArray[np.float64],
+    positions_um: NDArray[np.float64],
+) -> None:
+    """Where each core looks in the scene, (2, cores), when its own camera row is read."""
+    last = len(positions_um) - 2
+    for n in range(len(camera_rows)):
+        r = min(last, max(0, int(camera_rows[n])))
+        f = camera_rows[n] - r
+        places[0, n] = rows_um[n] + positions_um[r, 0] + f * (positions_um[r + 1, 0] - positions_um[r, 0])
+        places[1, n] = cols_um[n] + positions_um[r, 1] + f * (positions_um[r + 1, 1] - positions_um[r, 1])
+
+
+@kernel
+def gather(
+    values: NDArray[np.float32],
+    window: NDArray[np.float32],
+    per_um: float,
+    places: NDArray[np.float64],
+    shift_um: NDArray[np.float32],
+    scale: NDArray[np.float32],
+) -> None:
+    """Add to each core what it sees in a layer: bilinear, in a window that wraps around."""
+    mask = window.shape[0] - 1
+    for n in range(len(values)):
+        y = (places[0, n] + shift_um[n]) * per_um
+        x = places[1, n] * per_um
+        fy, fx = np.floor(y), np.floor(x)
+        i, j = int(fy) & mask, int(fx) & mask
+        k, m = (i + 1) & mask, (j + 1) & mask
+        dy, dx = np.float32(y - fy), np.float32(x - fx)
+        top = window[i, j] + dx * (window[i, m] - window[i, j])
+        bottom = window[k, j] + dx * (window[k, m] - window[k, j])
+        values[n] += scale[n] * (top + dy * (bottom - top))

@@ -1,0 +1,210 @@
+"""What each core of each view receives, given where the laser line stood while the core's row was exposed.
+
+A Gaussian line times a Gaussian collection is a Gaussian: for each plane, the core and the halo of the line give one
+blurred image each, sampled at a shifted row and scaled. Slit offset, line tilt, a wrong ramp and a line that flies back
+change shift and scale only, so an ideal and a faulty scan cost the same. Shifts and scales are kept until the line
+moves otherwise than before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.simulation.axial_response import gaussian_over_slit, line_response
+from napari_elsplus.simulation.illumination import Edge
+from napari_elsplus.simulation.instrument import REFERENCE_SLIT_ROWS
+from napari_elsplus.simulation.layers import Blur
+from napari_elsplus.simulation.textures import Uniform
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.simulation.bundle import Cores
+    from napari_elsplus.simulation.instrument import Instrument
+    from napari_elsplus.simulation.scenes import Plane, Scene
+
+_FAR_UM = 1e6
+_NEGLIGIBLE = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One blurred image that contributes to every core: a textured plane through one part of the line."""
+
+    plane: Plane
+    part: int | None
+    """0: core of the line, 1: its halo, None: both at once, which in focus see the same."""
+    blur: Blur
+
+
+class CoreLight(NamedTuple):
+    """What the cores of one view receive: a steady part, and for each term a scale and a row shift.
+
+    ``steady`` (cores,), ``scale`` and ``shift_um`` (terms, cores): grey levels, and micrometres along the rows.
+    """
+
+    steady: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    shift_um: NDArray[np.float32]
+
+
+class View(NamedTuple):
+    """One image of the bundle on the camera: its gain, its centre's row, and its cores' pixel positions."""
+
+    gain: float
+    centre_row: float
+    rows_px: NDArray[np.float64]
+    cols_px: NDArray[np.float64]
+
+
+def views(instrument: Instrument, cores: Cores) -> tuple[View, View]:
+    """Left (confocal) and right (residual) view."""
+    um_per_px = instrument.optics.um_per_px
+    cores_px = np.stack([cores.rows_um, cores.cols_um]) / um_per_px
+    turned = instrument.right.matrix @ cores_px
+    left, right = instrument.left_centre, instrument.right_centre
+    return (
+        View(1.0, left[0], left[0] + cores_px[0], left[1] + cores_px[1]),
+        View(instrument.right.gain, right[0], right[0] + turned[0], right[1] + turned[1]),
+    )
+
+
+class Scan:
+    """Line positions to what the cores receive of a scene.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The optics.
+    scene : Scene
+        What lies before the probe.
+    cores : Cores
+        The bundle's cores.
+    """
+
+    def __init__(self, instrument: Instrument, scene: Scene, cores: Cores) -> None:
+        self._instrument, self._scene, self._cores = instrument, scene, cores
+        self._edge = Edge(instrument.bundle.radius_um, instrument.line, instrument.slit_um)
+        self._smear_um = instrument.slit_um / np.sqrt(12)
+        self._place_on_grid()
+        self.terms = tuple(term for plane in scene.planes for term in self._terms_of(plane))
+
+    def light(self, view: View, line_rows: NDArray[np.float64] | None) -> CoreLight:
+        """Work out what the cores of a view receive.
+
+        Parameters
+        ----------
+        view : View
+            The view.
+        line_rows : numpy.ndarray or None
+            Row of the left image on which the line stood in the middle of each camera row's exposure, shape (rows,);
+            NaN where the laser was off. None: each row saw the line where it should.
+        """
+        instrument = self._instrument
+        cores = len(self._cores.rows_um)
+        steady = np.zeros(cores)
+        scale, shift_um = np.zeros((2, len(self.terms), cores), np.float32)
+        strength = (
+            instrument.light_dn * instrument.slit_rows / REFERENCE_SLIT_ROWS * view.gain * self._cores.transmission
+        )
+        if self._scene.transmission:
+            for plane in self._scene.planes:
+                if isinstance(plane.texture, Uniform):
+                    steady += plane.brightness * strength
+            for t, term in enumerate(self.terms):
+                scale[t] = term.plane.brightness * strength
+            return CoreLight(steady.astype(np.float32), scale, shift_um)
+
+        offset_um, smear_um, grid_offset_um = self._offsets(view, line_rows)
+        cache: dict[float, NDArray[np.float64]] = {}
+
+        def parts(depth_um: float) -> NDArray[np.float64]:
+            if depth_um not in cache:
+                cache[depth_um] = strength * self._parts(depth_um, offset_um, smear_um, grid_offset_um)
+            return cache[depth_um]
+
+        steady += instrument.autofluorescence * parts(0.0).sum(0)
+        for plane in self._scene.planes:
+            if isinstance(plane.texture, Uniform):
+                steady += plane.brightness * parts(plane.depth_um).sum(0)
+        for t, term in enumerate(self.terms):
+            received = parts(term.plane.depth_um)
+            scale[t] = term.plane.brightness * (received.sum(0) if term.part is None else received[term.part])
+            if term.part is not None:
+                pull, _ = self._product(term.part, term.plane.depth_um)
+                shift_um[t] = np.where(scale[t] > _NEGLIGIBLE * instrument.light_dn, pull * offset_um, 0)
+        return CoreLight(steady.astype(np.float32), scale, shift_um)
+
+    def _terms_of(self, plane: Plane) -> list[Term]:
+        if isinstance(plane.texture, Uniform):
+            return []
+        mode_um = self._instrument.bundle.core_sigma * self._instrument.bundle.core_pitch_um
+        if plane.depth_um == 0 or self._scene.transmission:
+            return [Term(plane, None, Blur(mode_um, mode_um))]
+        one_way_um = self._instrument.line.spread * plane.depth_um / np.sqrt(2)
+        across = float(np.hypot(one_way_um, mode_um))
+        return [
+            Term(plane, part, Blur(float(np.hypot(self._product(part, plane.depth_um)[1], mode_um)), across))
+            for part in (0, 1)
+        ]
+
+    def _product(self, part: int, depth_um: float) -> tuple[float, float]:
+        """Middle (per offset) and standard deviation (um) of spread line times collection, both Gaussians."""
+        _, sigma_um = self._instrument.line.parts[part]
+        collected = (self._instrument.line.spread * depth_um) ** 2 / 2
+        excited = sigma_um**2 + self._smear_um**2 + collected
+        return collected / (collected + excited), float(np.sqrt(collected * excited / (collected + excited)))
+
+    def _parts(
+        self,
+        depth_um: float,
+        offset_um: NDArray[np.float64],
+        smear_um: NDArray[np.float64],
+        grid_offset_um: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Take a uniform plane of brightness 1 through core and halo of the line: (2, cores)."""
+        line, optics = self._instrument.line, self._instrument.optics
+        reference = float(line_response(0.0, 0.0, optics.um(REFERENCE_SLIT_ROWS), line))
+        vignette = self._edge.vignette(grid_offset_um, depth_um).reshape(2, -1)
+        received = np.empty((2, len(offset_um)))
+        for part, (share, sigma_um) in enumerate(line.parts):
+            width_um = np.hypot(sigma_um, line.spread * depth_um)
+            unclipped = gaussian_over_slit(offset_um, smear_um, width_um) * (share / reference)
+            received[part] = unclipped * (vignette[part][self._grid_index] * self._grid_weight).sum(0)
+        return received
+
+    def _offsets(
+        self, view: View, line_rows: NDArray[np.float64] | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Line minus core (um) and smear over the exposure (um) for each core; line minus core on the grid's rows."""
+        instrument = self._instrument
+        um, left_row = instrument.optics.um_per_px, instrument.left_centre[0]
+        rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
+        lag = np.zeros_like(rows) if line_rows is None else line_rows - rows
+        speed = np.ones_like(rows) if line_rows is None else np.abs(np.gradient(line_rows))
+        lag = np.where(np.isfinite(lag), lag, _FAR_UM)
+        speed = np.where(np.isfinite(speed), speed, 1.0)
+
+        def off(camera_rows: NDArray[np.float64], bundle_rows_um: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.asarray((camera_rows + np.interp(camera_rows, rows, lag) - left_row) * um - bundle_rows_um)
+
+        grid = self._edge.grid_um
+        tilt_um = np.tan(np.deg2rad(instrument.line_tilt_deg)) * self._cores.cols_um
+        return (
+            off(view.rows_px, self._cores.rows_um) + tilt_um,
+            instrument.slit_um * np.interp(view.rows_px, rows, speed),
+            off(view.centre_row + grid / um, grid),
+        )
+
+    def _place_on_grid(self) -> None:
+        """Bilinear places of the cores on the vignette's grid."""
+        grid = self._edge.grid_um
+        points, step = len(grid), grid[1] - grid[0]
+        y, x = ((axis - grid[0]) / step for axis in (self._cores.rows_um, self._cores.cols_um))
+        i, j = (np.clip(axis.astype(np.intp), 0, points - 2) for axis in (y, x))
+        fy, fx = y - i, x - j
+        self._grid_index = np.stack([i, i, i + 1, i + 1]) * points + np.stack([j, j + 1, j, j + 1])
+        self._grid_weight = np.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx])

@@ -1,0 +1,155 @@
+"""From core brightness to camera pixels: spots, background, shot and read noise, eight bits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from napari_elsplus.compiled import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.simulation.bundle import Bundle
+
+SPOTS_PER_PIXEL = 3
+"""Neighbouring cores that light a pixel; the fourth lies more than a pitch away, 3.8 standard deviations of a spot."""
+_REACH_PITCHES = 1.0
+
+
+class Spots(NamedTuple):
+    """Which cores light which pixels of one view.
+
+    ``cores`` and ``weights`` are (pixels, 3), the pixels row after row; row r has the pixels ``first[r]`` to
+    ``first[r + 1] - 1``, which begin at column ``column[r]``.
+    """
+
+    first: NDArray[np.int64]
+    column: NDArray[np.int64]
+    cores: NDArray[np.uint16]
+    weights: NDArray[np.uint8]
+    scale: float
+
+
+def spread_spots(
+    rows_px: NDArray[np.float64],
+    cols_px: NDArray[np.float64],
+    frame_shape: tuple[int, int],
+    bundle: Bundle,
+    um_per_px: float,
+) -> Spots:
+    """Find the cores that light each pixel of a view.
+
+    Parameters
+    ----------
+    rows_px, cols_px : numpy.ndarray
+        Where the cores' centres lie on the camera.
+    frame_shape : tuple of int
+        Rows and columns of the frame.
+    bundle : Bundle
+        For the spots' size.
+    um_per_px : float
+        Scale.
+
+    Returns
+    -------
+    Spots
+        Weights average 1 over the lit disc.
+    """
+    pitch_px = bundle.core_pitch_um / um_per_px
+    reach = _REACH_PITCHES * pitch_px
+    centre = np.array([rows_px.max() + rows_px.min(), cols_px.max() + cols_px.min()]) / 2
+    radius = np.hypot(rows_px - centre[0], cols_px - centre[1]).max() + reach
+    rows = np.arange(frame_shape[0])
+    half = np.sqrt(np.maximum(radius**2 - (rows - centre[0]) ** 2, 0))
+    left = np.clip(np.ceil(centre[1] - half), 0, frame_shape[1]).astype(np.int64)
+    right = np.clip(np.floor(centre[1] + half) + 1, left, frame_shape[1]).astype(np.int64)
+    right = np.where(half > 0, right, left)
+    first = np.concatenate([[0], np.cumsum(right - left)])
+    pixel_rows = np.repeat(rows, right - left)
+    pixel_cols = np.arange(first[-1]) - np.repeat(first[:-1] - left, right - left)
+    tree = cKDTree(np.stack([rows_px, cols_px], 1))
+    away, cores = tree.query(np.stack([pixel_rows, pixel_cols], 1), k=SPOTS_PER_PIXEL)
+    weights = np.exp(-0.5 * (away / (bundle.core_sigma * pitch_px)) ** 2)
+    lit = np.hypot(pixel_rows - centre[0], pixel_cols - centre[1]) < radius - 2 * reach
+    scale = 1 / weights[lit].sum(1).mean()
+    return Spots(first, left, cores.astype(np.uint16), np.round(255 * weights).astype(np.uint8), scale / 255)
+
+
+@kernel
+def expose(
+    out: NDArray[np.uint8],
+    left_first: NDArray[np.int64],
+    left_column: NDArray[np.int64],
+    left_cores: NDArray[np.uint16],
+    left_weights: NDArray[np.uint8],
+    left_values: NDArray[np.float32],
+    right_first: NDArray[np.int64],
+    right_column: NDArray[np.int64],
+    right_cores: NDArray[np.uint16],
+    right_weights: NDArray[np.uint8],
+    right_values: NDArray[np.float32],
+    row_signal: NDArray[np.float32],
+    black_dn: float,
+    electrons_per_dn: float,
+    read_noise_e: float,
+    key: int,
+) -> None:
+    """Fill a frame: core values (grey levels) spread over pixels, black level, noise, 8 bit.
+
+    Noise is a sum of four bytes of a hash of pixel and key: Gaussian within +-3.4 standard deviations, the same for the
+    same key, and free of state, so that rows could be made in any order.
+    """
+    rows, cols = out.shape
+    shot = np.float32(1 / electrons_per_dn)
+    read = np.float32((read_noise_e / electrons_per_dn) ** 2)
+    black = np.float32(black_dn + 0.5)
+    norm = np.float32(1 / 147.80)  # standard deviation of a sum of four uniform bytes
+    key_a = np.uint32(key & 0xFFFFFFFF)
+    key_b = np.uint32((key >> 32) & 0xFFFFFFFF)
+    noisy = electrons_per_dn < 1e6
+    for r in range(rows):
+        for c in range(cols):
+            row_signal[c] = 0
+        _spread_row(row_signal, left_column[r], left_first[r], left_first[r + 1], left_cores, left_weights, left_values)
+        _spread_row(
+            row_signal, right_column[r], right_first[r], right_first[r + 1], right_cores, right_weights, right_values
+        )
+        base = np.uint32(r * cols)
+        for c in range(cols):
+            signal = row_signal[c]
+            if noisy:
+                word = np.uint32((base + np.uint32(c)) ^ key_a)
+                word = np.uint32(word * np.uint32(0x7FEB352D))
+                word = np.uint32(word ^ (word >> np.uint32(15)))
+                word = np.uint32(word + key_b)
+                word = np.uint32(word * np.uint32(0x846CA68B))
+                word = np.uint32(word ^ (word >> np.uint32(16)))
+                total = np.int32(
+                    (word & np.uint32(255))
+                    + ((word >> np.uint32(8)) & np.uint32(255))
+                    + ((word >> np.uint32(16)) & np.uint32(255))
+                    + (word >> np.uint32(24))
+                )
+                signal += np.sqrt(signal * shot + read) * (np.float32(total) - np.float32(510)) * norm
+            out[r, c] = np.uint8(min(np.float32(255), max(np.float32(0), signal + black)))
+
+
+@kernel
+def _spread_row(
+    row_signal: NDArray[np.float32],
+    column: int,
+    first: int,
+    last: int,
+    cores: NDArray[np.uint16],
+    weights: NDArray[np.uint8],
+    values: NDArray[np.float32],
+) -> None:
+    for p in range(first, last):
+        row_signal[column + p - first] += (
+            np.float32(weights[p, 0]) * values[cores[p, 0]]
+            + np.float32(weights[p, 1]) * values[cores[p, 1]]
+            + np.float32(weights[p, 2]) * values[cores[p, 2]]
+        )

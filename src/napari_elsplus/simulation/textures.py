@@ -1,0 +1,342 @@
+"""What a plane of tissue looks like: brightness at any point, made on demand.
+
+A texture is sampled on a grid in micrometres and draws its objects softened by that grid's step, so that coarse grids
+do not alias. Generators place their objects by hashing lattice cells: they have no edge, take no memory, and give the
+same tissue at the same place however the probe gets there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Protocol
+
+import cv2
+import numpy as np
+
+from napari_elsplus.compiled import kernel
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Axis = NDArray[np.float64]
+    Picture = NDArray[np.float32]
+
+
+class Texture(Protocol):
+    """Brightness of a plane."""
+
+    @property
+    def bounds_um(self) -> tuple[float, float, float, float] | None:
+        """First row, first column, last row, last column of a finite texture; None where it has no edge."""
+
+    def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
+        """Brightness on an even grid, shape (rows, cols)."""
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """The same brightness everywhere."""
+
+    bounds_um: None = None
+
+    def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
+        """Brightness on an even grid."""
+        return np.ones((len(rows_um), len(cols_um)), np.float32)
+
+
+@dataclass(frozen=True)
+class Fibres:
+    """Curved fibres, as in stained lens tissue.
+
+    Parameters
+    ----------
+    per_mm2 : float
+        Fibres per square millimetre (by their middles).
+    width_um : float
+        Mean width.
+    length_um : float
+        Mean length.
+    seed : int
+        Which tissue.
+    """
+
+    per_mm2: float = 60.0
+    width_um: float = 12.0
+    length_um: float = 500.0
+    seed: int = 0
+    bounds_um: None = None
+
+    def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
+        """Brightness on an even grid."""
+        out = np.zeros((len(rows_um), len(cols_um)), np.float32)
+        reach = 0.75 * self.length_um + 2 * self.width_um
+        cells = [
+            (int(np.floor((axis[0] - reach) / _CELL_UM)), int(np.floor((axis[-1] + reach) / _CELL_UM)))
+            for axis in (rows_um, cols_um)
+        ]
+        step = _step(rows_um)
+        for i in range(cells[0][0], cells[0][1] + 1):
+            for j in range(cells[1][0], cells[1][1] + 1):
+                for fibre in _fibres_of_cell(self, i, j):
+                    _draw_fibre(out, rows_um[0], cols_um[0], step, fibre)
+        return out
+
+
+_CELL_UM = 250.0
+_POINTS_PER_FIBRE = 9
+
+
+@lru_cache(maxsize=4096)
+def _fibres_of_cell(fibres: Fibres, i: int, j: int) -> list[Picture]:
+    """Fibres whose middle lies in a cell; each (points, 4): row, col, half width (um), brightness."""
+    rng = np.random.default_rng((fibres.seed, i + (1 << 31), j + (1 << 31)))
+    made = []
+    along = np.linspace(-0.5, 0.5, _POINTS_PER_FIBRE)
+    for _ in range(rng.poisson(fibres.per_mm2 * (_CELL_UM / 1000) ** 2)):
+        middle = (np.array([i, j]) + rng.random(2)) * _CELL_UM
+        length = fibres.length_um * rng.uniform(0.5, 1.5)
+        angle, bend = rng.uniform(0, np.pi), rng.normal(0, 0.5)
+        heading = angle + bend * along
+        path = np.cumsum(np.stack([np.sin(heading), np.cos(heading)], 1), 0) * (length / _POINTS_PER_FIBRE)
+        path += middle - path[_POINTS_PER_FIBRE // 2]
+        half_width = 0.5 * fibres.width_um * rng.uniform(0.6, 1.4)
+        rest = np.broadcast_to([half_width, rng.uniform(0.55, 1.0)], (_POINTS_PER_FIBRE, 2))
+        made.append(np.hstack([path, rest]).astype(np.float32))
+    return made
+
+
+@kernel
+def _draw_fibre(out: Picture, row0: float, col0: float, step: float, fibre: Picture) -> None:
+    half = fibre[0, 2]
+    bright = fibre[0, 3]
+    soft = max(step, 0.25 * half)
+    reach = half + soft
+    for k in range(len(fibre) - 1):
+        ay, ax, by, bx = fibre[k, 0], fibre[k, 1], fibre[k + 1, 0], fibre[k + 1, 1]
+        dy, dx = by - ay, bx - ax
+        inverse = 1 / (dy * dy + dx * dx)
+        first = max(0, int(np.ceil((min(ay, by) - reach - row0) / step)))
+        last = min(out.shape[0] - 1, int((max(ay, by) + reach - row0) / step))
+        left = max(0, int(np.ceil((min(ax, bx) - reach - col0) / step)))
+        right = min(out.shape[1] - 1, int((max(ax, bx) + reach - col0) / step))
+        for i in range(first, last + 1):
+            y = row0 + i * step - ay
+            for j in range(left, right + 1):
+                x = col0 + j * step - ax
+                t = min(1.0, max(0.0, (y * dy + x * dx) * inverse))
+                away = np.sqrt((y - t * dy) ** 2 + (x - t * dx) ** 2)
+                inside = min(1.0, max(0.0, 0.5 + (half - away) / soft))
+                value = bright * inside * (1 - 0.35 * min(1.0, (away / half) ** 2))
+                out[i, j] = max(out[i, j], value)
+
+
+@dataclass(frozen=True)
+class Nuclei:
+    """Bright nuclei on a dimmer, mottled cytoplasm, as acriflavine stains an epithelium.
+
+    Parameters
+    ----------
+    spacing_um : float
+        Mean distance of neighbouring nuclei.
+    radius_um : float
+        Mean radius of a nucleus.
+    seed : int
+        Which tissue.
+    """
+
+    spacing_um: float = 15.0
+    radius_um: float = 4.0
+    seed: int = 0
+    bounds_um: None = None
+
+    def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
+        """Brightness on an even grid."""
+        out = np.zeros((len(rows_um), len(cols_um)), np.float32)
+        _draw_mottle(out, rows_um[0], cols_um[0], _step(rows_um), 60.0, self.seed)
+        out *= 0.25
+        _draw_nuclei(out, rows_um[0], cols_um[0], _step(rows_um), self.spacing_um, self.radius_um, self.seed)
+        return out
+
+
+@dataclass(frozen=True)
+class Mottle:
+    """A ground of slowly varying brightness around 1.
+
+    Parameters
+    ----------
+    scale_um : float
+        Size of its patches.
+    seed : int
+        Which ground.
+    """
+
+    scale_um: float = 150.0
+    seed: int = 0
+    bounds_um: None = None
+
+    def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
+        """Brightness on an even grid."""
+        out = np.zeros((len(rows_um), len(cols_um)), np.float32)
+        _draw_mottle(out, rows_um[0], cols_um[0], _step(rows_um), self.scale_um, self.seed)
+        return 0.5 + out
+
+
+@kernel
+def _chance(i: int, j: int, salt: int) -> float:
+    """Uniform number in [0, 1) that belongs to a lattice cell: a 64-bit mix of its indices."""
+    word = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
+    word ^= np.uint64(salt) * np.uint64(0x165667B19E3779F9)
+    for _ in range(2):
+        word ^= word >> np.uint64(32)
+        word *= np.uint64(0xD6E8FEB86659FD93)
+    word ^= word >> np.uint64(32)
+    return float(word >> np.uint64(11)) / float(1 << 53)
+
+
+@kernel
+def _draw_mottle(out: Picture, row0: float, col0: float, step: float, scale: float, seed: int) -> None:
+    for i in range(out.shape[0]):
+        y = (row0 + i * step) / scale
+        iy = int(np.floor(y))
+        fy = y - iy
+        fy = fy * fy * (3 - 2 * fy)
+        for j in range(out.shape[1]):
+            x = (col0 + j * step) / scale
+            ix = int(np.floor(x))
+            fx = x - ix
+            fx = fx * fx * (3 - 2 * fx)
+            top = (1 - fx) * _chance(iy, ix, seed) + fx * _chance(iy, ix + 1, seed)
+            bottom = (1 - fx) * _chance(iy + 1, ix, seed) + fx * _chance(iy + 1, ix + 1, seed)
+            out[i, j] = (1 - fy) * top + fy * bottom
+
+
+@kernel
+def _draw_nuclei(out: Picture, row0: float, col0: float, step: float, spacing: float, radius: float, seed: int) -> None:
+    reach = 1.5 * radius + step
+    first_i = int(np.floor((row0 - reach) / spacing)) - 1
+    last_i = int(np.floor((row0 + (out.shape[0] - 1) * step + reach) / spacing)) + 1
+    first_j = int(np.floor((col0 - reach) / spacing)) - 1
+    last_j = int(np.floor((col0 + (out.shape[1] - 1) * step + reach) / spacing)) + 1
+    for ci in range(first_i, last_i + 1):
+        for cj in range(first_j, last_j + 1):
+            y0 = (ci + 0.15 + 0.7 * _chance(ci, cj, seed + 1)) * spacing
+            x0 = (cj + 0.5 * (ci & 1) + 0.15 + 0.7 * _chance(ci, cj, seed + 2)) * spacing
+            angle = np.pi * _chance(ci, cj, seed + 3)
+            a = radius * (0.75 + 0.6 * _chance(ci, cj, seed + 4))
+            b = a * (0.6 + 0.4 * _chance(ci, cj, seed + 5))
+            bright = 0.5 + 0.5 * _chance(ci, cj, seed + 6)
+            cos, sin = np.cos(angle), np.sin(angle)
+            soft = max(step, 0.3 * b)
+            top = max(0, int(np.ceil((y0 - a - soft - row0) / step)))
+            bottom = min(out.shape[0] - 1, int(np.floor((y0 + a + soft - row0) / step)))
+            left = max(0, int(np.ceil((x0 - a - soft - col0) / step)))
+            right = min(out.shape[1] - 1, int(np.floor((x0 + a + soft - col0) / step)))
+            for i in range(top, bottom + 1):
+                y = row0 + i * step - y0
+                for j in range(left, right + 1):
+                    x = col0 + j * step - x0
+                    along = (x * cos + y * sin) / a
+                    across = (y * cos - x * sin) / b
+                    inside = 0.5 + (1 - np.sqrt(along * along + across * across)) * b / soft
+                    out[i, j] = max(out[i, j], bright * min(1.0, max(0.0, inside)))
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Clear bars on an opaque ground, each (first row, first column, last row, last column) in micrometres."""
+
+    bars_um: tuple[tuple[float, float, float, float], ...]
+    bounds_um: None = None
+
+    def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
+        """Share of each grid cell that is clear."""
+        out = np.zeros((len(rows_um), len(cols_um)), np.float32)
+        for top, left, bottom, right in self.bars_um:
+            down, across = _covered(rows_um, top, bottom), _covered(cols_um, left, right)
+            if down.any() and across.any():
+                out += np.outer(down, across).astype(np.float32)
+        return out
+
+
+def usaf_1951(groups: tuple[int, ...] = (4, 5, 6, 7)) -> Bars:
+    """USAF 1951 target: three horizontal and three vertical bars of 2**(group + (element - 1) / 6) pairs/mm."""
+    bars: list[tuple[float, float, float, float]] = []
+    top = -240.0
+    for group in groups:
+        left = -250.0
+        tallest = 0.0
+        for element in range(1, 7):
+            width = 500 / 2 ** (group + (element - 1) / 6)
+            tallest = max(tallest, 5 * width)
+            for n in range(3):
+                bars.append((top + 2 * n * width, left, top + (2 * n + 1) * width, left + 5 * width))
+                bars.append((top, left + (6 + 2 * n) * width, top + 5 * width, left + (7 + 2 * n) * width))
+            left += 13 * width
+            if left > 250:
+                left = -250.0
+                top += tallest + 2 * width
+                tallest = 0.0
+        top += tallest + 8.0
+    return Bars(tuple(bars))
+
+
+class Image:
+    """A picture as a plane; the middle of the picture is the scene's origin.
+
+    Parameters
+    ----------
+    picture : numpy.ndarray
+        Grey image (rows, cols), any numeric type; brightness 1 at its largest value.
+    um_per_px : float
+        Micrometres per pixel of the picture.
+
+    Raises
+    ------
+    InputError
+        If it is no grey image, holds NaN, or is black.
+    """
+
+    def __init__(self, picture: NDArray[np.generic], um_per_px: float) -> None:
+        if picture.ndim != 2 or min(picture.shape) < 2:
+            raise InputError(f"a scene image of shape {picture.shape}", "give a grey image (rows, cols)")
+        if not um_per_px > 0:
+            raise InputError(f"the scene image has {um_per_px} um per pixel", "it must be a positive number")
+        values = np.ascontiguousarray(picture, dtype=np.float32)
+        largest = float(values.max())
+        if not (np.isfinite(values).all() and largest > 0):
+            raise InputError(f"the scene image's largest value is {largest}", "give an image with light in it")
+        self._picture: Picture = (np.maximum(values, 0) / largest).astype(np.float32)
+        self._um_per_px = um_per_px
+        half_rows, half_cols = (0.5 * (n - 1) * um_per_px for n in picture.shape)
+        self.bounds_um: tuple[float, float, float, float] | None = (-half_rows, -half_cols, half_rows, half_cols)
+        self._shrunk: dict[int, Picture] = {1: self._picture}
+
+    def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
+        """Brightness on an even grid, bilinear; beyond its edge the picture is mirrored."""
+        factor = max(1, int(_step(rows_um) / self._um_per_px))
+        if factor not in self._shrunk:
+            shape = [max(1, n // factor) for n in self._picture.shape]
+            cut = self._picture[: shape[0] * factor, : shape[1] * factor]
+            self._shrunk[factor] = cv2.resize(cut, (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
+        px = self._um_per_px
+        rows, cols = (
+            ((axis / px + 0.5 * (n - 1) + 0.5) / factor - 0.5).astype(np.float32)
+            for axis, n in zip((rows_um, cols_um), self._picture.shape, strict=True)
+        )
+        grid_cols, grid_rows = np.meshgrid(cols, rows)
+        return cv2.remap(  # type: ignore[no-any-return]
+            self._shrunk[factor], grid_cols, grid_rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
+        )
+
+
+def _step(axis_um: Axis) -> float:
+    return float(axis_um[1] - axis_um[0])
+
+
+def _covered(axis_um: Axis, first: float, last: float) -> Axis:
+    step = _step(axis_um)
+    return np.asarray(
+        np.clip(np.minimum(last, axis_um + step / 2) - np.maximum(first, axis_um - step / 2), 0, None) / step
+    )

@@ -1,0 +1,194 @@
+"""How the probe moves: its position over the scene against time, in micrometres (row, col)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Times = NDArray[np.float64]
+    Positions = NDArray[np.float64]
+
+
+class Trajectory(Protocol):
+    """A path of the probe's middle over the scene."""
+
+    def positions_um(self, times_s: Times) -> Positions:
+        """Row and column at each time, shape (n, 2)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Still:
+    """The probe rests."""
+
+    row_um: float = 0.0
+    col_um: float = 0.0
+
+    def positions_um(self, times_s: Times) -> Positions:
+        """Row and column at each time."""
+        return np.tile([self.row_um, self.col_um], (len(times_s), 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Straight:
+    """A straight, steady stroke; direction 0 runs along columns, 90 degrees down the rows."""
+
+    speed_um_s: float = 2000.0
+    direction_deg: float = 30.0
+
+    def positions_um(self, times_s: Times) -> Positions:
+        """Row and column at each time."""
+        angle = np.deg2rad(self.direction_deg)
+        return np.outer(self.speed_um_s * times_s, [np.sin(angle), np.cos(angle)])
+
+
+@dataclass(frozen=True, slots=True)
+class Raster:
+    """Lines to and fro with rounded turns: half circles whose diameter is the pitch of the lines."""
+
+    speed_um_s: float = 2000.0
+    width_um: float = 1500.0
+    pitch_um: float = 250.0
+
+    def positions_um(self, times_s: Times) -> Positions:
+        """Row and column at each time."""
+        turn = np.pi * self.pitch_um / 2
+        line, along = np.divmod(self.speed_um_s * times_s, self.width_um + turn)
+        angle = np.clip(along - self.width_um, 0, None) / (self.pitch_um / 2)
+        row = line * self.pitch_um + 0.5 * self.pitch_um * (1 - np.cos(angle))
+        col = np.minimum(along, self.width_um) + 0.5 * self.pitch_um * np.sin(angle)
+        return np.stack([row, np.where(line % 2 == 0, col, self.width_um - col)], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Spiral:
+    """An Archimedean spiral outwards at a steady speed."""
+
+    speed_um_s: float = 2000.0
+    pitch_um: float = 200.0
+
+    def positions_um(self, times_s: Times) -> Positions:
+        """Row and column at each time."""
+        per_radian = self.pitch_um / (2 * np.pi)
+        path = self.speed_um_s * times_s / per_radian
+        # arc length of r = a * angle: angle^2 / 2 far out; the start is smoothed so that the speed stays finite
+        angle = np.sqrt(2 * path + 1) - 1
+        radius = per_radian * angle
+        return np.stack([radius * np.sin(angle), radius * np.cos(angle)], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class HandHeld:
+    """A slow wandering of the hand with physiological tremor (8 to 12 Hz) on top.
+
+    Parameters
+    ----------
+    speed_um_s : float
+        Root-mean-square speed of the wandering.
+    tremor_um : float
+        Root-mean-square amplitude of the tremor, each axis.
+    seed : int
+        Which hand.
+    """
+
+    speed_um_s: float = 1500.0
+    tremor_um: float = 15.0
+    seed: int = 0
+
+    def positions_um(self, times_s: Times) -> Positions:
+        """Row and column at each time."""
+        rng = np.random.default_rng(self.seed)
+        wander_hz = rng.uniform(0.1, 0.7, (6, 2))
+        tremor_hz = rng.uniform(8, 12, (4, 2))
+        wander_phase, tremor_phase = rng.uniform(0, 2 * np.pi, (6, 2)), rng.uniform(0, 2 * np.pi, (4, 2))
+        # each of n sines of amplitude A_i has rms speed 2 pi f_i A_i / sqrt 2; both axes share the speed
+        wander = self.speed_um_s / (2 * np.pi * wander_hz * np.sqrt(6))
+        tremor = self.tremor_um * np.sqrt(2 / 4)
+
+        def at(times: Times) -> Positions:
+            t = 2 * np.pi * times[:, None, None]
+            slow = (wander * np.sin(t * wander_hz + wander_phase)).sum(1)
+            fast = (tremor * np.sin(t * tremor_hz + tremor_phase)).sum(1)
+            return np.asarray(slow + fast)
+
+        return at(times_s) - at(np.zeros(1))
+
+
+class Recorded:
+    """A recorded path, interpolated linearly.
+
+    Parameters
+    ----------
+    times_s : numpy.ndarray
+        Increasing times.
+    positions_um : numpy.ndarray
+        (n, 2) row and column.
+
+    Raises
+    ------
+    InputError
+        If the times do not increase or a number is not finite.
+    """
+
+    def __init__(self, times_s: Times, positions_um: Positions) -> None:
+        if len(times_s) < 2 or positions_um.shape != (len(times_s), 2):
+            raise InputError(
+                f"a recorded path of {len(times_s)} points", "give two or more, each with a row and a column"
+            )
+        if not (np.isfinite(times_s).all() and np.isfinite(positions_um).all()):
+            raise InputError("the recorded path holds NaN or infinite numbers", "leave those points out")
+        if not (np.diff(times_s) > 0).all():
+            first = int(np.argmin(np.diff(times_s) > 0)) + 1
+            raise InputError(
+                f"the recorded path's time {times_s[first]} s does not follow {times_s[first - 1]} s", "sort it"
+            )
+        self._times_s, self._positions_um = times_s, positions_um
+
+    def positions_um(self, times_s: Times) -> Positions:
+        """Row and column at each time.
+
+        Raises
+        ------
+        InputError
+            If a time lies outside the recorded path.
+        """
+        first, last = self._times_s[0], self._times_s[-1]
+        slack = 1e-9 + 1e-6 * (last - first)
+        if len(times_s) and (times_s[0] < first - slack or times_s[-1] > last + slack):
+            outside = times_s[0] if times_s[0] < first - slack else times_s[-1]
+            raise InputError(
+                f"the recorded path spans {first:.4g} to {last:.4g} s, a frame needs {outside:.4g} s",
+                "take fewer frames",
+            )
+        return np.stack([np.interp(times_s, self._times_s, axis) for axis in self._positions_um.T], axis=1)
+
+
+PATHS = ("still", "straight", "raster", "spiral", "hand")
+
+
+def trajectory(name: str, *, speed_um_s: float = 2000.0, seed: int = 0) -> Trajectory:
+    """Return the path of that name.
+
+    Raises
+    ------
+    InputError
+        If there is none, or the speed is not finite.
+    """
+    if not (np.isfinite(speed_um_s) and speed_um_s >= 0):
+        raise InputError(f"the probe's speed is {speed_um_s} um/s", "it must be zero or more")
+    paths: dict[str, Trajectory] = {
+        "still": Still(),
+        "straight": Straight(speed_um_s),
+        "raster": Raster(speed_um_s),
+        "spiral": Spiral(speed_um_s),
+        "hand": HandHeld(speed_um_s, seed=seed),
+    }
+    if name not in paths:
+        raise InputError(f"there is no path {name!r}", f"choose one of {', '.join(PATHS)} or a CSV file")
+    return paths[name]
