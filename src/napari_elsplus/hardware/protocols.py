@@ -1,0 +1,206 @@
+"""What the software asks of a camera and of a mirror, and no more.
+
+Anything that keeps these two protocols can be driven: the USB3 Vision camera and the National Instruments card of this
+package, their virtual stand-ins, or a driver of the user's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
+
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from napari_elsplus.hardware.waveform import Waveform
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """The part of the sensor that is read.
+
+    Parameters
+    ----------
+    row, col : int
+        Sensor pixel where it begins.
+    rows, cols : int
+        Its size.
+
+    Raises
+    ------
+    InputError
+        If it is empty or begins outside the sensor.
+    """
+
+    row: int
+    col: int
+    rows: int
+    cols: int
+
+    def __post_init__(self) -> None:
+        if min(self.row, self.col) < 0 or min(self.rows, self.cols) < 1:
+            raise InputError(
+                f"a camera region of {self.rows} x {self.cols} at {self.row}, {self.col}",
+                "it must begin on the sensor and hold at least one pixel",
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of a frame."""
+        return self.rows, self.cols
+
+
+@dataclass(frozen=True, slots=True)
+class FrameInfo:
+    """When a frame was taken, and which one it is.
+
+    Parameters
+    ----------
+    frame_number : int
+        The camera's own count since `Camera.start`; a jump by more than one means that frames are missing.
+    time_s : float
+        When the frame's last byte reached this computer, on the clock of `time.perf_counter`.
+    exposed_s : float
+        When its first row was read, on the camera's clock: even spacing, arbitrary zero.
+    """
+
+    frame_number: int
+    time_s: float
+    exposed_s: float
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """A rolling-shutter camera. A context manager: leaving it stops and closes the camera."""
+
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """Rows and columns of a frame, as configured."""
+
+    @property
+    def line_period_s(self) -> float:
+        """Seconds from the readout of one row to that of the next."""
+
+    @property
+    def rows_per_frame(self) -> float:
+        """Line periods from one frame to the next, idle time included."""
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """Frames lost since `start`, by cause."""
+
+    def configure(self, region: Region, *, slit_rows: int, frame_rate_hz: float, gain_db: float = 0.0) -> None:
+        """Set region, exposure (the rolling slit's width in rows), frame rate and gain; switch the strobe output on.
+
+        Raises
+        ------
+        InputError
+            If the camera cannot do that; says which limit it has.
+        DeviceError
+            If the camera is streaming, or does not answer.
+        """
+
+    def start(self) -> None:
+        """Begin to stream.
+
+        Raises
+        ------
+        DeviceError
+            If the camera does not answer, or was not configured.
+        """
+
+    def read_into(self, buffer: NDArray[np.uint8], timeout_s: float) -> FrameInfo:
+        """Fill the caller's buffer with the oldest frame that was not read yet.
+
+        Parameters
+        ----------
+        buffer : numpy.ndarray
+            C-contiguous uint8 of `frame_shape`; written only when the call succeeds.
+        timeout_s : float
+            How long to wait.
+
+        Raises
+        ------
+        TimeoutError
+            If no frame came in time; the camera still streams.
+        DeviceError
+            If the camera was unplugged or failed; the stream has ended.
+        """
+
+    def stop(self) -> None:
+        """End the stream; frames not read yet are discarded. Does nothing if the camera does not stream."""
+
+    def close(self) -> None:
+        """Stop, and let the camera go. Never raises because the camera is gone."""
+
+    def __enter__(self) -> Self:
+        """Return the camera."""
+
+    def __exit__(self, *reason: object) -> Any:
+        """Close the camera."""
+
+
+@runtime_checkable
+class Scanner(Protocol):
+    """A mirror that puts the laser line onto a row. A context manager: leaving it parks the mirror and lets it go.
+
+    After a fault the scanner has stopped and parked itself; `check` says what happened, until the next `hold` or `scan`.
+    """
+
+    @property
+    def ramps_done(self) -> int:
+        """Ramps that the card put out since `scan`: one for every strobe that it saw."""
+
+    def hold(self, volts: float) -> None:
+        """Let the line stand; after the rig's time limit the mirror parks by itself.
+
+        Raises
+        ------
+        InputError
+            If the voltage is outside the rig's limits; nothing was put out.
+        DeviceError
+            If the card fails.
+        """
+
+    def scan(self, waveform: Waveform) -> None:
+        """Put the waveform out, one ramp after each strobe, until the next call.
+
+        Raises
+        ------
+        InputError
+            If the waveform leaves the rig's limits; nothing was put out.
+        DeviceError
+            If the card fails.
+        """
+
+    def check(self) -> None:
+        """Raise what has gone wrong since the last `hold` or `scan`.
+
+        Raises
+        ------
+        DeviceError
+            Strobe lost, underrun, card gone, or a hold that went on too long; the mirror was parked.
+        """
+
+    def park(self) -> None:
+        """Stop the scan and take the line off the bundle.
+
+        Raises
+        ------
+        DeviceError
+            If the card cannot be reached any more.
+        """
+
+    def close(self) -> None:
+        """Park, and let the card go. Never raises because the card is gone."""
+
+    def __enter__(self) -> Self:
+        """Return the scanner."""
+
+    def __exit__(self, *reason: object) -> Any:
+        """Park and close."""

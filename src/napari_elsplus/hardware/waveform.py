@@ -1,0 +1,383 @@
+"""The mirror's voltage over one frame: a ramp while anything is exposed, a smooth flyback while nothing is.
+
+Row r is read at t0 + r T and exposed over the E = N T before, so the slit's centre is at row(t) = (t - t0 + E/2) / T;
+the line has to be there from the first exposed row of either image to the last. What is left of the frame period is
+the mirror's time to fly back: ``rows_per_frame - (diameter + |offset_rows| + slit_rows)`` line periods. The drive runs
+ahead of the mirror by its lag; where the mirror's resonance is known, the drive also carries what that resonance takes
+away, so that the line is on the slit from the first row on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import ceil, floor, isfinite, pi, sqrt
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import BundleSection, Calibration, GalvoSection
+
+    Volts = NDArray[np.float64]
+
+SAMPLE_RATE_HZ: Final = 250_000.0
+"""Analog output rate of the authors' card."""
+MIN_SAMPLE_RATE_HZ: Final = 20_000.0
+"""Steps of the output must be far faster than the mirror's resonance, which then smooths them away."""
+REARM_S: Final = 16e-6
+"""The counter is deaf for so long before the next strobe; the last sample is held."""
+TURN_S: Final = 1.5e-3
+LEAD_IN_S: Final = 0.6e-3
+"""With time to spare the mirror turns, rests above the image and runs up again, instead of flying through."""
+
+
+class StrobePhase(StrEnum):
+    """What the camera's strobe marks: the first row's exposure, or its readout."""
+
+    EXPOSURE = "exposure"
+    READOUT = "readout"
+
+
+@dataclass(frozen=True, slots=True)
+class MirrorLimits:
+    """What mirror and card may be asked for; outside it the software refuses before anything is put out.
+
+    Parameters
+    ----------
+    min_v, max_v : float
+        Range of the drive.
+    max_slew_v_per_s, max_acceleration_v_per_s2 : float
+        Of the mirror's motion, in drive volts.
+    card_samples : int
+        Samples that the card keeps and repeats by itself.
+    natural_hz : float, optional
+        The mirror's resonance (small angle); unknown: only its lag is compensated.
+    damping : float
+        Of that resonance.
+    """
+
+    min_v: float = -2.0
+    max_v: float = 2.0
+    max_slew_v_per_s: float = 1.0e4
+    max_acceleration_v_per_s2: float = 5.0e7
+    card_samples: int = 8191
+    natural_hz: float | None = None
+    damping: float = 0.7
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.min_v) and isfinite(self.max_v) and -10 <= self.min_v < self.max_v <= 10):
+            raise InputError(f"the mirror's range is {self.min_v} to {self.max_v} V", "it must lie within -10 to 10 V")
+        for name in ("max_slew_v_per_s", "max_acceleration_v_per_s2", "card_samples", "damping"):
+            if not (isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError(f"{name} is {getattr(self, name)}", "it must be a positive number")
+
+    def check(self, volts: float | Volts, what: str = "the mirror") -> None:
+        """Refuse what lies outside the range.
+
+        Raises
+        ------
+        InputError
+            With the worst voltage.
+        """
+        low, high = float(np.min(volts)), float(np.max(volts))
+        if not (low >= self.min_v and high <= self.max_v):
+            worst = high if high > self.max_v else low
+            raise InputError(
+                f"{worst:.4g} V asked of {what}",
+                f"the rig's limits are {self.min_v:g} to {self.max_v:g} V: check the calibration, or the rig's file",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class ScanTiming:
+    """When which row is exposed, counted from the strobe.
+
+    Parameters
+    ----------
+    line_period_s, rows_per_frame : float
+        As the camera reports them.
+    slit_rows : int
+        Exposure in line periods.
+    strobe : StrobePhase
+        What the strobe marks.
+    """
+
+    line_period_s: float
+    rows_per_frame: float
+    slit_rows: int
+    strobe: StrobePhase = StrobePhase.EXPOSURE
+
+    @property
+    def frame_period_s(self) -> float:
+        """Seconds from strobe to strobe."""
+        return self.rows_per_frame * self.line_period_s
+
+    @property
+    def row_zero_s(self) -> float:
+        """Readout of row 0 after the strobe's edge."""
+        return self.slit_rows * self.line_period_s if self.strobe is StrobePhase.EXPOSURE else 0.0
+
+    def slit_row(self, time_s: Volts) -> Volts:
+        """Row on which the slit is centred, a time after the strobe."""
+        return (time_s - self.row_zero_s) / self.line_period_s + self.slit_rows / 2
+
+    def time_s(self, slit_row: float) -> float:
+        """When the slit is centred on a row, after the strobe."""
+        return self.row_zero_s + (slit_row - self.slit_rows / 2) * self.line_period_s
+
+
+@dataclass(frozen=True, slots=True)
+class Waveform:
+    """What the card repeats: one ramp after each strobe.
+
+    Parameters
+    ----------
+    volts : numpy.ndarray
+        Samples of all ramps, one after the other.
+    ramps : int
+        1: every frame alike; 2: ELSA's confocal and residual ramp in turn.
+    sample_rate_hz : float
+        Samples per second.
+    frame_period_s : float
+        Seconds between strobes for which it was made.
+    """
+
+    volts: Volts
+    ramps: int
+    sample_rate_hz: float
+    frame_period_s: float
+
+    @property
+    def samples_per_ramp(self) -> int:
+        """Samples after one strobe."""
+        return len(self.volts) // self.ramps
+
+
+def exposed_rows(bundle: BundleSection, *, residual: bool = True) -> tuple[float, float]:
+    """First and last row on which either bundle image lies, of the confocal one alone without `residual`."""
+    centres = [bundle.confocal_centre[0]] + ([bundle.residual_centre[0]] if residual else [])
+    radius = bundle.diameter_px / 2
+    return min(centres) - radius, max(centres) + radius
+
+
+def els_waveform(calibration: Calibration, timing: ScanTiming, limits: MirrorLimits) -> Waveform:
+    """Build the ramp for ELS+: every frame holds the confocal and the residual image.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        With galvo and bundle sections.
+    timing : ScanTiming
+        From the camera.
+    limits : MirrorLimits
+        From the rig.
+
+    Raises
+    ------
+    CalibrationError
+        If the galvo or the bundle was not measured.
+    InputError
+        If the flyback does not fit the time in which neither image is exposed; says by how much, and which offset or
+        frame rate would fit.
+
+    Examples
+    --------
+    >>> from napari_elsplus.calibration import Calibration
+    >>> bundle = {"diameter_px": 650, "confocal_centre": [540, 330], "residual_centre": [510, 990],
+    ...           "residual_to_confocal": [[1, 0, 30], [0, 1, -660]]}
+    >>> galvo = {"volts_per_row": 0.00126, "volts_at_row_zero": -0.459, "r_squared": 1, "rms_rows": 0, "lag_s": 2e-4}
+    >>> waveform = els_waveform(
+    ...     Calibration.parse({"bundle": bundle, "galvo": galvo}),
+    ...     ScanTiming(7.648e-6, 1089.6, slit_rows=3),
+    ...     MirrorLimits(),
+    ... )
+    >>> waveform.samples_per_ramp
+    2079
+    """
+    calibration.require("galvo", "bundle")
+    assert calibration.galvo is not None
+    assert calibration.bundle is not None
+    rows = exposed_rows(calibration.bundle)
+    offset = calibration.bundle.residual_centre[0] - calibration.bundle.confocal_centre[0]
+    _refuse_without_time(calibration.galvo, rows[1] - rows[0], offset, timing, limits)
+    return ramp_waveform(calibration.galvo, rows, timing, limits)
+
+
+def elsa_waveform(calibration: Calibration, timing: ScanTiming, limits: MirrorLimits) -> Waveform:
+    """Build ELSA's two ramps on the confocal image: line on the slit, then `offset_rows` away, in successive frames.
+
+    Raises
+    ------
+    CalibrationError
+        If galvo, bundle or offset was not measured.
+    InputError
+        If the flyback does not fit.
+    """
+    calibration.require("galvo", "bundle", "offset")
+    assert calibration.galvo is not None
+    assert calibration.bundle is not None
+    assert calibration.offset is not None
+    rows = exposed_rows(calibration.bundle, residual=False)
+    return ramp_waveform(calibration.galvo, rows, timing, limits, shifts_rows=(0.0, calibration.offset.rows))
+
+
+def ramp_waveform(
+    galvo: GalvoSection,
+    rows: tuple[float, float],
+    timing: ScanTiming,
+    limits: MirrorLimits,
+    shifts_rows: tuple[float, ...] = (0.0,),
+) -> Waveform:
+    """Build ramps over given rows: the line on the slit, shifted by so many rows, one ramp per shift.
+
+    Raises
+    ------
+    InputError
+        If slew, acceleration or voltage would leave the limits, or the card's memory is too small.
+    """
+    period, count = timing.frame_period_s, len(shifts_rows)
+    rate = min(SAMPLE_RATE_HZ, limits.card_samples / (count * (period - REARM_S)))
+    if rate < MIN_SAMPLE_RATE_HZ:
+        raise InputError(
+            f"{1 / period:.3g} frames per second need a ramp longer than the card's {limits.card_samples} samples",
+            f"take at least {MIN_SAMPLE_RATE_HZ * count / limits.card_samples:.3g} frames per second",
+        )
+    samples = floor((period - REARM_S) * rate + 1e-9)
+    natural = 2 * pi * limits.natural_hz if limits.natural_hz else None
+    carried = 2 * limits.damping / natural if natural else 0.0  # the lag that the resonance itself causes
+    begin, end = timing.time_s(rows[0] - 0.5 * timing.slit_rows), timing.time_s(rows[1] + 0.5 * timing.slit_rows)
+    path = _Path(begin, end, timing, shifts_rows)
+    held = (np.arange(samples) + 0.5) / rate  # a sample's value stands for its middle
+    times = (np.arange(count)[:, None] * period + held).ravel() + galvo.lag_s - carried
+    where, speed, acceleration = path(times)
+    slope = galvo.volts_per_row
+    drive = where + (carried * speed + acceleration / natural**2 if natural else 0.0)
+    _refuse_too_fast(abs(slope) * np.abs(speed).max(), abs(slope) * np.abs(acceleration).max(), limits)
+    volts = np.asarray(galvo.volts(drive))
+    limits.check(volts, "the scan")
+    return Waveform(volts, count, rate, period)
+
+
+class _Path:
+    """Row of the line against time over all ramps: on the slit while rows are exposed, smooth throughout."""
+
+    def __init__(self, begin_s: float, end_s: float, timing: ScanTiming, shifts_rows: tuple[float, ...]) -> None:
+        self.timing, self.shifts = timing, shifts_rows
+        self.begin_s, self.end_s = begin_s, end_s
+        self.speed = 1 / timing.line_period_s
+        self.free_s = timing.frame_period_s - (end_s - begin_s)
+        if self.free_s <= 0:
+            raise InputError(
+                f"{(end_s - begin_s) * self.speed:.0f} rows are exposed in a frame of {timing.rows_per_frame:.1f}",
+                "nothing is left for the flyback: choose a lower frame rate",
+            )
+
+    def __call__(self, times_s: Volts) -> tuple[Volts, Volts, Volts]:
+        """Row, rows per second, rows per second squared."""
+        period = self.timing.frame_period_s
+        frame = np.floor((times_s - self.begin_s) / period)
+        t = times_s - frame * period  # from begin_s on
+        shift = np.asarray(self.shifts)
+        here = shift[frame.astype(int) % len(shift)]
+        there = shift[(frame.astype(int) + 1) % len(shift)]
+        on_slit = self.timing.slit_row(t)
+        top, bottom = self.timing.slit_row(np.array([self.begin_s, self.end_s]))
+        back = t - self.end_s
+        turn = (back >= 0) & (back < self._turn_s)
+        lead = back >= self.free_s - self._lead_s
+        rest = (back >= self._turn_s) & ~lead
+        row, speed, bend = on_slit + here, np.full_like(t, self.speed), np.zeros_like(t)
+        if not self._rests:
+            fly = back >= 0
+            row[fly], speed[fly], bend[fly] = _quintic(
+                back[fly] / self.free_s, self.free_s, bottom + here[fly], self.speed, top + there[fly], self.speed
+            )
+            return row, speed, bend
+        resting = top + there - self.speed * self._lead_s / 2
+        row[turn], speed[turn], bend[turn] = _quintic(
+            back[turn] / self._turn_s, self._turn_s, bottom + here[turn], self.speed, resting[turn], 0.0
+        )
+        row[rest], speed[rest] = resting[rest], 0.0
+        run = (back[lead] - (self.free_s - self._lead_s)) / self._lead_s
+        row[lead], speed[lead], bend[lead] = _quintic(
+            run, self._lead_s, resting[lead], 0.0, top + there[lead], self.speed
+        )
+        return row, speed, bend
+
+    @property
+    def _rests(self) -> bool:
+        return self.free_s >= TURN_S + LEAD_IN_S
+
+    @property
+    def _turn_s(self) -> float:
+        return TURN_S if self._rests else self.free_s
+
+    @property
+    def _lead_s(self) -> float:
+        return LEAD_IN_S if self._rests else 0.0
+
+
+def _quintic(
+    u: Volts, span_s: float, start: Volts, start_speed: float, end: Volts, end_speed: float
+) -> tuple[Volts, Volts, Volts]:
+    """Smoothest path (least jerk) between two rows and speeds, unaccelerated at both ends; `u` runs from 0 to 1."""
+    v0, v1 = start_speed * span_s, end_speed * span_s
+    way = end - start
+    c3, c4, c5 = 10 * way - 6 * v0 - 4 * v1, -15 * way + 8 * v0 + 7 * v1, 6 * way - 3 * v0 - 3 * v1
+    row = start + u * (v0 + u * u * (c3 + u * (c4 + u * c5)))
+    speed = (v0 + u * u * (3 * c3 + u * (4 * c4 + 5 * u * c5))) / span_s
+    bend = u * (6 * c3 + u * (12 * c4 + 20 * u * c5)) / span_s**2
+    return row, speed, bend
+
+
+def _refuse_too_fast(slew: float, acceleration: float, limits: MirrorLimits) -> None:
+    if slew > limits.max_slew_v_per_s or acceleration > limits.max_acceleration_v_per_s2:
+        raise InputError(
+            f"the flyback would need {slew:.3g} V/s and {acceleration:.3g} V/s2",
+            f"the mirror's limits are {limits.max_slew_v_per_s:.3g} V/s and {limits.max_acceleration_v_per_s2:.3g} "
+            "V/s2: choose a lower frame rate",
+        )
+
+
+def flyback_rows(galvo: GalvoSection, exposed: float, limits: MirrorLimits, timing: ScanTiming) -> float:
+    """Line periods that the mirror needs to fly back over a number of exposed rows, slit included.
+
+    The path is the least-jerk one, whose peak speed is 15/8 and whose peak acceleration is 10/sqrt(3) of way over time
+    and way over time squared; the way is seen from the moving slit, so it grows with the time taken.
+    """
+    line, slope = timing.line_period_s, abs(galvo.volts_per_row)
+    speed = 1 / line
+    slew_rows, bend_rows = limits.max_slew_v_per_s / slope, limits.max_acceleration_v_per_s2 / slope
+    if 1.875 * speed >= slew_rows + speed:
+        return float("inf")
+    by_slew = 1.875 * exposed / (slew_rows - 0.875 * speed)
+    k = 10 / sqrt(3) / bend_rows  # time^2 = k (exposed + speed time)
+    by_bend = 0.5 * (k * speed + sqrt((k * speed) ** 2 + 4 * k * exposed))
+    return max(by_slew, by_bend) / line
+
+
+def _refuse_without_time(
+    galvo: GalvoSection, span: float, offset: float, timing: ScanTiming, limits: MirrorLimits
+) -> None:
+    exposed = span + timing.slit_rows
+    free, needed = timing.rows_per_frame - exposed, flyback_rows(galvo, exposed, limits, timing)
+    if free >= needed:
+        return
+    wrong = (
+        f"the mirror needs {needed:.1f} rows ({needed * timing.line_period_s * 1e3:.2f} ms) to fly back and has "
+        f"{free:.1f} ({free * timing.line_period_s * 1e3:.2f} ms) while neither image is exposed"
+    )
+    slower = floor(1 / (timing.line_period_s * (exposed + needed))) if isfinite(needed) else 0
+    within = [
+        candidate
+        for candidate in range(ceil(abs(offset)))
+        if timing.rows_per_frame - (exposed - abs(offset) + candidate)
+        >= flyback_rows(galvo, exposed - abs(offset) + candidate, limits, timing)
+    ]
+    choice = f"an offset of at most {within[-1]} rows (it is {abs(offset):.1f})" if within else "no offset"
+    raise InputError(wrong, f"{choice} would fit this frame rate; this offset fits {slower} frames per second")
