@@ -149,7 +149,8 @@ class Camera(Protocol):
 class Scanner(Protocol):
     """A mirror that puts the laser line onto a row. A context manager: leaving it parks the mirror and lets it go.
 
-    After a fault the scanner has stopped and parked itself; `check` says what happened, until the next `hold` or `scan`.
+    After a fault the scanner has stopped and parked by itself;
+    `check` says what happened, until the next `hold` or `scan`.
     """
 
     @property
