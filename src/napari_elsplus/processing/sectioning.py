@@ -191,7 +191,7 @@ class _View:
             self._on_sensor[...] = raw[self._in_frame]
         else:
             np.subtract(raw[self._in_frame], self._background, out=self._on_sensor, casting="unsafe")
-        return np.multiply(self._resampler(), self._brightness, out=out)
+        return np.multiply(self._resampler(out), self._brightness, out=out)
 
 
 def _check_fits(calibration: Calibration, frame_shape: tuple[int, int]) -> None:

@@ -1,0 +1,34 @@
+"""``compare``: LS, ELSA and ELS+ of one moment side by side."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option
+from napari_elsplus.figures.comparison import TITLES, compare, draw_comparison
+from napari_elsplus.figures.files import save_figure
+from napari_elsplus.io import open_recording, read_calibration
+from napari_elsplus.processing.quality import contrast
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@click.command()
+@click.argument("raw", type=FILE)
+@calibration_option
+@click.option("--frame", default=0, show_default=True, help="Which raw frame; ELSA also takes the next.")
+@output_option
+@force_option
+def command(raw: Path, calibration: Path, frame: int, output: Path, force: bool) -> None:
+    """Draw LS, ELSA and ELS+ of one frame of RAW with a line profile, scaled as the paper scales them."""
+    record = read_calibration(calibration)
+    with open_recording(raw) as recording:
+        comparison = compare(recording, record, frame)
+    um_per_px = None if record.optics is None else record.optics.um_per_px
+    save_figure(draw_comparison(comparison, um_per_px), output, force=force)
+    for mode, title in TITLES.items():
+        levels = contrast(comparison.images[mode], comparison.inside)
+        click.echo(f"{title:5} contrast {levels.michelson:.3f}, background {levels.background:.3f} of white")

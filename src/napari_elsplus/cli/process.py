@@ -1,0 +1,56 @@
+"""``process``: raw frames to LS, residual, ELS+ or ELSA images."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress
+from napari_elsplus.io import open_recording, read_calibration, write_stack
+from napari_elsplus.pipeline import Images
+from napari_elsplus.processing.cores import CoreFilter
+from napari_elsplus.processing.sectioning import Mode
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@click.command()
+@click.argument("raw", type=FILE)
+@calibration_option
+@click.option(
+    "--mode",
+    type=click.Choice([mode.value for mode in Mode]),
+    default=Mode.ELS.value,
+    show_default=True,
+    help="Confocal (ls), aligned residual, their difference in one frame (els, ELS+) or in successive frames (elsa).",
+)
+@click.option(
+    "--cores",
+    type=click.Choice([kind.value for kind in CoreFilter]),
+    default=CoreFilter.NONE.value,
+    show_default=True,
+    help="How the core pattern is suppressed.",
+)
+@click.option("--flat-field", is_flag=True, help="Divide by the calibration's flat field.")
+@output_option
+@force_option
+def command(raw: Path, calibration: Path, mode: str, cores: str, flat_field: bool, output: Path, force: bool) -> None:
+    """Section the raw frames of RAW: float32 grey levels, signed, written as OME-TIFF (T, n, n)."""
+    record = read_calibration(calibration)
+    with open_recording(raw) as recording:
+        images = Images(recording, record, mode, cores=cores, flat_field=flat_field)
+        optics = record.optics
+        frame_period_s = None
+        if optics is not None and optics.line_period_s is not None and optics.rows_per_frame is not None:
+            frame_period_s = optics.line_period_s * optics.rows_per_frame * (len(recording) // len(images))
+        write_stack(
+            output,
+            progress(images, describe=mode, total=len(images)),
+            um_per_px=None if optics is None else optics.um_per_px,
+            frame_period_s=frame_period_s,
+            calibration=record,
+            force=force,
+        )
+    click.echo(f"{output}: {len(images)} {mode} images of {images.side} x {images.side} px")

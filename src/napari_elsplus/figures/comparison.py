@@ -1,0 +1,137 @@
+"""LS, ELSA and ELS+ of one moment side by side, with a line profile: the paper's lens-paper figure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.processing.quality import USED_DIAMETER, contrast, white_level
+from napari_elsplus.processing.sectioning import Frames, Mode, Sectioner, disc
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+
+TITLES: Final = {Mode.LS: "LS", Mode.ELSA: "ELSA", Mode.ELS: "ELS+"}
+COLOURS: Final = {Mode.LS: "#0072b2", Mode.ELSA: "#e69f00", Mode.ELS: "#009e73"}
+"""Okabe and Ito's, told apart by colour-blind eyes."""
+_PROFILE_WIDTH_PX: Final = 5
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The three images of one moment, scaled as the paper scales them.
+
+    Attributes
+    ----------
+    images : dict
+        Mode to (n, n) float32: 1 is white. LS and ELS+ are each scaled to 0.01 % saturation, ELSA by ELS+'s factor.
+    inside : numpy.ndarray
+        (n, n) bool: the 90 % disc, in which they are scaled and shown.
+    profile_row : int
+        Row of the line profile.
+    """
+
+    images: dict[Mode, NDArray[np.float32]]
+    inside: NDArray[np.bool_]
+    profile_row: int
+
+    def profile(self, mode: Mode) -> NDArray[np.float32]:
+        """Mean of five rows about the profile's row, (n,); not-a-number outside of the disc."""
+        half = _PROFILE_WIDTH_PX // 2
+        rows = slice(self.profile_row - half, self.profile_row + half + 1)
+        mean: NDArray[np.float32] = self.images[mode][rows].mean(axis=0)
+        return np.where(self.inside[self.profile_row], mean, np.float32(np.nan))
+
+
+def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> Comparison:
+    """Make LS, ELSA and ELS+ of one raw frame; ELSA's residual is the next frame's.
+
+    Parameters
+    ----------
+    raw : Frames
+        Raw frames (rows, cols).
+    calibration : Calibration
+        Of the rig that made them.
+    frame : int
+        Which frame; it must not be the last, for ELSA needs the one after it.
+
+    Raises
+    ------
+    InputError
+        If the frame, or the one after it, is not there.
+    CalibrationError
+        If the calibration does not fit the recording.
+    """
+    if not 0 <= frame < len(raw) - 1:
+        raise InputError(
+            f"frame {frame} and the one after it are needed, the recording has {len(raw)} frames",
+            f"choose a frame from 0 to {len(raw) - 2}" if len(raw) > 1 else "record at least two",
+        )
+    rows, cols = raw[frame].shape
+    sectioner = Sectioner(calibration, (rows, cols))
+    images = {
+        Mode.LS: sectioner.ls(raw[frame]),
+        Mode.ELSA: sectioner.elsa(raw[frame], raw[frame + 1]),
+        Mode.ELS: sectioner.els(raw[frame]),
+    }
+    inside = disc(sectioner.side, USED_DIAMETER * sectioner.diameter_px)
+    white = {mode: white_level(images[mode], inside) for mode in (Mode.LS, Mode.ELS)}
+    white[Mode.ELSA] = white[Mode.ELS]
+    scaled = {mode: image / np.float32(white[mode]) for mode, image in images.items()}
+    return Comparison(scaled, inside, sectioner.side // 2)
+
+
+def draw_comparison(comparison: Comparison, um_per_px: float | None = None) -> Figure:
+    """Draw the three images and their profiles along one line.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What :func:`compare` made.
+    um_per_px : float, optional
+        For the scale bar and the profile's axis; pixels where it is unknown.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        To be saved; it belongs to no screen.
+    """
+    figure = Figure(figsize=(12, 7), layout="constrained")
+    axes = figure.subplot_mosaic([[mode.value for mode in TITLES], ["profile"] * 3], height_ratios=[2, 1])
+    for mode, title in TITLES.items():
+        shown = np.where(comparison.inside, comparison.images[mode], 0)
+        axes[mode.value].imshow(shown, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+        axes[mode.value].axhline(comparison.profile_row, color=COLOURS[mode], linewidth=0.8, linestyle=(0, (6, 6)))
+        levels = contrast(comparison.images[mode], comparison.inside)
+        axes[mode.value].set_title(f"{title}: contrast {levels.michelson:.2f}, background {levels.background:.2f}")
+        axes[mode.value].set_axis_off()
+        if um_per_px is not None:
+            _draw_scale_bar(axes[mode.value], len(shown), um_per_px)
+    _draw_profiles(axes["profile"], comparison, um_per_px)
+    return figure
+
+
+def _draw_profiles(axes: Axes, comparison: Comparison, um_per_px: float | None) -> None:
+    side = len(comparison.inside)
+    position = (np.arange(side) - (side - 1) / 2) * (um_per_px or 1)
+    for mode, title in TITLES.items():
+        axes.plot(position, comparison.profile(mode), color=COLOURS[mode], label=title, linewidth=1)
+    axes.axhline(0, color="0.7", linewidth=0.8)
+    axes.set_xlabel("position along the line / " + ("px" if um_per_px is None else "\N{MICRO SIGN}m"))
+    axes.set_ylabel("intensity / white")
+    axes.legend(loc="upper right", ncols=3, frameon=False)
+    axes.margins(x=0)
+
+
+def _draw_scale_bar(axes: Axes, side: int, um_per_px: float, length_um: float = 100) -> None:
+    length_px = length_um / um_per_px
+    axes.plot([side * 0.97 - length_px, side * 0.97], [side * 0.97] * 2, color="white", linewidth=3)
+    label = f"{length_um:g} \N{MICRO SIGN}m"
+    axes.text(side * 0.97 - length_px / 2, side * 0.955, label, color="white", ha="center", va="bottom")

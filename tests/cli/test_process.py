@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+
+from napari_elsplus.calibration import Calibration
+from napari_elsplus.io import write_calibration
+
+SHAPE = (60, 130)
+Cli = Callable[..., Any]
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path]:
+    """A raw stack of five frames and a calibration that fits it."""
+    raw, calibration = tmp_path / "raw.tif", tmp_path / "cal.json"
+    tifffile.imwrite(raw, np.random.default_rng(0).integers(0, 200, (5, *SHAPE)).astype(np.uint8))
+    bundle = {
+        "confocal_centre": [30.0, 32.0],
+        "residual_centre": [28.0, 96.0],
+        "diameter_px": 50,
+        "residual_to_confocal": [[1, 0, 2], [0, 1, -64]],
+    }
+    write_calibration(calibration, Calibration.parse({"bundle": bundle, "optics": {"um_per_px": 2.0}}))
+    return raw, calibration
+
+
+def test_els_in_files_is_ls_minus_residual(elsplus: Cli, files: tuple[Path, Path], tmp_path: Path) -> None:
+    raw, calibration = files
+    result = {}
+    for mode in ("ls", "residual", "els", "elsa"):
+        out = tmp_path / f"{mode}.tif"
+        assert elsplus("process", raw, "-c", calibration, "--mode", mode, "-o", out).code == 0
+        result[mode] = tifffile.imread(out)
+    assert result["els"].dtype == np.float32
+    assert result["els"].shape == (5, 52, 52)
+    assert result["elsa"].shape == (2, 52, 52)
+    assert np.array_equal(result["els"], result["ls"] - result["residual"])
+
+
+def test_compare_draws_and_tells(elsplus: Cli, files: tuple[Path, Path], tmp_path: Path) -> None:
+    raw, calibration = files
+    run = elsplus("compare", raw, "-c", calibration, "--frame", 3, "-o", tmp_path / "c.png")
+    assert run.code == 0
+    assert [line.split()[0] for line in run.out.splitlines()] == ["LS", "ELSA", "ELS+"]
+    assert (tmp_path / "c.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("process", "absent.tif", "-c", "cal.json"), "absent.tif"),
+        (("process", "raw.tif", "-c", "absent.json"), "absent.json"),
+        (("process", "raw.tif", "-c", "cal.json", "--cores", "interpolate"), "flat field"),
+        (("process", "raw.tif", "-c", "cal.json", "--flat-field"), "no flat field"),
+        (("process", "one.tif", "-c", "cal.json", "--mode", "elsa"), "elsa needs 2 frames"),
+        (("process", "small.tif", "-c", "cal.json"), "outside of the 20 x 30 frame"),
+        (("process", "raw.tif", "-c", "raw.tif"), "raw.tif"),
+        (("compare", "raw.tif", "-c", "cal.json", "--frame", "4"), "frame 4"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(
+    elsplus: Cli,
+    files: tuple[Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    word: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    tifffile.imwrite("one.tif", tifffile.imread("raw.tif", key=0))
+    tifffile.imwrite("small.tif", np.zeros((4, 20, 30), np.uint8))
+    before = set(tmp_path.iterdir())
+    run = elsplus(*arguments, "-o", "out.png" if arguments[0] == "compare" else "out.tif")
+    assert run.code == 2
+    assert word in run.err
+    assert len(run.err.splitlines()) == 1
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_an_existing_file_is_kept_unless_forced(elsplus: Cli, files: tuple[Path, Path], tmp_path: Path) -> None:
+    raw, calibration = files
+    out = tmp_path / "out.tif"
+    out.write_text("precious")
+    run = elsplus("process", raw, "-c", calibration, "-o", out)
+    assert run.code == 2
+    assert "--force" in run.err
+    assert out.read_text() == "precious"
+    assert elsplus("process", raw, "-c", calibration, "-o", out, "--force").code == 0
+    assert tifffile.imread(out).shape == (5, 52, 52)

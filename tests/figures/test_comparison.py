@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from napari_elsplus.calibration import Calibration
+from napari_elsplus.errors import InputError
+from napari_elsplus.figures.comparison import compare, draw_comparison
+from napari_elsplus.figures.files import save_figure
+from napari_elsplus.processing.sectioning import Mode
+
+SHAPE = (60, 130)
+CALIBRATION = Calibration.parse(
+    {
+        "bundle": {
+            "confocal_centre": [30.0, 32.0],
+            "residual_centre": [28.0, 96.0],
+            "diameter_px": 50,
+            "residual_to_confocal": [[1, 0, 2], [0, 1, -64]],
+        }
+    }
+)
+RAW = np.random.default_rng(0).integers(0, 200, (3, *SHAPE)).astype(np.uint8)
+
+
+def test_ls_and_els_reach_white_and_elsa_shares_the_factor_of_els() -> None:
+    comparison = compare(RAW, CALIBRATION, 1)
+    for mode in (Mode.LS, Mode.ELS):
+        assert np.quantile(comparison.images[mode][comparison.inside], 1 - 1e-4) == pytest.approx(1)
+    same_next = compare(np.stack([RAW[1], RAW[1]]), CALIBRATION)
+    assert np.array_equal(same_next.images[Mode.ELSA], same_next.images[Mode.ELS])
+
+
+@pytest.mark.parametrize(("frame", "count"), [(2, 3), (-1, 3), (0, 1)])
+def test_elsa_needs_the_next_frame(frame: int, count: int) -> None:
+    with pytest.raises(InputError, match=f"frame {frame} and the one after it are needed"):
+        compare(RAW[:count], CALIBRATION, frame)
+
+
+def test_the_figure_shows_each_image_on_the_same_scale(tmp_path: Path) -> None:
+    figure = draw_comparison(compare(RAW, CALIBRATION), um_per_px=2.0)
+    images = [axes.get_images()[0] for axes in figure.axes if axes.get_images()]
+    assert [image.get_clim() for image in images] == [(0, 1)] * 3
+    save_figure(figure, tmp_path / "c.png")
+    assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(InputError, match="exists"):
+        save_figure(figure, tmp_path / "c.png")
+
+
+def test_an_unknown_picture_format_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"c\.xyz"):
+        save_figure(draw_comparison(compare(RAW, CALIBRATION)), tmp_path / "c.xyz")
+    assert not list(tmp_path.iterdir())
