@@ -74,7 +74,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     tifffile.imwrite("one.tif", tifffile.imread("raw.tif", key=0))
-    tifffile.imwrite("small.tif", np.zeros((4, 20, 30), np.uint8))
+    tifffile.imwrite("small.tif", np.zeros((4, 20, 30), np.uint8), photometric="minisblack")
     before = set(tmp_path.iterdir())
     run = elsplus(*arguments, "-o", "out.png" if arguments[0] == "compare" else "out.tif")
     assert run.code == 2

@@ -13,7 +13,11 @@ import click
 from napari_elsplus import __version__
 from napari_elsplus.errors import ElsPlusError
 
-COMMANDS: tuple[str, ...] = ("calibrate", "doctor")
+COMMANDS: tuple[str, ...] = (
+    "process",
+    "compare",
+    "doctor",
+)
 """Names of the commands; each is the ``command`` of the module of that name in this package."""
 
 EXIT_BAD_INPUT = 2
