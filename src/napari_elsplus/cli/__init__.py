@@ -14,6 +14,7 @@ from napari_elsplus import __version__
 from napari_elsplus.errors import ElsPlusError
 
 COMMANDS: tuple[str, ...] = (
+    "calibrate",
     "process",
     "compare",
     "doctor",
