@@ -1,0 +1,297 @@
+"""Two frames brought onto each other to a hundredth of a pixel: inverse-compositional Lucas-Kanade.
+
+The model is the rolling shutter's warp (:mod:`napari_elsplus.processing.motion`): rows stretched, columns sheared. Every
+row is then shifted by one amount, so its interpolation weights are constants and a pass over the frame is a handful of
+vector operations. Differences of gain and offset between the frames are projected out.
+
+References
+----------
+Baker and Matthews, Int. J. Comput. Vis. 56, 221 (2004), doi:10.1023/B:VISI.0000011205.11775.fd.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from napari_elsplus.compiled import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+PARAMETERS = 4
+"""a, b, s, d of the warp."""
+_UNKNOWNS = PARAMETERS + 2  # and the gain and offset between the frames
+
+
+@kernel
+def row_shift(
+    row: int, height: int, middle: float, warp: NDArray[np.float64], first: NDArray[np.int32], last: NDArray[np.int32]
+) -> tuple[int, float, int, float, int, int]:
+    """Where one row of the template falls in the image, and the columns in which both are lit.
+
+    Returns the image row above and the fraction below it, the whole column shift and its fraction, and the first column
+    and the one after the last; nothing overlaps where these are equal.
+    """
+    y = row - middle
+    at = warp[0] * y + warp[1] + middle
+    shift = warp[2] * y + warp[3]
+    above = int(np.floor(at))
+    whole = int(np.floor(shift))
+    if above < 0 or above + 1 >= height:
+        return 0, 0.0, 0, 0.0, 0, 0
+    begin = max(first[row], max(first[above], first[above + 1]) - whole)
+    end = min(last[row], min(last[above], last[above + 1]) - whole - 1)
+    return above, at - above, whole, shift - whole, begin, max(begin, end)
+
+
+@kernel
+def accumulate(
+    template: NDArray[np.float32],
+    image: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle: float,
+    warp: NDArray[np.float64],
+    row_step: int,
+    normal: NDArray[np.float64],
+    right: NDArray[np.float64],
+) -> tuple[float, float, float, float]:
+    """Fill the normal equations of one step; return number of pixels, and both variances and the covariance times it."""
+    normal[:] = 0.0
+    right[:] = 0.0
+    height = template.shape[0]
+    count, sum_t, sum_i, sum_tt, sum_ti, sum_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for row in range(1, height - 1, row_step):
+        above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
+        if end <= begin:
+            continue
+        w00, w01 = np.float32((1 - down) * (1 - across)), np.float32((1 - down) * across)
+        w10, w11 = np.float32(down * (1 - across)), np.float32(down * across)
+        size = end - begin
+        here = template[row, begin:end]
+        left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
+        over, under = template[row - 1, begin:end], template[row + 1, begin:end]
+        upper, upper_next = image[above, begin + whole : end + whole], image[above, begin + whole + 1 : end + whole + 1]
+        lower, lower_next = image[above + 1, begin + whole : end + whole], image[above + 1, begin + whole + 1 : end + whole + 1]
+        zero = np.float32(0)
+        t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
+        y1, x1, yy, yx, xx, yt, xt, ye, xe = zero, zero, zero, zero, zero, zero, zero, zero, zero
+        for k in range(size):
+            t = here[k]
+            gx = np.float32(0.5) * (right_of[k] - left[k])
+            gy = np.float32(0.5) * (under[k] - over[k])
+            i = w00 * upper[k] + w01 * upper_next[k] + w10 * lower[k] + w11 * lower_next[k]
+            e = i - t
+            t1 += t
+            i1 += i
+            tt += t * t
+            ti += t * i
+            ii += i * i
+            y1 += gy
+            x1 += gx
+            yy += gy * gy
+            yx += gy * gx
+            xx += gx * gx
+            yt += gy * t
+            xt += gx * t
+            ye += gy * e
+            xe += gx * e
+        y = row - middle
+        count += size
+        sum_t += t1
+        sum_i += i1
+        sum_tt += tt
+        sum_ti += ti
+        sum_ii += ii
+        normal[0, 0] += y * y * yy
+        normal[0, 1] += y * yy
+        normal[0, 2] += y * y * yx
+        normal[0, 3] += y * yx
+        normal[0, 4] += y * yt
+        normal[0, 5] += y * y1
+        normal[1, 1] += yy
+        normal[1, 3] += yx
+        normal[1, 4] += yt
+        normal[1, 5] += y1
+        normal[2, 2] += y * y * xx
+        normal[2, 3] += y * xx
+        normal[2, 4] += y * xt
+        normal[2, 5] += y * x1
+        normal[3, 3] += xx
+        normal[3, 4] += xt
+        normal[3, 5] += x1
+        right[0] += y * ye
+        right[1] += ye
+        right[2] += y * xe
+        right[3] += xe
+    normal[1, 2] = normal[0, 3]
+    normal[4, 4] = sum_tt
+    normal[4, 5] = sum_t
+    normal[5, 5] = count
+    right[4] = sum_ti - sum_tt
+    right[5] = sum_i - sum_t
+    for i in range(_UNKNOWNS):
+        for k in range(i):
+            normal[i, k] = normal[k, i]
+    if count == 0:
+        return 0.0, 0.0, 0.0, 0.0
+    return count, sum_tt - sum_t * sum_t / count, sum_ii - sum_i * sum_i / count, sum_ti - sum_t * sum_i / count
+
+
+@kernel
+def correlation(
+    template: NDArray[np.float32],
+    image: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle: float,
+    warp: NDArray[np.float64],
+    row_step: int,
+) -> tuple[float, float]:
+    """Zero-mean normalised correlation of the overlap under a warp, and the number of its pixels."""
+    height = template.shape[0]
+    count, sum_t, sum_i, sum_tt, sum_ti, sum_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for row in range(0, height, row_step):
+        above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
+        if end <= begin:
+            continue
+        w00, w01 = np.float32((1 - down) * (1 - across)), np.float32((1 - down) * across)
+        w10, w11 = np.float32(down * (1 - across)), np.float32(down * across)
+        here = template[row, begin:end]
+        upper, upper_next = image[above, begin + whole : end + whole], image[above, begin + whole + 1 : end + whole + 1]
+        lower, lower_next = image[above + 1, begin + whole : end + whole], image[above + 1, begin + whole + 1 : end + whole + 1]
+        zero = np.float32(0)
+        t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
+        for k in range(end - begin):
+            t = here[k]
+            i = w00 * upper[k] + w01 * upper_next[k] + w10 * lower[k] + w11 * lower_next[k]
+            t1 += t
+            i1 += i
+            tt += t * t
+            ti += t * i
+            ii += i * i
+        count += end - begin
+        sum_t += t1
+        sum_i += i1
+        sum_tt += tt
+        sum_ti += ti
+        sum_ii += ii
+    return _correlation(
+        count, sum_tt - sum_t * sum_t / max(count, 1.0), sum_ii - sum_i * sum_i / max(count, 1.0), sum_ti - sum_t * sum_i / max(count, 1.0)
+    ), count
+
+
+@kernel
+def _correlation(count: float, template: float, image: float, both: float) -> float:
+    if count < 2 or not (template > 0 and image > 0):
+        return 0.0
+    return float(both / np.sqrt(template * image))
+
+
+@kernel
+def align(
+    template: NDArray[np.float32],
+    image: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle: float,
+    row_step: int,
+    steps: int,
+    expected: NDArray[np.float64],
+    stiffness: NDArray[np.float64],
+    correlated_px: float,
+    warp: NDArray[np.float64],
+    information: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Refine a warp in place; fill its information matrix; return correlation and number of pixels of the overlap.
+
+    Parameters
+    ----------
+    template, image : numpy.ndarray
+        (n, n) float32 frames on one grid.
+    first, last : numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
+    middle : float
+        Row of the bundle's centre.
+    row_step : int
+        Every how many rows are used.
+    steps : int
+        Gauss-Newton steps.
+    expected, stiffness : numpy.ndarray
+        (4,) float64: what is known of the warp beforehand, and its inverse variance; zero leaves a parameter free.
+    correlated_px : float
+        Number of pixels that share one independent noise value: scales the information.
+    warp : numpy.ndarray
+        (4,) float64: a, b, s, d; where to start, and the result.
+    information : numpy.ndarray
+        (4, 4) float64: inverse covariance of the result, what was known beforehand included.
+
+    Returns
+    -------
+    float
+        Zero-mean normalised correlation just before the last step; 0 where there is no overlap or no structure.
+    float
+        Number of pixels in it.
+    """
+    normal = np.empty((_UNKNOWNS, _UNKNOWNS))
+    right = np.empty(_UNKNOWNS)
+    ncc, count = 0.0, 0.0
+    information[:] = 0.0
+    for _ in range(steps):
+        count, template_sum, image_sum, both = accumulate(
+            template, image, first, last, middle, warp, row_step, normal, right
+        )
+        ncc = _correlation(count, template_sum, image_sum, both)
+        if ncc == 0.0:
+            return 0.0, count
+        noise = max(image_sum - both * both / template_sum, 1e-6 * image_sum) / count * correlated_px
+        for i in range(PARAMETERS):
+            normal[i, i] += stiffness[i] * noise
+            right[i] += stiffness[i] * noise * (warp[i] - expected[i])
+        if not solve(normal, right):
+            return 0.0, count
+        da, db, ds, dd = right[0], right[1], right[2], right[3]
+        if abs(da) > 0.2 or abs(ds) > 0.2:
+            return 0.0, count
+        s = (warp[2] - ds) / (1 + da)
+        a = warp[0] / (1 + da)
+        warp[1] -= a * db
+        warp[3] -= dd + s * db
+        warp[0], warp[2] = a, s
+        # what is known of the warp once gain and offset are eliminated: the Schur complement, left by the elimination
+        for i in range(PARAMETERS):
+            for k in range(PARAMETERS):
+                information[i, k] = normal[i, k] / noise
+    return ncc, count
+
+
+@kernel
+def solve(normal: NDArray[np.float64], right: NDArray[np.float64]) -> bool:
+    """Solve symmetric normal equations in place, gain and offset first; leave the warp's Schur complement in `normal`."""
+    size = len(right)
+    for pivot in range(size - 1, PARAMETERS - 1, -1):
+        p = normal[pivot, pivot]
+        if not p > 0:
+            return False
+        for i in range(pivot):
+            f = normal[i, pivot] / p
+            for k in range(pivot):
+                normal[i, k] -= f * normal[pivot, k]
+            right[i] -= f * right[pivot]
+    rest = normal[:PARAMETERS, :PARAMETERS].copy()
+    for pivot in range(PARAMETERS):
+        p = rest[pivot, pivot]
+        if not p > 1e-9 * normal[pivot, pivot]:
+            return False
+        for i in range(pivot + 1, PARAMETERS):
+            f = rest[i, pivot] / p
+            for k in range(pivot, PARAMETERS):
+                rest[i, k] -= f * rest[pivot, k]
+            right[i] -= f * right[pivot]
+    for i in range(PARAMETERS - 1, -1, -1):
+        for k in range(i + 1, PARAMETERS):
+            right[i] -= rest[i, k] * right[k]
+        right[i] /= rest[i, i]
+    return True

@@ -1,0 +1,114 @@
+"""Motion within a frame: what a rolling shutter does to a pair of frames, and how to undo it.
+
+Each row is read at its own time, so a moving probe stretches and shears every frame, and the shift between two frames
+is not the displacement of the probe. While the probe moves evenly within each frame, the warp from one frame to
+another is exactly affine with four parameters, and these four are the two velocities.
+
+Coordinates are rows and columns about the centre of the bundle. A frame that moves with velocity (v, w) pixels per frame
+period shows at (y, x) the point (y + v y / R, x + w y / R) of the scene, relative to the probe's position at the time
+at which the bundle's middle row is read; R is the number of rows per frame period, idle time included.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from napari_elsplus.errors import InputError
+
+
+class Velocity(NamedTuple):
+    """Velocity of the probe while one frame is read, in pixels per frame period."""
+
+    row: float
+    col: float
+
+
+class Warp(NamedTuple):
+    """Where a frame's pixels lie in another frame: ``y' = a y + b``, ``x' = x + s y + d``, about the bundle's centre."""
+
+    a: float = 1.0
+    b: float = 0.0
+    s: float = 0.0
+    d: float = 0.0
+
+
+class Displacement(NamedTuple):
+    """Displacement of the probe from the middle row of one frame to that of another, in pixels."""
+
+    row: float
+    col: float
+
+
+@dataclass(frozen=True, slots=True)
+class RollingShutter:
+    """The timing of the rows on one grid of pixels.
+
+    Parameters
+    ----------
+    rows_per_frame : float
+        Rows of the grid per frame period, idle time included. Infinite for a global shutter, or where it is unknown:
+        the warp between two frames is then a translation.
+    middle : float
+        Part of the frame period after which the bundle's middle row is read, 0 to 1.
+
+    Examples
+    --------
+    A steady motion of (30, 12) pixels per frame is measured as a smaller shift; the correction gives it back.
+
+    >>> shutter = RollingShutter(300.0)
+    >>> steady = Velocity(30.0, 12.0)
+    >>> warp = shutter.warp(steady, steady, shutter.step(steady, steady))
+    >>> round(warp.b, 2), round(warp.d, 2)
+    (-27.27, -10.91)
+    >>> before, after = shutter.velocities(warp)
+    >>> round(after.row, 6), round(after.col, 6)
+    (30.0, 12.0)
+    """
+
+    rows_per_frame: float
+    middle: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not self.rows_per_frame > 0:
+            raise InputError(f"rows_per_frame is {self.rows_per_frame}", "it must be positive")
+
+    def step(self, before: Velocity, after: Velocity) -> Displacement:
+        """Displacement between the middle rows of successive frames, each of which moves evenly."""
+        m = self.middle
+        return Displacement((1 - m) * before.row + m * after.row, (1 - m) * before.col + m * after.col)
+
+    def warp(self, before: Velocity, after: Velocity, displacement: Displacement) -> Warp:
+        """Warp from one frame to another that are any number of frames apart."""
+        r = self.rows_per_frame
+        stretch = 1 + after.row / r
+        a = (1 + before.row / r) / stretch
+        b = -displacement.row / stretch
+        return Warp(a, b, (before.col - a * after.col) / r, -displacement.col - after.col / r * b)
+
+    def velocities(self, warp: Warp) -> tuple[Velocity, Velocity]:
+        """Velocities of both of two successive frames, from the warp between them alone.
+
+        The four parameters are just enough, because the displacement is the mean of the velocities.
+        """
+        r, m = self.rows_per_frame, self.middle
+        if not np.isfinite(r):
+            return (steady := Velocity(-warp.b, -warp.d)), steady
+        stretch = 1 / ((1 - m) * warp.a + m + warp.b / r)
+        col = -stretch * (warp.d + (1 - m) * warp.s * r)
+        return (
+            Velocity(r * (warp.a * stretch - 1), warp.s * r + warp.a * col),
+            Velocity(r * (stretch - 1), col),
+        )
+
+    def displacement(self, warp: Warp, after: Velocity) -> Displacement:
+        """Displacement of the probe, from the warp and the velocity during the later frame; any number of frames apart."""
+        r = self.rows_per_frame
+        return Displacement(-warp.b * (1 + after.row / r), -warp.d - after.col / r * warp.b)
+
+    def steady(self, warp: Warp, frames_apart: int = 1) -> Velocity:
+        """Velocity of a steady motion that explains a shift between frames that lie so many frame periods apart."""
+        periods = frames_apart + warp.b / self.rows_per_frame
+        return Velocity(-warp.b / periods, -warp.d / periods)
