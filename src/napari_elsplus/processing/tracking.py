@@ -42,7 +42,7 @@ class State(StrEnum):
     """Unknown."""
 
 
-class TrackPoint(NamedTuple):
+class Pose(NamedTuple):
     """Where the probe was while one frame was read; pixels of the tracking grid.
 
     Parameters
@@ -113,7 +113,7 @@ class Tracker:
         """Return the array into which the next image is to be written before :meth:`add` is called."""
         return self._free().image
 
-    def add(self) -> TrackPoint:
+    def add(self) -> Pose:
         """Track the image in the current slot."""
         view = self.registrar.prepare(self._free())
         index = self._frames
@@ -130,11 +130,11 @@ class Tracker:
         taken = [placed.view for placed in (self._key, self._previous) if placed is not None]
         return next(view for view in self._slots if not any(view is other for other in taken))
 
-    def _begin(self, here: _Placed) -> TrackPoint:
+    def _begin(self, here: _Placed) -> Pose:
         self._key, self._missed = here, 0
-        return TrackPoint(self._segment, 0.0, 0.0, here.velocity, nan, nan, State.TRACKED)
+        return Pose(self._segment, 0.0, 0.0, here.velocity, nan, nan, State.TRACKED)
 
-    def _continue(self, here: _Placed) -> TrackPoint | None:
+    def _continue(self, here: _Placed) -> Pose | None:
         """Link a frame to the key frame of the segment."""
         key, previous = self._key, self._previous
         assert key is not None
@@ -157,7 +157,7 @@ class Tracker:
         self._velocity = here.velocity
         return self._point(here, link, State.TRACKED)
 
-    def _restart(self, here: _Placed) -> TrackPoint | None:
+    def _restart(self, here: _Placed) -> Pose | None:
         """Start a new segment from the frame before, which itself has no place, if the two can be linked."""
         previous = self._previous
         assert previous is not None
@@ -174,7 +174,7 @@ class Tracker:
         self._velocity = here.velocity
         return self._point(here, link, State.TRACKED)
 
-    def _coast(self, here: _Placed) -> TrackPoint:
+    def _coast(self, here: _Placed) -> Pose:
         """Predict a frame that cannot be linked, or give the track up."""
         self._missed += 1
         key = self._key
@@ -183,8 +183,8 @@ class Tracker:
         here.velocity = self._velocity
         here.row, here.col = key.row + ahead.row, key.col + ahead.col
         if self._missed > PATIENCE_FRAMES or hypot(*ahead) > FARTHEST * self.grid.diameter:
-            return TrackPoint(self._segment, nan, nan, Velocity(nan, nan), nan, nan, State.LOST)
-        return TrackPoint(self._segment, here.row, here.col, here.velocity, nan, nan, State.PREDICTED)
+            return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, State.LOST)
+        return Pose(self._segment, here.row, here.col, here.velocity, nan, nan, State.PREDICTED)
 
     def _expected(self, key: _Placed, index: int) -> Displacement:
         """Displacement from the key frame that a steady motion since the last tracked frame suggests."""
@@ -227,6 +227,6 @@ class Tracker:
         moved = shutter.displacement(link.warp, after)
         here.row, here.col, here.velocity = earlier.row + moved.row, earlier.col + moved.col, after
 
-    def _point(self, here: _Placed, link: Link, state: State) -> TrackPoint:
+    def _point(self, here: _Placed, link: Link, state: State) -> Pose:
         sigma = float(np.sqrt(np.linalg.eigvalsh(link.covariance)[-1]))
-        return TrackPoint(self._segment, here.row, here.col, here.velocity, link.correlation, sigma, state)
+        return Pose(self._segment, here.row, here.col, here.velocity, link.correlation, sigma, state)

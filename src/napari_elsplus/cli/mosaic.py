@@ -1,0 +1,64 @@
+"""``napari-elsplus mosaic``: a recording to a mosaic and the probe's track."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+import numpy as np
+
+from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress
+from napari_elsplus.io import open_recording, read_calibration, refuse_existing, write_mosaic, write_track
+from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.tracking_pipeline import Method, Pipeline, picture, raw_pairs
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@click.command()
+@click.argument("raw", type=FILE)
+@calibration_option
+@click.option("--mode", type=click.Choice([m.value for m in Mode]), default="els", show_default=True, help="Which image.")
+@click.option(
+    "--method", type=click.Choice([m.value for m in Method]), default="elsplus", show_default=True,
+    help="elsplus: sub-pixel, rolling shutter undone; paper: the paper's template matching.",
+)  # fmt: skip
+@click.option(
+    "--insertion", type=click.Choice([i.value for i in Insertion]), default="dead-leaf", show_default=True,
+    help="How frames are laid over one another.",
+)  # fmt: skip
+@output_option
+@click.option("--track", type=FILE, help="Also write the track to this CSV file.")
+@force_option
+def command(
+    raw: Path, calibration: Path, mode: str, method: str, insertion: str, output: Path, track: Path | None, force: bool
+) -> None:
+    """Track the probe through RAW and lay the frames into a mosaic."""
+    for target in (output, track):
+        if target is not None:
+            refuse_existing(target, force=force)
+    record = read_calibration(calibration)
+    with open_recording(raw) as recording:
+        rows, cols = recording.shape[1:]
+        pipeline = Pipeline(record, (rows, cols), mode, method=method, insertion=insertion)
+        times = recording.times_s
+        pairs = raw_pairs(recording, Mode(mode))
+        for index, frame, after in progress(pairs, describe="Tracking", total=len(recording)):
+            pipeline.add(frame, index, np.nan if times is None else float(times[index]), after)
+    image = picture(list(pipeline.mosaics.values()))
+    um = None if record.optics is None else record.optics.um_per_px
+    scale = None if um is None else um * pipeline.camera_px_per_pixel
+    write_mosaic(output, image, scale, calibration=record, metadata={"method": method, "mode": mode}, force=force)
+    if track is not None:
+        write_track(track, pipeline.rows, force=force)
+    click.echo(_summary(pipeline))
+
+
+def _summary(pipeline: Pipeline) -> str:
+    states = [row.state for row in pipeline.rows]
+    return (
+        f"{states.count('tracked')} of {len(states)} frames tracked in {len(pipeline.mosaics)} segments, "
+        f"{states.count('predicted')} predicted, {states.count('lost')} lost"
+    )

@@ -1,0 +1,248 @@
+"""Frames laid into a mosaic: unsheared row by row, to a fraction of a pixel, as dead leaves or blended.
+
+A frame is first freed of the stretch and shear that its own motion gave it (:mod:`napari_elsplus.processing.motion`): each
+row of the mosaic then takes its pixels from one place between two rows of the frame, so that the interpolation weights
+of a row are constants.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from threading import Lock
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.compiled import kernel
+from napari_elsplus.processing.frontend import FIELD
+from napari_elsplus.processing.motion import Velocity
+from napari_elsplus.processing.tiles import HeapTiles, Rectangle, TileStore, tile_rectangle
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.frontend import Grid
+
+_RAMP: Final = 0.25
+"""Part of the radius over which the weight of a frame falls off towards its rim."""
+_RIM_WEIGHT: Final = 0.02
+_OUTWEIGHS: Final = 0.5
+"""A dead leaf covers what lies there unless its weight is less than this part of it."""
+STILL: Final = Velocity(0.0, 0.0)
+
+
+class Insertion(StrEnum):
+    """How a frame is laid over those before it."""
+
+    DEAD_LEAF = "dead-leaf"
+    """The newest frame covers the others, as in the paper, but its rim does not cover the inside of another."""
+    FEATHERED = "feathered"
+    """The mean of all frames, weighted down towards their rims."""
+
+
+def rim_weights(grid: Grid, line_away: float = 0.0) -> NDArray[np.float32]:
+    """Weight of each pixel of a frame: 1 inside, falling off towards the rim.
+
+    Parameters
+    ----------
+    grid : Grid
+        The frames' grid.
+    line_away : float
+        Rows of the grid from a point to the laser line at the time at which the point's residual is read: the offset of
+        the calibration. Where the line is then outside of the bundle nothing is subtracted, and the weight is low.
+
+    Returns
+    -------
+    numpy.ndarray
+        (side, side), float32.
+    """
+    y, x = (np.arange(grid.side) - c for c in grid.centre)
+    radius = 0.5 * FIELD * grid.diameter
+    inwards = 1 - np.hypot(y[:, None], x) / radius
+    beyond = 1 - np.hypot(y[:, None] + line_away, x) / (0.5 * grid.diameter)
+    ramp = np.clip(np.minimum(inwards, beyond) / _RAMP, 0, 1)
+    return np.maximum(ramp * ramp * (3 - 2 * ramp), _RIM_WEIGHT).astype(np.float32)
+
+
+class Mosaic:
+    """Frames of one segment on a canvas without edges; pixels are those of the tracking grid.
+
+    One thread inserts; any thread may read.
+
+    Parameters
+    ----------
+    grid : Grid
+        The frames' grid.
+    insertion : Insertion
+        How frames are laid over one another.
+    weights : numpy.ndarray, optional
+        (side, side) float32 weight of each pixel of a frame; :func:`rim_weights` by default.
+    store : TileStore, optional
+        Where the tiles are kept; the heap by default.
+
+    Attributes
+    ----------
+    extent : Rectangle or None
+        What has been drawn on.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        insertion: Insertion | str = Insertion.DEAD_LEAF,
+        *,
+        weights: NDArray[np.float32] | None = None,
+        store: TileStore | None = None,
+    ) -> None:
+        self.grid = grid
+        self.insertion = Insertion(insertion)
+        self.extent: Rectangle | None = None
+        self._weights = rim_weights(grid) if weights is None else weights
+        self._store: TileStore = HeapTiles() if store is None else store
+        self._spans = grid.spans()
+        self._lock = Lock()
+        self._dirty: Rectangle | None = None
+
+    def insert(self, image: NDArray[np.float32], row: float, col: float, velocity: Velocity = STILL) -> Rectangle:
+        """Lay a frame down with its centre at (row, col).
+
+        Parameters
+        ----------
+        image : numpy.ndarray
+            (side, side) float32.
+        row, col : float
+            Where the probe was when the bundle's middle row was read, in pixels of the grid.
+        velocity : Velocity
+            Of the probe during the frame, in pixels per frame period.
+
+        Returns
+        -------
+        Rectangle
+            The part of the canvas that may have changed.
+        """
+        r = self.grid.shutter.rows_per_frame
+        stretch, shear = 1 + velocity.row / r, velocity.col / r
+        touched = self._reach(row, col, stretch, shear)
+        blend = self.insertion is Insertion.FEATHERED
+        with self._lock:
+            for key in touched.tiles():
+                tile, at = self._store.tile(*key), tile_rectangle(*key)
+                insert_rows(
+                    tile.value, tile.weight, at.top, at.left, image, self._weights, *self._spans,
+                    *self.grid.centre, row, col, stretch, shear, blend,
+                )  # fmt: skip
+            self.extent = touched if self.extent is None else self.extent.around(touched)
+            self._dirty = touched if self._dirty is None else self._dirty.around(touched)
+        return touched
+
+    def take_dirty(self) -> Rectangle | None:
+        """Return what changed since the last call, or None."""
+        with self._lock:
+            dirty, self._dirty = self._dirty, None
+        return dirty
+
+    def read(self, part: Rectangle | None = None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Copy a part of the canvas.
+
+        Parameters
+        ----------
+        part : Rectangle, optional
+            All that was drawn on by default.
+
+        Returns
+        -------
+        image : numpy.ndarray
+            (rows, cols) float32 grey levels; 0 where nothing was drawn.
+        weight : numpy.ndarray
+            (rows, cols) float32; the sum of weights where frames are blended, the weight of the frame on top where not.
+        """
+        part = part or self.extent or Rectangle(0, 0, 0, 0)
+        image, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
+        with self._lock:
+            existing = set(self._store.keys())
+            for key in part.tiles():
+                if key not in existing:
+                    continue
+                tile, at = self._store.tile(*key), tile_rectangle(*key)
+                shared = part.within(at)
+                here = np.s_[shared.top - part.top : shared.bottom - part.top, shared.left - part.left : shared.right - part.left]
+                there = np.s_[shared.top - at.top : shared.bottom - at.top, shared.left - at.left : shared.right - at.left]
+                image[here], weight[here] = tile.value[there], tile.weight[there]
+        if self.insertion is Insertion.FEATHERED:
+            np.divide(image, weight, out=image, where=weight > 0)
+        return image, weight
+
+    def clear(self) -> None:
+        """Forget everything that was drawn."""
+        with self._lock:
+            self._store.clear()
+            self.extent = self._dirty = None
+
+    def _reach(self, row: float, col: float, stretch: float, shear: float) -> Rectangle:
+        radius = 0.5 * FIELD * self.grid.diameter
+        down, across = radius * stretch, radius * (1 + abs(shear))
+        return Rectangle(
+            int(np.floor(row - down)), int(np.floor(col - across)), int(np.ceil(row + down)) + 1, int(np.ceil(col + across)) + 1
+        )
+
+
+@kernel
+def insert_rows(
+    value: NDArray[np.float32],
+    weight: NDArray[np.float32],
+    tile_top: int,
+    tile_left: int,
+    image: NDArray[np.float32],
+    image_weight: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    centre_row: float,
+    centre_col: float,
+    row: float,
+    col: float,
+    stretch: float,
+    shear: float,
+    blend: bool,
+) -> None:
+    """Draw the part of an unsheared frame that falls on one tile."""
+    height, width = value.shape
+    side = image.shape[0]
+    radius = stretch * side
+    begin_row = max(0, int(np.floor(row - radius)) - tile_top)
+    end_row = min(height, int(np.ceil(row + radius)) + 1 - tile_top)
+    for r in range(begin_row, end_row):
+        y = (r + tile_top - row) / stretch
+        at = y + centre_row
+        above = int(np.floor(at))
+        if above < 0 or above + 1 >= side:
+            continue
+        down = at - above
+        if down == 0.0:
+            low, high = first[above], last[above]
+        else:
+            low, high = max(first[above], first[above + 1]), min(last[above], last[above + 1])
+        shift = tile_left + centre_col - col - shear * y
+        whole = int(np.floor(shift))
+        across = shift - whole
+        begin, end = max(0, low - whole), min(width, high - whole - (1 if across > 0 else 0))
+        if end <= begin:
+            continue
+        w00, w01 = np.float32((1 - down) * (1 - across)), np.float32((1 - down) * across)
+        w10, w11 = np.float32(down * (1 - across)), np.float32(down * across)
+        upper, upper_next = image[above, begin + whole : end + whole], image[above, begin + whole + 1 : end + whole + 1]
+        lower, lower_next = image[above + 1, begin + whole : end + whole], image[above + 1, begin + whole + 1 : end + whole + 1]
+        nearest = above + (1 if down >= 0.5 else 0)
+        aside = whole + (1 if across >= 0.5 else 0)
+        weights = image_weight[nearest, begin + aside : end + aside]
+        into, had = value[r, begin:end], weight[r, begin:end]
+        if blend:
+            for k in range(end - begin):
+                new = w00 * upper[k] + w01 * upper_next[k] + w10 * lower[k] + w11 * lower_next[k]
+                into[k] += weights[k] * new
+                had[k] += weights[k]
+        else:
+            for k in range(end - begin):
+                new = w00 * upper[k] + w01 * upper_next[k] + w10 * lower[k] + w11 * lower_next[k]
+                covers = weights[k] >= np.float32(_OUTWEIGHS) * had[k]
+                into[k] = new if covers else into[k]
+                had[k] = weights[k] if covers else had[k]

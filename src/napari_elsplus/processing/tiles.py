@@ -1,0 +1,120 @@
+"""A canvas without edges: square tiles that appear where something is drawn."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+TILE_PX: Final = 512
+"""Rows and columns of a tile."""
+
+
+class Rectangle(NamedTuple):
+    """Rows `top` to `bottom` and columns `left` to `right` of the canvas, the last ones excluded."""
+
+    top: int
+    left: int
+    bottom: int
+    right: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return max(0, self.bottom - self.top), max(0, self.right - self.left)
+
+    def within(self, other: Rectangle) -> Rectangle:
+        """Return the part that also lies in another rectangle; it may be empty."""
+        return Rectangle(
+            max(self.top, other.top),
+            max(self.left, other.left),
+            min(self.bottom, other.bottom),
+            min(self.right, other.right),
+        )
+
+    def around(self, other: Rectangle) -> Rectangle:
+        """Return the smallest rectangle that holds both."""
+        return Rectangle(
+            min(self.top, other.top),
+            min(self.left, other.left),
+            max(self.bottom, other.bottom),
+            max(self.right, other.right),
+        )
+
+    def tiles(self) -> Iterator[tuple[int, int]]:
+        """Keys (row, col) of the tiles that the rectangle touches."""
+        for row in range(self.top // TILE_PX, -(-self.bottom // TILE_PX)):
+            for col in range(self.left // TILE_PX, -(-self.right // TILE_PX)):
+                yield row, col
+
+
+class Tile(NamedTuple):
+    """One square of the canvas.
+
+    Parameters
+    ----------
+    value : numpy.ndarray
+        (512, 512) float32: grey levels, or their weighted sum where images are blended.
+    weight : numpy.ndarray
+        (512, 512) float32: weight of what was drawn; 0 where nothing was.
+    """
+
+    value: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+
+class TileStore(Protocol):
+    """Where tiles are kept: on the heap, or in memory that another process sees."""
+
+    def tile(self, row: int, col: int) -> Tile:
+        """Return a tile, blank if it was never drawn on."""
+        ...
+
+    def keys(self) -> Iterable[tuple[int, int]]:
+        """Return (row, col) of the tiles that exist."""
+        ...
+
+    def clear(self) -> None:
+        """Forget all tiles."""
+        ...
+
+
+class HeapTiles:
+    """Tiles in ordinary memory.
+
+    Examples
+    --------
+    >>> store = HeapTiles()
+    >>> store.tile(-1, 3).value[0, 0] = 7
+    >>> float(store.tile(-1, 3).value[0, 0]), list(store.keys())
+    (7.0, [(-1, 3)])
+    """
+
+    def __init__(self) -> None:
+        self._tiles: dict[tuple[int, int], Tile] = {}
+
+    def tile(self, row: int, col: int) -> Tile:
+        """Return a tile, blank if it was never drawn on."""
+        found = self._tiles.get((row, col))
+        if found is None:
+            found = Tile(np.zeros((TILE_PX, TILE_PX), np.float32), np.zeros((TILE_PX, TILE_PX), np.float32))
+            self._tiles[row, col] = found
+        return found
+
+    def keys(self) -> list[tuple[int, int]]:
+        """Return (row, col) of the tiles that exist."""
+        return list(self._tiles)
+
+    def clear(self) -> None:
+        """Forget all tiles."""
+        self._tiles.clear()
+
+
+def tile_rectangle(row: int, col: int) -> Rectangle:
+    """Return the part of the canvas that a tile covers."""
+    return Rectangle(row * TILE_PX, col * TILE_PX, (row + 1) * TILE_PX, (col + 1) * TILE_PX)
