@@ -1,4 +1,4 @@
-"""Recordings with exact truth for the tracker: a texture sampled through a fixed core pattern, every row at its time."""
+"""Recordings with exact truth: a texture sampled through a fixed core pattern, every row at its own time."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def record(
     turn_deg: float = 0.0,
     seed: int = 0,
 ) -> Truth:
-    """Frames of a probe that is at ``starts[k]`` (row, col) when frame k starts and moves evenly to ``starts[k + 1]``."""
+    """Frames of a probe that is at ``starts[k]`` (row, col) as frame k starts and moves evenly to the next start."""
     rng = np.random.default_rng(seed)
     pitch = 1.4
     rows, cols = np.mgrid[-diameter / 2 : diameter / 2 : pitch * 0.866, -diameter / 2 : diameter / 2 : pitch]
@@ -103,12 +103,16 @@ def smooth_path(frames: int, speed: float, side: int, seed: int) -> NDArray[np.f
     rng = np.random.default_rng(seed)
     phase, amplitude = rng.uniform(0, 2 * np.pi, 2), side / 4
     t = np.arange(frames + 1) * speed / amplitude
-    return np.stack([side / 2 + amplitude * np.sin(t + phase[0]), side / 2 + amplitude * np.sin(0.77 * t + phase[1])], 1)
+    return np.stack(
+        [side / 2 + amplitude * np.sin(t + phase[0]), side / 2 + amplitude * np.sin(0.77 * t + phase[1])], 1
+    )
 
 
 def _sample(image: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray[np.float64]:
     parts = np.array_split(at, len(at) // 30000 + 1)  # OpenCV takes no longer maps
-    return np.concatenate([cv2.remap(image, p[:, 1:], p[:, :1], cv2.INTER_CUBIC)[:, 0] for p in parts]).astype(np.float64)
+    return np.concatenate([cv2.remap(image, p[:, 1:], p[:, :1], cv2.INTER_CUBIC)[:, 0] for p in parts]).astype(
+        np.float64
+    )
 
 
 def _spread(place: NDArray[np.float64], shape: tuple[int, int]) -> sparse.csr_matrix:

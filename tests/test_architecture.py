@@ -24,6 +24,7 @@ ROOMS = (
     "hardware",
     "io",
     "pipeline",
+    "tracking_pipeline",
     "acquisition",
     "evaluation",
     "figures",

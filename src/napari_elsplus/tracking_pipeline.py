@@ -45,8 +45,8 @@ class TrackRow(NamedTuple):
     segment : int
         Positions are comparable within a segment.
     row_px, col_px : float
-        Position of the probe at the time at which the bundle's middle row is read, in confocal camera pixels, relative to
-        the segment's first frame; nan where lost.
+        Position of the probe when the bundle's middle row is read, in confocal camera pixels, relative to the segment's
+        first frame; nan where lost.
     row_um, col_um : float
         The same in micrometres; nan where the scale is unknown.
     score : float

@@ -16,6 +16,7 @@ from napari_elsplus.errors import ElsPlusError
 COMMANDS: tuple[str, ...] = (
     "calibrate",
     "process",
+    "mosaic",
     "compare",
     "doctor",
 )

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("raw", type=FILE)
 @calibration_option
-@click.option("--mode", type=click.Choice([m.value for m in Mode]), default="els", show_default=True, help="Which image.")
+@click.option(
+    "--mode", type=click.Choice([m.value for m in Mode]), default="els", show_default=True, help="Which image."
+)
 @click.option(
     "--method", type=click.Choice([m.value for m in Method]), default="elsplus", show_default=True,
     help="elsplus: sub-pixel, rolling shutter undone; paper: the paper's template matching.",

@@ -68,9 +68,13 @@ class Grid:
         binning = max(1, round(bundle.diameter_px / diameter_px))
         side = 4 * ceil((bundle.diameter_px / binning + 2) / 4)
         origin = tuple(floor(c - (side * binning - 1) / 2 + 0.5) for c in bundle.confocal_centre)
-        centre = tuple((c - o - (binning - 1) / 2) / binning for c, o in zip(bundle.confocal_centre, origin, strict=True))
+        centre = tuple(
+            (c - o - (binning - 1) / 2) / binning for c, o in zip(bundle.confocal_centre, origin, strict=True)
+        )
         rows = calibration.optics.rows_per_frame if calibration.optics is not None else None
-        shutter = RollingShutter(np.inf) if rows is None else RollingShutter(rows / binning, bundle.confocal_centre[0] / rows)
+        shutter = (
+            RollingShutter(np.inf) if rows is None else RollingShutter(rows / binning, bundle.confocal_centre[0] / rows)
+        )
         return cls(side, binning, (origin[0], origin[1]), (centre[0], centre[1]), bundle.diameter_px / binning, shutter)
 
     def spans(self, field: float = FIELD, level: int = 0) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -154,7 +158,7 @@ class FrontEnd:
     def image(
         self, raw: NDArray[Any], out: NDArray[np.float32], raw_residual: NDArray[Any] | None = None
     ) -> NDArray[np.float32]:
-        """Fill `out` (n, n) with signed grey levels; `raw_residual` is the frame that the residual is taken from in ELSA."""
+        """Fill `out` (n, n) with signed grey levels; ELSA takes the residual from another frame, `raw_residual`."""
         self._accumulate(raw, raw if raw_residual is None else raw_residual)
         smooth(self._sum, self._scale, self._offset, self._line, out)
         return out
@@ -170,7 +174,9 @@ class FrontEnd:
         """Return the flat, whose middle is the bundle's centre, on the grid."""
         grid, q = self.grid, self.grid.binning
         where = (np.arange(grid.side * q) + 0.5) / q - 0.5
-        rows, cols = (((where - c) * q + (n - 1) / 2).astype(np.float32) for c, n in zip(grid.centre, flat.shape, strict=True))
+        rows, cols = (
+            ((where - c) * q + (n - 1) / 2).astype(np.float32) for c, n in zip(grid.centre, flat.shape, strict=True)
+        )
         fine = cv2.remap(flat, *np.meshgrid(cols, rows), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         binned: NDArray[np.float32] = fine.reshape(grid.side, q, grid.side, q).mean(axis=(1, 3))
         return binned
@@ -212,8 +218,8 @@ def bin_view(
 ) -> None:
     """Add a view, binned onto the grid with bilinear weights and times `weight`, to `out`.
 
-    `matrix` maps (row, col) counted in camera pixels from the grid's corner to (row, col) in the frame. It differs little
-    from a translation, so that the whole-pixel shifts are constant over long runs of columns.
+    `matrix` maps (row, col) counted in camera pixels from the grid's corner to (row, col) in the frame. It differs
+    little from a translation, so that the whole-pixel shifts are constant over long runs of columns.
     """
     half = 0.5 * (binning - 1)
     slope = matrix[0, 1] / matrix[1, 1]  # rows per column, along the view's own columns
@@ -229,7 +235,7 @@ def bin_view(
         right = int(np.floor(shift + growth * (end - 1) + _EPSILON)) + binning * end
         top = matrix[0, 0] * row + matrix[0, 2] - half + slope * (left - matrix[1, 0] * row - matrix[1, 2])
         _sum_rows(raw, top, slope, left, right + 1, binning, line)
-        _sum_columns(line, shift, growth, left, begin, end, binning, np.float32(weight), out[i])
+        _sum_columns(line, shift, growth, left, begin, end, binning, weight, out[i])
 
 
 @kernel
@@ -279,7 +285,7 @@ def _sum_columns(
     out: NDArray[np.float32],
 ) -> None:
     """Add to each grid column the weighted sum of `binning` columns of the line."""
-    one = np.float32(1)
+    one, factor = np.float32(1), np.float32(weight)
     j = begin
     while j < end:
         whole = int(np.floor(shift + growth * j + _EPSILON))
@@ -293,23 +299,29 @@ def _sum_columns(
         if binning == 1:
             for k in range(stop - j):
                 f = across + more * np.float32(k)
-                into[k] += weight * ((one - f) * source[k] + f * source[k + 1])
+                into[k] += factor * ((one - f) * source[k] + f * source[k + 1])
         elif binning == 2:
             for k in range(stop - j):
                 f = across + more * np.float32(k)
-                into[k] += weight * ((one - f) * source[2 * k] + source[2 * k + 1] + f * source[2 * k + 2])
+                into[k] += factor * ((one - f) * source[2 * k] + source[2 * k + 1] + f * source[2 * k + 2])
         else:
             for k in range(stop - j):
                 f = across + more * np.float32(k)
                 total = (one - f) * source[binning * k] + f * source[binning * (k + 1)]
                 for b in range(1, binning):
                     total += source[binning * k + b]
-                into[k] += weight * total
+                into[k] += factor * total
         j = stop
 
 
 @kernel
-def smooth(image: NDArray[np.float32], scale: NDArray[np.float32], offset: NDArray[np.float32], line: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+def smooth(
+    image: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    offset: NDArray[np.float32],
+    line: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
     """Smooth with the binomial kernel 1 4 6 4 1 (a Gaussian of 1 px), multiply by `scale`, subtract `offset`.
 
     `image` is zero outside the disc; `line` is scratch of a row and four pixels.
@@ -325,7 +337,13 @@ def smooth(image: NDArray[np.float32], scale: NDArray[np.float32], offset: NDArr
         into = line[2 : width + 2]
         for k in range(width):
             into[k] = a[k] + e[k] + four * (b[k] + d[k]) + six * c[k]
-        l0, l1, l2, l3, l4 = line[:width], line[1 : width + 1], line[2 : width + 2], line[3 : width + 3], line[4 : width + 4]
+        l0, l1, l2, l3, l4 = (
+            line[:width],
+            line[1 : width + 1],
+            line[2 : width + 2],
+            line[3 : width + 3],
+            line[4 : width + 4],
+        )
         factor, less, result = scale[i], offset[i], out[i]
         for k in range(width):
             result[k] = factor[k] * (l0[k] + l4[k] + four * (l1[k] + l3[k]) + six * l2[k]) - less[k]

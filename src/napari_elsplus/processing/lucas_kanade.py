@@ -1,8 +1,8 @@
 """Two frames brought onto each other to a hundredth of a pixel: inverse-compositional Lucas-Kanade.
 
-The model is the rolling shutter's warp (:mod:`napari_elsplus.processing.motion`): rows stretched, columns sheared. Every
-row is then shifted by one amount, so its interpolation weights are constants and a pass over the frame is a handful of
-vector operations. Differences of gain and offset between the frames are projected out.
+The model is the rolling shutter's warp (:mod:`napari_elsplus.processing.motion`): rows stretched, columns sheared.
+Every row is then shifted by one amount, so its interpolation weights are constants and a pass over the frame is a
+handful of vector operations. Differences of gain and offset between the frames are projected out.
 
 References
 ----------
@@ -58,7 +58,7 @@ def accumulate(
     normal: NDArray[np.float64],
     right: NDArray[np.float64],
 ) -> tuple[float, float, float, float]:
-    """Fill the normal equations of one step; return number of pixels, and both variances and the covariance times it."""
+    """Fill the normal equations of a step; return number of pixels, and both variances and the covariance times it."""
     normal[:] = 0.0
     right[:] = 0.0
     height = template.shape[0]
@@ -74,7 +74,10 @@ def accumulate(
         left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
         over, under = template[row - 1, begin:end], template[row + 1, begin:end]
         upper, upper_next = image[above, begin + whole : end + whole], image[above, begin + whole + 1 : end + whole + 1]
-        lower, lower_next = image[above + 1, begin + whole : end + whole], image[above + 1, begin + whole + 1 : end + whole + 1]
+        lower, lower_next = (
+            image[above + 1, begin + whole : end + whole],
+            image[above + 1, begin + whole + 1 : end + whole + 1],
+        )
         zero = np.float32(0)
         t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
         y1, x1, yy, yx, xx, yt, xt, ye, xe = zero, zero, zero, zero, zero, zero, zero, zero, zero
@@ -100,11 +103,11 @@ def accumulate(
             xe += gx * e
         y = row - middle
         count += size
-        sum_t += t1
-        sum_i += i1
-        sum_tt += tt
-        sum_ti += ti
-        sum_ii += ii
+        sum_t += float(t1)
+        sum_i += float(i1)
+        sum_tt += float(tt)
+        sum_ti += float(ti)
+        sum_ii += float(ii)
         normal[0, 0] += y * y * yy
         normal[0, 1] += y * yy
         normal[0, 2] += y * y * yx
@@ -161,7 +164,10 @@ def correlation(
         w10, w11 = np.float32(down * (1 - across)), np.float32(down * across)
         here = template[row, begin:end]
         upper, upper_next = image[above, begin + whole : end + whole], image[above, begin + whole + 1 : end + whole + 1]
-        lower, lower_next = image[above + 1, begin + whole : end + whole], image[above + 1, begin + whole + 1 : end + whole + 1]
+        lower, lower_next = (
+            image[above + 1, begin + whole : end + whole],
+            image[above + 1, begin + whole + 1 : end + whole + 1],
+        )
         zero = np.float32(0)
         t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
         for k in range(end - begin):
@@ -173,13 +179,16 @@ def correlation(
             ti += t * i
             ii += i * i
         count += end - begin
-        sum_t += t1
-        sum_i += i1
-        sum_tt += tt
-        sum_ti += ti
-        sum_ii += ii
+        sum_t += float(t1)
+        sum_i += float(i1)
+        sum_tt += float(tt)
+        sum_ti += float(ti)
+        sum_ii += float(ii)
     return _correlation(
-        count, sum_tt - sum_t * sum_t / max(count, 1.0), sum_ii - sum_i * sum_i / max(count, 1.0), sum_ti - sum_t * sum_i / max(count, 1.0)
+        count,
+        sum_tt - sum_t * sum_t / max(count, 1.0),
+        sum_ii - sum_i * sum_i / max(count, 1.0),
+        sum_ti - sum_t * sum_i / max(count, 1.0),
     ), count
 
 
@@ -269,7 +278,7 @@ def align(
 
 @kernel
 def solve(normal: NDArray[np.float64], right: NDArray[np.float64]) -> bool:
-    """Solve symmetric normal equations in place, gain and offset first; leave the warp's Schur complement in `normal`."""
+    """Solve symmetric equations in place, gain and offset first; leave the warp's Schur complement in `normal`."""
     size = len(right)
     for pivot in range(size - 1, PARAMETERS - 1, -1):
         p = normal[pivot, pivot]

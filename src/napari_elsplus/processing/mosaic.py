@@ -1,8 +1,8 @@
 """Frames laid into a mosaic: unsheared row by row, to a fraction of a pixel, as dead leaves or blended.
 
-A frame is first freed of the stretch and shear that its own motion gave it (:mod:`napari_elsplus.processing.motion`): each
-row of the mosaic then takes its pixels from one place between two rows of the frame, so that the interpolation weights
-of a row are constants.
+A frame is first freed of the stretch and shear that its own motion gave it (:mod:`napari_elsplus.processing.motion`):
+each row of the mosaic then takes its pixels from one place between two rows of the frame, so that the interpolation
+weights of a row are constants.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ def rim_weights(grid: Grid, line_away: float = 0.0) -> NDArray[np.float32]:
     inwards = 1 - np.hypot(y[:, None], x) / radius
     beyond = 1 - np.hypot(y[:, None] + line_away, x) / (0.5 * grid.diameter)
     ramp = np.clip(np.minimum(inwards, beyond) / _RAMP, 0, 1)
-    return np.maximum(ramp * ramp * (3 - 2 * ramp), _RIM_WEIGHT).astype(np.float32)
+    weights: NDArray[np.float32] = np.maximum(ramp * ramp * (3 - 2 * ramp), _RIM_WEIGHT).astype(np.float32)
+    return weights
 
 
 class Mosaic:
@@ -165,8 +166,12 @@ class Mosaic:
                     continue
                 tile, at = self._store.tile(*key), tile_rectangle(*key)
                 shared = part.within(at)
-                here = np.s_[shared.top - part.top : shared.bottom - part.top, shared.left - part.left : shared.right - part.left]
-                there = np.s_[shared.top - at.top : shared.bottom - at.top, shared.left - at.left : shared.right - at.left]
+                here = np.s_[
+                    shared.top - part.top : shared.bottom - part.top, shared.left - part.left : shared.right - part.left
+                ]
+                there = np.s_[
+                    shared.top - at.top : shared.bottom - at.top, shared.left - at.left : shared.right - at.left
+                ]
                 image[here], weight[here] = tile.value[there], tile.weight[there]
         if self.insertion is Insertion.FEATHERED:
             np.divide(image, weight, out=image, where=weight > 0)
@@ -182,7 +187,10 @@ class Mosaic:
         radius = 0.5 * FIELD * self.grid.diameter
         down, across = radius * stretch, radius * (1 + abs(shear))
         return Rectangle(
-            int(np.floor(row - down)), int(np.floor(col - across)), int(np.ceil(row + down)) + 1, int(np.ceil(col + across)) + 1
+            int(np.floor(row - down)),
+            int(np.floor(col - across)),
+            int(np.ceil(row + down)) + 1,
+            int(np.ceil(col + across)) + 1,
         )
 
 
@@ -230,7 +238,10 @@ def insert_rows(
         w00, w01 = np.float32((1 - down) * (1 - across)), np.float32((1 - down) * across)
         w10, w11 = np.float32(down * (1 - across)), np.float32(down * across)
         upper, upper_next = image[above, begin + whole : end + whole], image[above, begin + whole + 1 : end + whole + 1]
-        lower, lower_next = image[above + 1, begin + whole : end + whole], image[above + 1, begin + whole + 1 : end + whole + 1]
+        lower, lower_next = (
+            image[above + 1, begin + whole : end + whole],
+            image[above + 1, begin + whole + 1 : end + whole + 1],
+        )
         nearest = above + (1 if down >= 0.5 else 0)
         aside = whole + (1 if across >= 0.5 else 0)
         weights = image_weight[nearest, begin + aside : end + aside]

@@ -4,9 +4,9 @@ Each row is read at its own time, so a moving probe stretches and shears every f
 is not the displacement of the probe. While the probe moves evenly within each frame, the warp from one frame to
 another is exactly affine with four parameters, and these four are the two velocities.
 
-Coordinates are rows and columns about the centre of the bundle. A frame that moves with velocity (v, w) pixels per frame
-period shows at (y, x) the point (y + v y / R, x + w y / R) of the scene, relative to the probe's position at the time
-at which the bundle's middle row is read; R is the number of rows per frame period, idle time included.
+Coordinates are rows and columns about the centre of the bundle. A frame that moves with velocity (v, w) pixels per
+frame period shows at (y, x) the point (y + v y / R, x + w y / R) of the scene, relative to the probe's position at the
+time at which the bundle's middle row is read; R is the number of rows per frame period, idle time included.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Velocity(NamedTuple):
 
 
 class Warp(NamedTuple):
-    """Where a frame's pixels lie in another frame: ``y' = a y + b``, ``x' = x + s y + d``, about the bundle's centre."""
+    """Where a frame's pixels lie in another: ``y' = a y + b``, ``x' = x + s y + d``, about the bundle's centre."""
 
     a: float = 1.0
     b: float = 0.0
@@ -104,7 +104,7 @@ class RollingShutter:
         )
 
     def displacement(self, warp: Warp, after: Velocity) -> Displacement:
-        """Displacement of the probe, from the warp and the velocity during the later frame; any number of frames apart."""
+        """Displacement of the probe over any number of frames, from the warp and the later frame's velocity."""
         r = self.rows_per_frame
         return Displacement(-warp.b * (1 + after.row / r), -warp.d - after.col / r * warp.b)
 

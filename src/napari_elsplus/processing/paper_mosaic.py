@@ -1,9 +1,9 @@
 """The paper's own mosaicing, kept as it is described: the baseline that other methods are measured against.
 
-ELS+ images are smoothed by a 3 x 3 median (where the bundle is finely sampled), down-sampled to 250 x 250 pixels and cropped
-to 90 % of the bundle's diameter; the shift between successive images is the peak of the normalised cross-correlation between
-a template from one and the whole of the next, in whole pixels; each image is laid over the mosaic as a dead leaf.
-Thrapp and Hughes, Methods, "Image Processing".
+ELS+ images are smoothed by a 3 x 3 median (where the bundle is finely sampled), down-sampled to 250 x 250 pixels and
+cropped to 90 % of the bundle's diameter; the shift between successive images is the peak of the normalised
+cross-correlation between a template from one and the whole of the next, in whole pixels; each image is laid over the
+mosaic as a dead leaf. Thrapp and Hughes, Methods, "Image Processing".
 """
 
 from __future__ import annotations
@@ -58,8 +58,9 @@ class PaperTracker:
     def prepare(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the smoothed, down-sampled and cropped image, (250, 250) float32."""
         smooth = cv2.medianBlur(image, 3) if self._median else image
-        small = cv2.resize(smooth, (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA)
-        return np.multiply(small, self._inside, out=small)
+        small: NDArray[np.float32] = cv2.resize(smooth, (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA)
+        small *= self._inside
+        return small
 
     def add(self, image: NDArray[np.float32]) -> Pose:
         """Track a prepared image; positions are whole pixels of the grid."""

@@ -213,7 +213,18 @@ class Registrar:
         scaled = warp / np.array([1.0, 2.0, 1.0, 2.0])
         stiffness = np.array([1e12, 0.0, 1e12, 0.0])
         score = align(
-            earlier.levels[1], later.levels[1], first, last, self._middles[1], 1, 4, scaled.copy(), stiffness, 1.0, scaled, np.empty((4, 4))
+            earlier.levels[1],
+            later.levels[1],
+            first,
+            last,
+            self._middles[1],
+            1,
+            4,
+            scaled.copy(),
+            stiffness,
+            1.0,
+            scaled,
+            np.empty((4, 4)),
         )
         warp[:] = scaled * np.array([1.0, 2.0, 1.0, 2.0])
         return score
@@ -242,7 +253,8 @@ class Registrar:
         neighbours = cv2.dilate(np.pad(score, 1, mode="wrap"), np.ones((3, 3), np.uint8))[1:-1, 1:-1]
         peaks = np.argwhere((score >= neighbours) & np.isfinite(score) & (ncc > 0))
         order = np.argsort(-score[tuple(peaks.T)])[:_CANDIDATES]
-        return rows[peaks[order]]
+        shifts: NDArray[np.float64] = rows[peaks[order]]
+        return shifts
 
     def _spectra(self, view: View) -> NDArray[np.complex64]:
         if view.spectra is None:
@@ -263,7 +275,7 @@ _SCHEDULE: Final = ((2, 3, 1, True), (1, 2, 1, False), (0, 2, _ROW_STEP, False))
 
 def _support(ncc: NDArray[np.float64], cells: NDArray[np.float64]) -> NDArray[np.float64]:
     """Log-likelihood of a shift, from its correlation over so many cells of quarter resolution."""
-    result: NDArray[np.float64] = -0.05 * cells * np.log1p(-np.clip(ncc, 0, 0.999) ** 2)
+    result: NDArray[np.float64] = -0.05 * cells * np.log1p(-(np.clip(ncc, 0, 0.999) ** 2))
     return result
 
 

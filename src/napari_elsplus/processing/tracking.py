@@ -1,9 +1,9 @@
 """Frame after frame: where the probe is, how well that is known, and when it is not.
 
-Each frame is linked to a key frame that is renewed before the overlap shrinks: at fast motion that is the frame before,
-at slow motion one key frame serves many frames, so that errors do not add up. The link starts from the motion so far; it
-is kept only if the frames themselves single out its shift, and otherwise sought among all shifts. Frames that no link
-reaches are predicted for a while, then lost; a new segment starts where frames can be linked again.
+Each frame is linked to a key frame that is renewed before the overlap shrinks: at fast motion that is the frame
+before, at slow motion one key frame serves many frames, so that errors do not add up. The link starts from the motion
+so far; it is kept only if the frames themselves single out its shift, and otherwise sought among all shifts. Frames
+that no link reaches are predicted for a while, then lost; a new segment starts where frames can be linked again.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.motion import Displacement, Velocity, Warp
+from napari_elsplus.processing.motion import Displacement, Velocity
 from napari_elsplus.processing.registration import Link, Registrar, View
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Pose(NamedTuple):
     segment : int
         Positions are comparable within a segment.
     row, col : float
-        Position at the time at which the bundle's middle row is read, relative to the segment's first frame; nan if lost.
+        Position when the bundle's middle row is read, relative to the segment's first frame; nan if lost.
     velocity : Velocity
         Pixels per frame period.
     score : float
@@ -70,6 +70,9 @@ class Pose(NamedTuple):
     state: State
 
 
+_AT_REST: Final = Velocity(0.0, 0.0)
+
+
 @dataclass(slots=True)
 class _Placed:
     """A frame that others can be linked to."""
@@ -78,7 +81,7 @@ class _Placed:
     index: int = -1
     row: float = 0.0
     col: float = 0.0
-    velocity: Velocity = Velocity(0.0, 0.0)
+    velocity: Velocity = _AT_REST
 
 
 class Tracker:

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import tifffile
+
+from napari_elsplus.io import read_track, write_calibration
+from recordings import fibres, record, smooth_path
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """A folder with a recording of a fast probe and its calibration, and their truth."""
+    folder = tmp_path_factory.mktemp("recording")
+    truth = record(fibres(1000, 200, 1), smooth_path(16, 25.0, 1000, 1))
+    tifffile.imwrite(folder / "moving.tif", truth.frames)
+    write_calibration(folder / "cal.json", truth.calibration)
+    return folder, truth
+
+
+def test_mosaic_and_track_of_a_fast_probe(
+    elsplus: Callable[..., Any], recording: tuple[Path, Any], tmp_path: Path
+) -> None:
+    folder, truth = recording
+    out, track = tmp_path / "mosaic.tif", tmp_path / "track.csv"
+    run = elsplus("mosaic", folder / "moving.tif", "-c", folder / "cal.json", "-o", out, "--track", track)
+    assert run.code == 0, run.err
+    rows = read_track(track)
+    assert [row.frame for row in rows] == list(range(16))
+    assert {row.state for row in rows} == {"tracked"}
+    found = np.array([(row.row_px, row.col_px) for row in rows])
+    assert np.abs(found - (truth.positions - truth.positions[0])).max() < 0.5
+    covered = tifffile.imread(out) != 0
+    assert covered.sum() > 1.5 * np.pi / 4 * (0.9 * 212) ** 2
+
+
+def test_an_output_that_exists_is_kept(
+    elsplus: Callable[..., Any], recording: tuple[Path, Any], tmp_path: Path
+) -> None:
+    folder, _ = recording
+    out = tmp_path / "mosaic.tif"
+    out.write_text("mine")
+    run = elsplus("mosaic", folder / "moving.tif", "-c", folder / "cal.json", "-o", out)
+    assert (run.code, out.read_text()) == (2, "mine")
+    assert len(run.err.strip().splitlines()) == 1
+
+
+def test_the_papers_method_can_be_asked_for(
+    elsplus: Callable[..., Any], recording: tuple[Path, Any], tmp_path: Path
+) -> None:
+    folder, _ = recording
+    track = tmp_path / "track.csv"
+    paper = (
+        "mosaic",
+        folder / "moving.tif",
+        "-c",
+        folder / "cal.json",
+        "--method",
+        "paper",
+        "-o",
+        tmp_path / "m.tif",
+        "--track",
+        track,
+    )
+    assert elsplus(*paper).code == 0
+    whole_pixels = np.array([(row.row_px, row.col_px) for row in read_track(track)]) / (214 / 250)
+    np.testing.assert_allclose(whole_pixels, np.round(whole_pixels), atol=1e-6)
