@@ -35,3 +35,4 @@ def test_contrast_falls_with_a_pedestal() -> None:
     inside = np.ones(image.shape, bool)
     assert contrast(image, inside).michelson == pytest.approx(0.8, abs=0.02)
     assert contrast(image + 100, inside).michelson == pytest.approx(0.8 / 3, abs=0.02)
+    assert contrast(image - 20, inside).michelson == 1

@@ -110,7 +110,7 @@ def draw_comparison(comparison: Comparison, um_per_px: float | None = None) -> F
         axes[mode.value].imshow(shown, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
         axes[mode.value].axhline(comparison.profile_row, color=COLOURS[mode], linewidth=0.8, linestyle=(0, (6, 6)))
         levels = contrast(comparison.images[mode], comparison.inside)
-        axes[mode.value].set_title(f"{title}: contrast {levels.michelson:.2f}, background {levels.background:.2f}")
+        axes[mode.value].set_title(f"{title}: background {100 * levels.background:.1f} % of white")
         axes[mode.value].set_axis_off()
         if um_per_px is not None:
             _draw_scale_bar(axes[mode.value], len(shown), um_per_px)

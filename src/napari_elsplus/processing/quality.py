@@ -84,9 +84,10 @@ class Contrast:
 
     @property
     def michelson(self) -> float:
-        """(structure - background) / (structure + background)."""
-        total = self.structure + self.background
-        return (self.structure - self.background) / total if total > 0 else float("nan")
+        """(structure - background) / (structure + background), a background below zero counted as none."""
+        background = max(self.background, 0.0)
+        total = self.structure + background
+        return (self.structure - background) / total if total > 0 else float("nan")
 
 
 def contrast(image: NDArray[np.floating], inside: NDArray[np.bool_]) -> Contrast:
