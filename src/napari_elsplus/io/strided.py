@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 STAMP_TAG: Final = 65000
 """Private TIFF tag of each page: time in seconds and frame number, two doubles."""
+MAPPED_AT_MOST: Final = 64 << 20
+"""Bytes of frames that may stay in memory."""
 _ENTRY: Final = 20  # bytes of a tag in BigTIFF
 _COUNT: Final = 8  # bytes of the number of tags
 
@@ -42,11 +44,13 @@ class StridedTiff(FrameSource):
         self._next = _COUNT + _ENTRY * self._word(self._ifd)
         self._frame_bytes = rows * cols * dtype.itemsize
         self._stride = self._page_length()
+        self._handed_out = 0
         super().__init__(path, (self._whole_pages(size), rows, cols), dtype, _known(first))
         self.metadata.pop("times_s", None)  # the pages know them
 
     def frame(self, index: int) -> NDArray[Any]:
         """Read one frame, (rows, cols), as the file holds it."""
+        self._forget()
         return self._frames()[index, :, :]
 
     def block(self, indices: range) -> NDArray[Any]:
@@ -72,6 +76,13 @@ class StridedTiff(FrameSource):
     def _view(self, offset: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
         inner = np.empty(shape, dtype).strides if len(shape) == 1 else (shape[1] * dtype.itemsize, dtype.itemsize)
         return np.ndarray((self.shape[0], *shape), dtype, self._map, self._ifd + offset, (self._stride, *inner))
+
+    def _forget(self) -> None:
+        """Give mapped pages back now and then, so that scrolling through a long recording does not fill the memory."""
+        self._handed_out += self._frame_bytes
+        if self._handed_out > MAPPED_AT_MOST and hasattr(self._map, "madvise"):
+            self._map.madvise(mmap.MADV_DONTNEED)  # views stay valid: the system reads them anew
+            self._handed_out = 0
 
     def _page_length(self) -> int:
         following = self._word(self._ifd + self._next)

@@ -1,0 +1,63 @@
+"""A file is there in full or not at all."""
+
+from __future__ import annotations
+
+import pytest
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import replacing, replacing_all
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, ValueError, SystemExit])
+def test_whatever_interrupts_leaves_the_old_file_and_nothing_else(tmp_path, interruption):
+    (tmp_path / "a.txt").write_text("old")
+
+    def interrupted():
+        with replacing(tmp_path / "a.txt", force=True) as beside:
+            beside.write_text("half")
+            raise interruption
+
+    with pytest.raises(interruption):
+        interrupted()
+    assert names(tmp_path) == ["a.txt"]
+    assert (tmp_path / "a.txt").read_text() == "old"
+
+
+def test_the_target_appears_only_at_the_end(tmp_path):
+    with replacing(tmp_path / "a.ome.tif") as beside:
+        beside.write_text("new")
+        assert not (tmp_path / "a.ome.tif").exists()
+        assert beside.parent == tmp_path
+        assert beside.suffixes[-2:] == [".ome", ".tif"]
+    assert names(tmp_path) == ["a.ome.tif"]
+
+
+def test_refusals_come_before_the_work(tmp_path):
+    (tmp_path / "a").write_text("")
+    (tmp_path / "folder").mkdir()
+    for target, force, said in (("a", False, "exists"), ("folder", True, "folder"), ("absent/a", False, "no folder")):
+        with pytest.raises(InputError, match=said), replacing(tmp_path / target, force=force):
+            raise AssertionError("work was done")
+
+
+def test_several_files_of_one_result_are_refused_together(tmp_path):
+    (tmp_path / "b").write_text("mine")
+    with pytest.raises(InputError, match="b exists"), replacing_all(tmp_path / "a", tmp_path / "b"):
+        raise AssertionError("work was done")
+    with replacing_all(tmp_path / "a", tmp_path / "b", force=True) as (first, second):
+        first.write_text("1")
+        second.write_text("2")
+    assert (tmp_path / "a").read_text() + (tmp_path / "b").read_text() == "12"
+    assert names(tmp_path) == ["a", "b"]
+
+
+def test_a_folder_replaces_a_folder(tmp_path):
+    for text in ("old", "new"):
+        with replacing(tmp_path / "image.zarr", force=True) as beside:
+            beside.mkdir()
+            (beside / text).write_text(text)
+    assert names(tmp_path / "image.zarr") == ["new"]

@@ -1,0 +1,51 @@
+"""One-column CSV files are read strictly, and say which line is wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import read_depths_um, read_volts, write_column
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=9))
+def test_every_digit_comes_back(tmp_path_factory, values):
+    path = tmp_path_factory.mktemp("csv") / "depths.csv"
+    write_column(path, "depth_um", values)
+    np.testing.assert_array_equal(read_depths_um(path), values)
+
+
+def test_what_numpy_and_spreadsheets_write_is_read(tmp_path):
+    np.savetxt(tmp_path / "a.csv", [1, 2.5], header="volts", comments="")
+    (tmp_path / "b.csv").write_bytes(b"\xef\xbb\xbfvolts\r\n1\r\n2.5\r\n\r\n")
+    for name in ("a.csv", "b.csv"):
+        np.testing.assert_array_equal(read_volts(tmp_path / name), [1, 2.5])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "line 1 is nothing"),
+        ("1\n2\n", "line 1 is '1'"),
+        ("volts\n1\n", "line 1 is 'volts'"),
+        ("depth_um\n", "no number"),
+        ("depth_um\n1\nx\n", "line 3 is 'x'"),
+        ("depth_um\n1\n\n2\n", "line 3 is ''"),
+        ("depth_um\nnan\n", "line 2 is 'nan'"),
+        ("depth_um\n1,2\n", "line 2 is '1,2'"),
+    ],
+)
+def test_anything_else_is_refused_by_its_line(tmp_path, text, said):
+    (tmp_path / "d.csv").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_depths_um(tmp_path / "d.csv")
+
+
+def test_missing_and_foreign_files(tmp_path):
+    (tmp_path / "b.csv").write_bytes(b"\xff\xfe")
+    for name in ("b.csv", "absent.csv", "."):
+        with pytest.raises(InputError):
+            read_volts(tmp_path / name)
