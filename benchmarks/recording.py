@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import resource
 import shutil
-import struct
 import sys
 import tempfile
 import time
@@ -15,9 +14,9 @@ from pathlib import Path
 
 import click
 import numpy as np
-import tifffile
 
 from napari_elsplus.io import RecordingWriter, open_recording
+from napari_elsplus.io.pages import PageLayout
 
 SHAPE = (524, 1328)
 RATE_HZ = 240
@@ -78,29 +77,17 @@ class Opening:
 
 def sparse_recording(path: Path, frames: int) -> Path:
     """One of our recordings in which the pages' headers are there and the pixels are holes."""
-    with RecordingWriter(path, SHAPE, np.uint8) as writer:
-        for k in range(2):
-            writer.append(np.zeros(SHAPE, np.uint8), k / RATE_HZ, k)
-    with tifffile.TiffFile(path) as file:
-        first, second = file.pages[0], file.pages[1]
-        start, stride = second.offset, second.offset - first.offset
-        page = path.read_bytes()[start : second.dataoffsets[0]]
-        following = 8 + 20 * len(second.tags)
-        apart = [tag.offset - start + 12 for tag in second.tags if tag.valueoffset - start > following]
-        shifted = [*apart, second.tags["StripOffsets"].valueoffset - start]
-        stamp = second.tags[65000].valueoffset - start
-    with path.open("r+b") as file:
-        file.seek(start - stride + following)
-        file.write(struct.pack("<Q", start))
+    layout = PageLayout(SHAPE, np.dtype(np.uint8))
+    with path.open("wb") as file:
+        file.write(layout.file_header)
+        for k in range(frames):
+            file.seek(layout.start(k))
+            file.write(layout.head(k, k / RATE_HZ, k))
         for k in range(1, frames):
-            header = bytearray(page)
-            for place in shifted:
-                struct.pack_into("<Q", header, place, struct.unpack_from("<Q", page, place)[0] + (k - 1) * stride)
-            struct.pack_into("<2d", header, stamp, k / RATE_HZ, k)
-            struct.pack_into("<Q", header, following, start + k * stride if k + 1 < frames else 0)
-            file.seek(start + (k - 1) * stride)
-            file.write(header)
-        file.truncate(start + (frames - 1) * stride)
+            place, link = layout.link(k)
+            file.seek(place)
+            file.write(link)
+        file.truncate(layout.start(frames))
     return path
 
 

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import time
-from contextlib import suppress
 from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
-import tifffile
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import ome
 from napari_elsplus.io.atomic import refuse_existing
 from napari_elsplus.io.calibrations import beside, write_calibration
-from napari_elsplus.io.strided import STAMP_TAG
+from napari_elsplus.io.pages import PageLayout
 
 if TYPE_CHECKING:
+    import io
     from collections.abc import Mapping
 
     from numpy.typing import DTypeLike, NDArray
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
     from napari_elsplus.calibration import Calibration
 
 FLUSH_PERIOD_S: Final = 1.0
-PAGE_DESCRIPTION: Final = "napari-elsplus raw frame"
 
 
 class RecordingWriter:
@@ -91,8 +88,9 @@ class RecordingWriter:
             write_calibration(beside(self.path, ".calibration.json"), calibration, force=force)
         self.path.unlink(missing_ok=True)
         self._times_s: list[float] = []
-        self._end = 0
-        self._writer: tifffile.TiffWriter | None = tifffile.TiffWriter(self.path, bigtiff=True, byteorder="<")
+        self._layout = PageLayout(self.frame_shape, self.dtype)
+        self._file: io.FileIO | None = self.path.open("xb", buffering=0)
+        _write(self._file, self._layout.file_header)
         self._stop = Event()
         self._flusher = Thread(target=self._flush_each_second, name="recording-flush", daemon=True)
         self._flusher.start()
@@ -103,7 +101,7 @@ class RecordingWriter:
     @property
     def closed(self) -> bool:
         """Whether the recording has ended, by :meth:`close` or by a failure of the disk."""
-        return self._writer is None
+        return self._file is None
 
     def append(self, frame: NDArray[Any], time_s: float, frame_number: int) -> None:
         """Write one frame; the caller's buffer may be reused as soon as this returns.
@@ -124,39 +122,34 @@ class RecordingWriter:
         OSError
             If the disk is full or fails: raised once, the recording has then ended with all whole frames in it.
         """
-        if self._writer is None:
+        if self._file is None:
             raise InputError(f"{self.path.name} has ended after {len(self)} frames", "start another recording")
         if frame.shape != self.frame_shape or frame.dtype != self.dtype:
             raise InputError(
                 f"frame {frame_number} is {frame.shape}, {frame.dtype}",
                 f"this recording takes {self.frame_shape}, {self.dtype}",
             )
+        index = len(self)
         try:
-            placed = self._writer.write(
-                np.ascontiguousarray(frame),
-                contiguous=False,
-                metadata=None,
-                photometric="minisblack",
-                description=PAGE_DESCRIPTION,
-                software=ome.SOFTWARE,
-                rowsperstrip=self.frame_shape[0],
-                align=2,
-                extratags=[(STAMP_TAG, tifffile.DATATYPE.DOUBLE, 2, (float(time_s), float(frame_number)), False)],
-                returnoffset=True,
-            )
+            _write(self._file, self._layout.head(index, time_s, frame_number))
+            _write(self._file, np.ascontiguousarray(frame).data)
+            _write(self._file, self._layout.padding)
+            if index:  # the page is whole: now it may be found
+                place, link = self._layout.link(index)
+                self._file.seek(place)
+                _write(self._file, link)
+                self._file.seek(0, os.SEEK_END)
         except OSError as error:
-            self._end_after_failure()
-            reason = error.strerror or str(error)
+            self._let_go()
+            self._cut_to_whole_pages()
             raise OSError(
-                error.errno or errno.EIO, f"the recording ended after {len(self)} frames ({reason})", str(self.path)
+                error.errno, f"the recording ended after {index} frames ({error.strerror})", str(self.path)
             ) from error
-        assert placed is not None
-        self._end = placed[0] + placed[1]
         self._times_s.append(float(time_s))
 
     def close(self) -> None:
         """End the recording: put the OME-XML into its first page and flush it to the disk."""
-        if self._writer is None:
+        if self._file is None:
             return
         self._let_go()
         if not self._times_s:
@@ -166,7 +159,7 @@ class RecordingWriter:
             ome.put_into_first_page(self.path, (len(self), *self.frame_shape), self.dtype, **self._known())
             self._flush()
         except OSError:
-            os.truncate(self.path, self._end)
+            self._cut_to_whole_pages()
             raise
 
     def __enter__(self) -> Self:
@@ -188,18 +181,15 @@ class RecordingWriter:
         }
 
     def _let_go(self) -> None:
-        writer, self._writer = self._writer, None
+        file, self._file = self._file, None
         self._stop.set()
         self._flusher.join()
-        if writer is not None:
-            writer.close()
+        if file is not None:
+            file.close()
 
-    def _end_after_failure(self) -> None:
-        """Cut the file to its whole pages; the failure itself is what the caller hears of."""
-        with suppress(OSError):
-            self._let_go()
+    def _cut_to_whole_pages(self) -> None:
         if self._times_s:
-            os.truncate(self.path, self._end)
+            os.truncate(self.path, self._layout.start(len(self)))
         else:
             self.path.unlink()
 
@@ -215,3 +205,10 @@ class RecordingWriter:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def _write(file: io.FileIO, data: bytes | memoryview) -> None:
+    """Write all of it: the system may take a part at a time."""
+    rest = memoryview(data).cast("B")
+    while rest:
+        rest = rest[file.write(rest) :]

@@ -13,6 +13,7 @@ import numpy as np
 import tifffile
 
 from napari_elsplus.io import ome
+from napari_elsplus.io.pages import STAMP_TAG
 from napari_elsplus.io.sources import FrameSource
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-STAMP_TAG: Final = 65000
-"""Private TIFF tag of each page: time in seconds and frame number, two doubles."""
 MAPPED_AT_MOST: Final = 64 << 20
 """Bytes of frames that may stay in memory."""
 _ENTRY: Final = 20  # bytes of a tag in BigTIFF

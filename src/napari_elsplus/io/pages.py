@@ -1,0 +1,94 @@
+"""The page of a recording: a TIFF directory, time and number, then the pixels; all pages are of one length.
+
+tifffile lays out one page; every other is the same bytes with its offsets moved on. So a page costs a copy of a few
+hundred bytes, and a reader finds page k without reading the k pages before it.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from typing import Any, Final
+
+import numpy as np
+import tifffile
+
+from napari_elsplus.io.ome import SOFTWARE
+
+STAMP_TAG: Final = 65000
+"""Private TIFF tag of each page: time in seconds and frame number, two doubles."""
+DESCRIPTION: Final = "napari-elsplus raw frame"
+_TAG_BYTES: Final = 20  # of BigTIFF: code, type, count, then value or offset at byte 12
+_VALUE: Final = 12
+
+
+class PageLayout:
+    """Where everything lies in a recording of frames of one shape and type.
+
+    Parameters
+    ----------
+    frame_shape : tuple of int
+        Rows and columns.
+    dtype : numpy.dtype
+        uint8 or uint16.
+
+    Attributes
+    ----------
+    file_header : bytes
+        What the file begins with.
+    stride : int
+        Bytes from one page to the next.
+    padding : bytes
+        What follows the pixels.
+
+    Examples
+    --------
+    >>> layout = PageLayout((524, 1328), np.dtype(np.uint8))
+    >>> layout.stride - 524 * 1328 < 500
+    True
+    """
+
+    def __init__(self, frame_shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
+        example = _example(frame_shape, dtype)
+        with tifffile.TiffFile(io.BytesIO(example)) as file:
+            first, second = file.pages.first, file.pages[1]
+            self.file_header = example[: first.offset]
+            self.stride = second.offset - first.offset
+            self._head = example[first.offset : first.dataoffsets[0]]
+            self._pointer = 8 + _TAG_BYTES * len(first.tags)
+            self._stamp = first.tags[STAMP_TAG].valueoffset - first.offset
+            places = [tag.offset - first.offset for tag in first.tags if tag.valueoffset - first.offset > self._pointer]
+            strip = first.tags["StripOffsets"].offset - first.offset
+            self._offsets = [place + _VALUE for place in (*places, strip)]
+        self.padding = bytes(self.stride - len(self._head) - frame_shape[0] * frame_shape[1] * dtype.itemsize)
+
+    def start(self, index: int) -> int:
+        """Byte of the file at which a page begins."""
+        return len(self.file_header) + index * self.stride
+
+    def head(self, index: int, time_s: float, frame_number: int) -> bytes:
+        """Write what stands before the pixels of a page; no page follows it as yet."""
+        head = bytearray(self._head)
+        for place in self._offsets:
+            (offset,) = struct.unpack_from("<Q", head, place)
+            struct.pack_into("<Q", head, place, offset + index * self.stride)
+        struct.pack_into("<Q", head, self._pointer, 0)
+        struct.pack_into("<2d", head, self._stamp, time_s, frame_number)
+        return bytes(head)
+
+    def link(self, index: int) -> tuple[int, bytes]:
+        """Say where in the file to write which bytes, so that page `index` is found from the one before it."""
+        return self.start(index - 1) + self._pointer, struct.pack("<Q", self.start(index))
+
+
+def _example(frame_shape: tuple[int, int], dtype: np.dtype[Any]) -> bytes:
+    """Two pages as tifffile writes them."""
+    buffer, frame = io.BytesIO(), np.zeros(frame_shape, dtype)
+    with tifffile.TiffWriter(buffer, bigtiff=True, byteorder="<") as writer:
+        for _ in range(2):
+            writer.write(
+                frame, contiguous=False, metadata=None, photometric="minisblack", description=DESCRIPTION,
+                software=SOFTWARE, rowsperstrip=frame_shape[0], align=2,
+                extratags=[(STAMP_TAG, tifffile.DATATYPE.DOUBLE, 2, (0.0, 0.0), False)],
+            )  # fmt: skip
+    return buffer.getvalue()
