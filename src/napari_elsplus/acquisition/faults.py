@@ -1,0 +1,69 @@
+"""What went wrong while the engine ran: each said once, with what to do."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from threading import Lock
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from napari_elsplus.errors import ElsPlusError
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that went wrong.
+
+    Parameters
+    ----------
+    source : str
+        Which part of the engine noticed: ``camera``, ``scanner``, ``processing``, ``recorder``, ``engine``.
+    problem, remedy : str
+        What is wrong and what to do, as in :class:`napari_elsplus.errors.ElsPlusError`.
+    time_s : float
+        When, in seconds since the epoch.
+    """
+
+    source: str
+    problem: str
+    remedy: str
+    time_s: float
+
+    def __str__(self) -> str:
+        return f"{self.problem}: {self.remedy}"
+
+
+class FaultLog:
+    """Faults of a run; the same fault is kept once, however often it is seen.
+
+    Examples
+    --------
+    >>> from napari_elsplus.errors import DeviceError
+    >>> log = FaultLog()
+    >>> for _ in range(240):
+    ...     log.add("camera", DeviceError("the camera is gone", "plug it in and connect again"))
+    >>> [str(fault) for fault in log.all()]
+    ['the camera is gone: plug it in and connect again']
+    """
+
+    def __init__(self) -> None:
+        self._faults: dict[tuple[str, str], Fault] = {}
+        self._lock = Lock()
+
+    def add(self, source: str, error: ElsPlusError) -> None:
+        """Keep a fault, unless it is known."""
+        with self._lock:
+            self._faults.setdefault(
+                (source, error.problem), Fault(source, error.problem, error.remedy, time.time())
+            )
+
+    def all(self) -> tuple[Fault, ...]:
+        """Every fault, oldest first."""
+        with self._lock:
+            return tuple(self._faults.values())
+
+    def clear(self) -> None:
+        """Forget all: a new run begins."""
+        with self._lock:
+            self._faults.clear()

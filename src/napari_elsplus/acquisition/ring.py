@@ -1,0 +1,200 @@
+"""A ring of slots that one writer fills and any number of readers look into, also from other processes.
+
+The writer never waits for a reader. A reader that was overtaken while it copied notices, by the slot's sequence
+number, and looks for a newer one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+_ALIGNMENT: Final = 64
+"""Bytes; fields begin on cache lines."""
+_HEADER: Final = np.dtype([("state", "<i8"), ("frame_number", "<i8"), ("time_s", "<f8"), ("ready_s", "<f8")])
+_BEING_WRITTEN: Final = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What a slot holds, and how many slots there are.
+
+    Parameters
+    ----------
+    slots : int
+        Number of slots, at least two: one is being written, the others can be read.
+    fields : tuple of (name, shape, dtype name)
+        The arrays of a slot.
+
+    Examples
+    --------
+    >>> layout = Layout(slots=4, fields=(("raw", (524, 1328), "uint8"),))
+    >>> layout.slot_bytes, layout.nbytes
+    (695936, 2783744)
+    """
+
+    slots: int
+    fields: tuple[tuple[str, tuple[int, ...], str], ...]
+
+    def __post_init__(self) -> None:
+        if self.slots < 2:
+            raise ValueError(f"a ring of {self.slots} slots")
+
+    @property
+    def slot_bytes(self) -> int:
+        """Bytes of one slot, its header included."""
+        return _aligned(_HEADER.itemsize) + sum(_aligned(_bytes(shape, dtype)) for _, shape, dtype in self.fields)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all slots."""
+        return self.slots * self.slot_bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One slot while it is written or read in place.
+
+    Parameters
+    ----------
+    sequence : int
+        Counts what was written, from 0.
+    arrays : mapping of str to numpy.ndarray
+        Views into the ring.
+    """
+
+    sequence: int
+    arrays: Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """What is known of the frame in a slot.
+
+    Parameters
+    ----------
+    sequence : int
+        Its place in the order of writing.
+    frame_number : int
+        The camera's number.
+    time_s : float
+        When it was taken.
+    ready_s : float
+        When the slot was finished, on the clock of the writer.
+    """
+
+    sequence: int
+    frame_number: int
+    time_s: float
+    ready_s: float
+
+
+class Ring:
+    """A ring in memory that the caller provides: on the heap, or shared between processes.
+
+    Parameters
+    ----------
+    memory : buffer
+        At least ``layout.nbytes`` writable bytes, all zero when the ring is new.
+    layout : Layout
+        The same on every side.
+
+    Examples
+    --------
+    >>> layout = Layout(slots=3, fields=(("els", (2, 2), "float32"),))
+    >>> ring = Ring(bytearray(layout.nbytes), layout)
+    >>> slot = ring.acquire()
+    >>> slot.arrays["els"][...] = 7
+    >>> ring.finalize(slot, frame_number=12, time_s=0.05, ready_s=0.051)
+    >>> out = {"els": np.empty((2, 2), np.float32)}
+    >>> stamp = ring.newest_after(-1, out)
+    >>> stamp.frame_number, float(out["els"][0, 0])
+    (12, 7.0)
+    >>> ring.newest_after(stamp.sequence, out) is None
+    True
+    """
+
+    def __init__(self, memory: Any, layout: Layout) -> None:
+        self.layout = layout
+        stride = layout.slot_bytes
+        self._headers = np.ndarray((layout.slots,), _HEADER, memory, 0, (stride,))
+        self._states = self._headers["state"]
+        self._arrays: list[dict[str, NDArray[Any]]] = []
+        for slot in range(layout.slots):
+            offset, arrays = slot * stride + _aligned(_HEADER.itemsize), {}
+            for name, shape, dtype in layout.fields:
+                arrays[name] = np.ndarray(shape, dtype, memory, offset)
+                offset += _aligned(_bytes(shape, dtype))
+            self._arrays.append(arrays)
+        self._next = int(self._states.max())
+
+    @property
+    def written(self) -> int:
+        """Number of slots that this side has finished."""
+        return self._next
+
+    def acquire(self) -> Slot:
+        """Take the oldest slot for writing; what it held is gone."""
+        index = self._next % self.layout.slots
+        self._states[index] = _BEING_WRITTEN
+        return Slot(self._next, self._arrays[index])
+
+    def finalize(self, slot: Slot, *, frame_number: int, time_s: float, ready_s: float) -> None:
+        """Show an acquired slot to the readers."""
+        header = self._headers[slot.sequence % self.layout.slots]
+        header["frame_number"], header["time_s"], header["ready_s"] = frame_number, time_s, ready_s
+        header["state"] = slot.sequence + 1
+        self._next = slot.sequence + 1
+
+    def peek(self, sequence: int) -> Slot:
+        """View a slot in place: only for whoever knows that it is not being overwritten."""
+        return Slot(sequence, self._arrays[sequence % self.layout.slots])
+
+    def stamp(self, sequence: int) -> Stamp | None:
+        """What is known of one frame; None if it is no longer, or not yet, in the ring."""
+        header = self._headers[sequence % self.layout.slots].copy()
+        if header["state"] != sequence + 1:
+            return None
+        return Stamp(sequence, int(header["frame_number"]), float(header["time_s"]), float(header["ready_s"]))
+
+    def newest_after(self, sequence: int, out: Mapping[str, NDArray[Any]]) -> Stamp | None:
+        """Copy the newest frame, unless it was seen already.
+
+        Parameters
+        ----------
+        sequence : int
+            The last one that the caller has seen; -1 if none.
+        out : mapping of str to numpy.ndarray
+            Fields to copy, each into an array of its shape.
+
+        Returns
+        -------
+        Stamp or None
+            None if there is nothing newer; `out` may then hold pieces of several frames.
+        """
+        for _ in range(self.layout.slots):
+            newest = int(self._states.max()) - 1
+            if newest <= sequence:
+                return None
+            stamp = self.stamp(newest)
+            arrays = self._arrays[newest % self.layout.slots]
+            for name, target in out.items():
+                np.copyto(target, arrays[name])
+            if stamp is not None and self._states[newest % self.layout.slots] == newest + 1:
+                return stamp
+        return None
+
+
+def _aligned(size: int) -> int:
+    return -(-size // _ALIGNMENT) * _ALIGNMENT
+
+
+def _bytes(shape: tuple[int, ...], dtype: str) -> int:
+    return int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
