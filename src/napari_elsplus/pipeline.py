@@ -11,7 +11,7 @@ from napari_elsplus.processing.cores import CoreFilter
 from napari_elsplus.processing.sectioning import Mode, Sectioner
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -69,18 +69,7 @@ class Images:
         self._count = len(raw) // frames_per_image
         rows, cols = raw[0].shape
         self.sectioner = Sectioner(calibration, (rows, cols))
-        flat = calibration.flat
-        if flat is not None and flat.shape != (self.side, self.side):
-            raise CalibrationError(
-                f"the flat field has {flat.shape} pixels, the images {self.side} x {self.side}", "calibrate it again"
-            )
-        self._inverse_flat = None
-        if flat_field:
-            if flat is None:
-                raise CalibrationError("the calibration has no flat field", "measure it with `calibrate --flat`")
-            lit = self.sectioner.inside & (flat > _DARKEST_FLAT)
-            self._inverse_flat = np.divide(1, flat, out=np.zeros_like(flat), where=lit)
-        self._filter = CoreFilter(cores).prepared(flat, self.sectioner.inside)
+        self._finish = finishing(calibration, self.sectioner, cores=cores, flat_field=flat_field)
 
     @property
     def side(self) -> int:
@@ -98,13 +87,56 @@ class Images:
     def __getitem__(self, index: int) -> NDArray[np.float32]:
         if not -self._count <= index < self._count:
             raise IndexError(index)
-        image = self.sectioner.image(self._raw, index % self._count, self.mode)
-        if self._inverse_flat is not None:
-            image *= self._inverse_flat
-        return self._filter(image)
+        return self._finish(self.sectioner.image(self._raw, index % self._count, self.mode))
 
     def __iter__(self) -> Iterator[NDArray[np.float32]]:
         return (self[index] for index in range(self._count))
+
+
+def finishing(
+    calibration: Calibration,
+    sectioner: Sectioner,
+    *,
+    cores: CoreFilter | str = CoreFilter.NONE,
+    flat_field: bool = False,
+) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
+    """Return what is done to an image once it is sectioned: flat field, then core filter.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        With its flat field, where the options need it.
+    sectioner : Sectioner
+        Of that calibration.
+    cores : CoreFilter or str
+        How the core pattern is suppressed.
+    flat_field : bool
+        Divide by the calibration's flat field.
+
+    Returns
+    -------
+    callable
+        (n, n) float32 to (n, n) float32; may change its argument.
+
+    Raises
+    ------
+    CalibrationError
+        If the flat field is absent or of another size.
+    """
+    flat = calibration.flat
+    if flat is not None and flat.shape != (sectioner.side, sectioner.side):
+        raise CalibrationError(
+            f"the flat field has {flat.shape} pixels, the images {sectioner.side} x {sectioner.side}",
+            "calibrate it again",
+        )
+    suppress_cores = CoreFilter(cores).prepared(flat, sectioner.inside)
+    if not flat_field:
+        return suppress_cores
+    if flat is None:
+        raise CalibrationError("the calibration has no flat field", "measure it with `calibrate --flat`")
+    lit = sectioner.inside & (flat > _DARKEST_FLAT)
+    inverse = np.divide(1, flat, out=np.zeros_like(flat), where=lit)
+    return lambda image: suppress_cores(np.multiply(image, inverse, out=image))
 
 
 def images(

@@ -8,7 +8,13 @@ import pytest
 
 from napari_elsplus.acquisition import shared
 
-ATTACH = "import sys; from napari_elsplus.acquisition import shared; s = shared.attach(sys.argv[1]); print(bytes(s.buf[:3])); s.close()"
+ATTACH = """
+import sys
+from napari_elsplus.acquisition import shared
+segment = shared.attach(sys.argv[1])
+print(bytes(segment.buf[:3]))
+segment.close()
+"""
 ORPHAN = """
 import os, signal
 from multiprocessing import resource_tracker

@@ -54,9 +54,7 @@ class FaultLog:
     def add(self, source: str, error: ElsPlusError) -> None:
         """Keep a fault, unless it is known."""
         with self._lock:
-            self._faults.setdefault(
-                (source, error.problem), Fault(source, error.problem, error.remedy, time.time())
-            )
+            self._faults.setdefault((source, error.problem), Fault(source, error.problem, error.remedy, time.time()))
 
     def all(self) -> tuple[Fault, ...]:
         """Every fault, oldest first."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,6 +11,7 @@ from napari_elsplus.io import RecordingWriter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from napari_elsplus.acquisition.faults import FaultLog
     from napari_elsplus.acquisition.stream import Stream
@@ -128,7 +128,10 @@ class Recorder(Thread):
             self._writer.close()
         except OSError as error:
             reason = error.strerror or str(error)
-            self._faults.add("recorder", DeviceError(f"{self.plan.path.name}: {reason}", "free some disk space; what was written is readable"))
+            self._faults.add(
+                "recorder",
+                DeviceError(f"{self.plan.path.name}: {reason}", "free some disk space; what was written is readable"),
+            )
         except ElsPlusError as error:
             self._faults.add("recorder", error)
         finally:

@@ -158,7 +158,7 @@ class Ring:
         return Slot(sequence, self._arrays[sequence % self.layout.slots])
 
     def stamp(self, sequence: int) -> Stamp | None:
-        """What is known of one frame; None if it is no longer, or not yet, in the ring."""
+        """Return what is known of one frame; None if it is no longer, or not yet, in the ring."""
         header = self._headers[sequence % self.layout.slots].copy()
         if header["state"] != sequence + 1:
             return None
