@@ -11,6 +11,8 @@ import pytest
 
 from napari_elsplus.cli import COMMANDS
 
+pytestmark = pytest.mark.checkout
+
 PROJECT = Path(__file__).resolve().parents[1]
 PACKAGE = PROJECT / "src" / "napari_elsplus"
 

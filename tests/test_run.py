@@ -16,6 +16,8 @@ from types import ModuleType
 
 import pytest
 
+pytestmark = pytest.mark.checkout
+
 PROJECT = Path(__file__).resolve().parents[1]
 SCRIPT = PROJECT / "run.py"
 
