@@ -184,7 +184,7 @@ def _disc(frame: Image, mask: NDArray[np.bool_], scale: float, threshold: float,
     radius = max(np.ptp(np.flatnonzero(mask.any(axis=axis))) for axis in (0, 1)) / 2 + 0.5
     circle = _outline_circle(mask, (row, column, radius))
     circle = np.r_[(circle[:2] + 0.5) * scale - 0.5, circle[2] * scale]
-    smooth = cv2.GaussianBlur(frame, (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
+    smooth = cv2.GaussianBlur(_evenly_lit(frame, circle), (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
     for reach in (0.25, 0.1, 0.1):
         points, sectors, rays = _edge(smooth, circle, reach)
         if len(points) < max(ARCS, rays // 6):
@@ -202,6 +202,28 @@ def _disc(frame: Image, mask: NDArray[np.bool_], scale: float, threshold: float,
         threshold=threshold,
         edge_seen=used / rays,
     )
+
+
+def _evenly_lit(frame: Image, circle: Floats) -> Image:
+    """Light over a quadratic that is fitted to it inside the disc, so that half level means the same all around."""
+    row, column, radius = circle
+    rows, cols = ((np.arange(size) - at) / radius for size, at in zip(frame.shape, (row, column), strict=True))
+    step = max(1, int(radius / 60))
+    y, x = (grid.ravel() for grid in np.meshgrid(rows[::step], cols[::step], indexing="ij"))
+    inside = np.hypot(y, x) < 0.95
+    coarse = frame[::step, ::step].ravel().astype(np.float64)
+    beside = np.hypot(y, x) > 1.1
+    dark = float(np.median(coarse[beside])) if beside.any() else float(coarse.min())
+    light = coarse[inside] - dark
+    terms = np.linalg.lstsq(_quadratic(y[inside], x[inside]).T, light, rcond=None)[0]
+    y, x = (np.clip(axis, -1.1, 1.1) for axis in (rows[:, None], cols))
+    down, across = (terms[0] + terms[1] * y + terms[3] * y * y, terms[2] * x + terms[5] * x * x)
+    surface = (down + across + terms[4] * y * x) / max(float(light.mean()), 1e-6)
+    return np.asarray((frame - dark) / np.maximum(surface, 0.2), np.float32)
+
+
+def _quadratic(y: Floats, x: Floats) -> Floats:
+    return np.stack([np.ones_like(y), y, x, y * y, y * x, x * x])
 
 
 def _most_pixels(counts: NDArray[np.int_]) -> float:

@@ -204,7 +204,7 @@ def _fit(image: Image, row: float, column: float, slope: float, width: float) ->
     u = u[:, use][inside[:, use]]
     data = patch[:, use][inside[:, use]]
     level = np.percentile(data, 25)
-    parameters = np.array([float(np.percentile(data, 95) - level), float(level), np.log(1.414 * width), 0.0, 0.0])
+    parameters = np.array([float(np.percentile(data, 95) - level), float(level), np.log(1.414 * width), 0.0, 0.0, 0.0])
     for _ in range(12):
         model, jacobian = _model(parameters, u, x)
         step = np.linalg.lstsq(jacobian.T @ jacobian, jacobian.T @ (data - model), rcond=None)[0]
@@ -216,7 +216,7 @@ def _fit(image: Image, row: float, column: float, slope: float, width: float) ->
     model, jacobian = _model(parameters, u, x)
     clusters = np.clip(((x + middle - first) * CLUSTERS / (stop - first)).astype(np.intp), 0, CLUSTERS - 1)
     influence = clustered_influence(jacobian, data - model, clusters, CLUSTERS)
-    amplitude, _, log_width, shift, turn = (float(value) for value in parameters)
+    amplitude, _, log_width, shift, turn, _ = (float(value) for value in parameters)
     fitted = np.sqrt(max(np.exp(2 * log_width) - width**2, 0.1))
     _must_be_a_line(amplitude, float(np.linalg.norm(influence[:, 0])), fitted, shift, reach, rows)
     return Line(
@@ -231,12 +231,12 @@ def _fit(image: Image, row: float, column: float, slope: float, width: float) ->
 
 
 def _model(parameters: Floats, u: Floats, x: Floats) -> tuple[Floats, Floats]:
-    amplitude, level, log_width, shift, turn = parameters
+    amplitude, level, log_width, shift, turn, tilt = parameters
     z = (u - shift - turn * x) / np.exp(log_width)
     bell = np.exp(-0.5 * z * z)
     pull = amplitude * bell * z / np.exp(log_width)
-    jacobian = np.stack([bell, np.ones_like(bell), amplitude * bell * z * z, pull, pull * x], axis=1)
-    return amplitude * bell + level, jacobian
+    jacobian = np.stack([bell, np.ones_like(bell), amplitude * bell * z * z, pull, pull * x, u], axis=1)
+    return amplitude * bell + level + tilt * u, jacobian
 
 
 def _must_be_a_line(amplitude: float, noise: float, width: float, shift: float, reach: int, rows: int) -> None:

@@ -101,6 +101,35 @@ class Resampler:
         return out
 
 
+def resampled(image: NDArray[np.float32], grid_to_image: NDArray[np.float64], side: int) -> NDArray[np.float32]:
+    """Resample one image once; what lies outside of it is zero.
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        (rows, cols) float32.
+    grid_to_image : numpy.ndarray
+        (2, 3), as in :class:`Resampler`.
+    side : int
+        Rows and columns of the grid.
+
+    Returns
+    -------
+    numpy.ndarray
+        (side, side) float32.
+    """
+    resampler = Resampler(grid_to_image, side)
+    low = [max(first, 0) for first in resampler.first]
+    high = [
+        min(first + size, limit)
+        for first, size, limit in zip(resampler.first, resampler.window.shape, image.shape, strict=True)
+    ]
+    seen = image[low[0] : max(high[0], low[0]), low[1] : max(high[1], low[1])]
+    top, left = (a - first for a, first in zip(low, resampler.first, strict=True))
+    resampler.window[top : top + seen.shape[0], left : left + seen.shape[1]] = seen
+    return resampler()
+
+
 @kernel
 def _resample_down(
     image: NDArray[np.float32],

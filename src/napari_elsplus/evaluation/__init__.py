@@ -1,0 +1,1 @@
+"""Speed against accuracy: every choice the software makes, measured against known truth."""
