@@ -127,7 +127,7 @@ def resampled(image: NDArray[np.float32], grid_to_image: NDArray[np.float64], si
     seen = image[low[0] : max(high[0], low[0]), low[1] : max(high[1], low[1])]
     top, left = (a - first for a, first in zip(low, resampler.first, strict=True))
     resampler.window[top : top + seen.shape[0], left : left + seen.shape[1]] = seen
-    return resampler()
+    return resampler(np.empty((side, side), np.float32))
 
 
 @kernel
