@@ -13,13 +13,7 @@ import click
 from napari_elsplus import __version__
 from napari_elsplus.errors import ElsPlusError
 
-COMMANDS: tuple[str, ...] = (
-    "calibrate",
-    "process",
-    "mosaic",
-    "compare",
-    "doctor",
-)
+COMMANDS: tuple[str, ...] = ("axial", "calibrate", "compare", "doctor", "mosaic", "process", "simulate")
 """Names of the commands; each is the ``command`` of the module of that name in this package."""
 
 EXIT_BAD_INPUT = 2

@@ -1,9 +1,11 @@
 """How much the bundle's round edge takes away: the laser line is a chord of the bundle, and so is its halo.
 
-Without an edge the signal of a plane separates into rows and columns (:mod:`renderer`). The edge enters as a ratio,
-clipped over unclipped, of what a uniform plane would give: exact for uniform planes, close for textured ones. The halo
-arises inside the bundle (cross-talk, leaky modes), so it too needs the line to stand on the bundle; that is why the
-residual image is dark where the slit has entered the bundle and the line has not (Thrapp and Hughes, Sec. 3.3).
+Without an edge the signal of a plane separates into rows and columns (:mod:`scan`). The edge enters as a ratio, clipped
+over unclipped, of what a uniform plane would give: exact for uniform planes, close for textured ones. The halo arises
+inside the bundle (cross-talk, leaky modes), so it too needs the line to stand on the bundle; that is why the residual
+image is dark where the slit has entered the bundle and the line has not (Thrapp and Hughes, Sec. 3.3). It is as long as
+the chord on which the light entered, as along the line neighbours exchange equal shares, and it leaves where there are
+cores.
 """
 
 from __future__ import annotations
@@ -52,6 +54,7 @@ class Edge:
         rows = (self.grid_um[:, None] + step * fine).ravel()
         inside = rows[:, None] ** 2 + rows[None, :] ** 2 <= radius_um**2
         self._disc = inside.reshape(points, 8, points, 8).mean((1, 3))
+        self._step_um = float(step)
         self._cell_edges = np.append(self.grid_um - step / 2, self.grid_um[-1] + step / 2)
 
     def vignette(self, offsets_um: Grid, depth_um: float) -> Grid:
@@ -84,7 +87,7 @@ class Edge:
 
     def _halo(self, offsets_um: Grid, spread_um: float) -> Grid:
         origin = (self.grid_um + offsets_um)[:, None] + self._core_um * _NODES  # where the laser enters the bundle
-        along_cols = self._chord(origin, self._inner_um) * _NODE_WEIGHTS[:, None]
+        along_cols = self._on_chord(origin) * _NODE_WEIGHTS[:, None]
         unclipped = gaussian_over_slit(offsets_um, 0.0, np.hypot(self._halo_um, spread_um))
         visible = unclipped > 1e-9
         if spread_um == 0:
@@ -96,6 +99,11 @@ class Edge:
             collect = self._collected(spread_um)
             clipped = (collect[:, None, :] @ face)[:, 0] @ collect.T
         return np.asarray(np.where(visible[:, None], clipped / np.maximum(unclipped, 1e-9)[:, None], 1.0))
+
+    def _on_chord(self, rows_um: Grid) -> Grid:
+        """Share of the grid cell at each column that lies on the chord at each row; 0 off the bundle."""
+        half = np.sqrt(np.maximum(self.radius_um**2 - rows_um**2, 0.0))[..., None]
+        return np.asarray(np.clip((half - np.abs(self.grid_um)) / self._step_um + 0.5, 0, 1) * (half > 0))
 
     def _chord(self, rows_um: Grid, sigma_um: float) -> Grid:
         """Share of a Gaussian around each grid column that falls onto the chord at each row; 0 off the bundle."""

@@ -14,9 +14,10 @@ import numpy as np
 from napari_elsplus.compiled import kernel
 from napari_elsplus.errors import InputError
 from napari_elsplus.simulation.layers import Layer
-from napari_elsplus.simulation.scan import CoreLight, Scan, views
-from napari_elsplus.simulation.sensor import expose, spread_spots
+from napari_elsplus.simulation.scan import CoreLight, Scan
+from napari_elsplus.simulation.sensor import expose
 from napari_elsplus.simulation.trajectories import Still, Trajectory
+from napari_elsplus.simulation.views import views
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -74,14 +75,9 @@ class Renderer:
         self.trajectory = Still() if trajectory is None else trajectory
         self.frame_shape = instrument.frame_shape
         self._seed = seed
-        self._cores = instrument.bundle.cores()
+        self._cores, *self._views = views(instrument)
         self._scan = Scan(instrument, scene, self._cores)
-        self._views = views(instrument, self._cores)
         um_per_px = instrument.optics.um_per_px
-        self._spots = tuple(
-            spread_spots(view.rows_px, view.cols_px, self.frame_shape, instrument.bundle, um_per_px)
-            for view in self._views
-        )
         reach_um = instrument.bundle.radius_um + abs(instrument.offset_um) / 2
         self._layers = [Layer(term.plane.texture, term.blur, um_per_px, reach_um) for term in self._scan.terms]
         self._line_rows: NDArray[np.float64] | None = None
@@ -131,7 +127,7 @@ class Renderer:
             for layer, scale, shift_um in zip(self._layers, light.scale, light.shift_um, strict=True):
                 gather(values, layer.window, 1 / layer.step_um, self._places, shift_um, scale)
         camera = self.instrument
-        left, right = self._spots
+        left, right = (view.spots for view in self._views)
         expose(
             out,
             left.first, left.column, left.cores, left.weights, self._values[0] * np.float32(left.scale),
@@ -146,6 +142,17 @@ class Renderer:
         optics = self.instrument.optics
         periods = frame_index + np.arange(self.frame_shape[0]) / optics.rows_per_frame
         return np.ascontiguousarray(self.trajectory.positions_um(periods * optics.frame_period_s))
+
+    def refuse_path(self, frames: int) -> None:
+        """Make sure, before the first frame is made, that the probe stays on the scene.
+
+        Raises
+        ------
+        InputError
+            Naming the first frame that looks beyond a finite scene, or that a recorded path does not reach.
+        """
+        for frame_index in range(frames):
+            self._refuse_outside(frame_index, self.row_positions_um(frame_index))
 
     def _lit(self, line_rows: NDArray[np.float64] | None) -> tuple[CoreLight, ...]:
         return tuple(self._scan.light(view, line_rows) for view in self._views)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.bundle import Cores
     from napari_elsplus.simulation.instrument import Instrument
     from napari_elsplus.simulation.scenes import Plane, Scene
+    from napari_elsplus.simulation.views import View
 
 _FAR_UM = 1e6
 _NEGLIGIBLE = 1e-5
@@ -49,27 +50,6 @@ class CoreLight(NamedTuple):
     steady: NDArray[np.float32]
     scale: NDArray[np.float32]
     shift_um: NDArray[np.float32]
-
-
-class View(NamedTuple):
-    """One image of the bundle on the camera: its gain, its centre's row, and its cores' pixel positions."""
-
-    gain: float
-    centre_row: float
-    rows_px: NDArray[np.float64]
-    cols_px: NDArray[np.float64]
-
-
-def views(instrument: Instrument, cores: Cores) -> tuple[View, View]:
-    """Left (confocal) and right (residual) view."""
-    um_per_px = instrument.optics.um_per_px
-    cores_px = np.stack([cores.rows_um, cores.cols_um]) / um_per_px
-    turned = instrument.right.matrix @ cores_px
-    left, right = instrument.left_centre, instrument.right_centre
-    return (
-        View(1.0, left[0], left[0] + cores_px[0], left[1] + cores_px[1]),
-        View(instrument.right.gain, right[0], right[0] + turned[0], right[1] + turned[1]),
-    )
 
 
 class Scan:

@@ -1,0 +1,87 @@
+"""``axial``: from a scan of depths to drop-off distances and the signal kept."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import click
+import numpy as np
+
+from napari_elsplus.cli.options import FILE, force_option, output_option, progress
+from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.io import (
+    beside,
+    open_recording,
+    read_calibration,
+    read_depths_um,
+    refuse_existing,
+    replacing,
+)
+from napari_elsplus.processing.axial import AxialResponse, DropOff, axial_profiles, axial_response
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.io import Recording
+
+
+@click.command(short_help="Axial response from a scan of depths.")
+@click.argument("scan", type=FILE)
+@click.option("-c", "--calibration", type=FILE, help="Calibration; by default the one in or beside the scan.")
+@click.option("--depths", type=FILE, help="CSV with header `depth_um`, a line per frame; by default beside the scan.")
+@output_option
+@click.option("--plot", type=FILE, help="Also draw the curves, as PNG.")
+@force_option
+def command(
+    scan: Path, calibration: Path | None, depths: Path | None, output: Path, plot: Path | None, force: bool
+) -> None:
+    """Measure 3 dB and 10 dB drop-offs of LS and ELS+, and the in-focus signal kept, from SCAN."""
+    for target in filter(None, (output, plot)):
+        refuse_existing(target, force=force)
+    with open_recording(scan) as recording:
+        known = _calibration(recording, calibration)
+        depth_um = read_depths_um(depths or _depths_beside(scan))
+        if len(depth_um) != len(recording):
+            raise InputError(f"{len(depth_um)} depths for {len(recording)} frames", "give a line per frame")
+        ls, residual = axial_profiles(recording, known, watch=lambda k: progress(k, describe="depths"))
+    response = axial_response(depth_um, ls, residual)
+    with replacing(output, force=force) as path:
+        path.write_text(json.dumps(response.content(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    if plot is not None:
+        from napari_elsplus.figures.axial import draw_axial_response
+
+        with replacing(plot, force=force) as path:
+            draw_axial_response(response, path)
+    for line in _summary(response):
+        click.echo(line)
+    click.echo(f"wrote {output}")
+
+
+def _calibration(recording: Recording, path: Path | None) -> Calibration:
+    found = recording.calibration if path is None else read_calibration(path)
+    if found is None:
+        raise CalibrationError(f"there is no calibration in or beside {recording.path.name}", "name one with -c")
+    return found
+
+
+def _depths_beside(scan: Path) -> Path:
+    for path in (beside(scan, ".depths.csv"), scan.with_name("depths.csv")):
+        if path.is_file():
+            return path
+    raise InputError(f"there is no {beside(scan, '.depths.csv').name} beside the scan", "name one with --depths")
+
+
+def _summary(response: AxialResponse) -> Iterator[str]:
+    for name, three, ten in (
+        ("LS", response.ls_3db, response.ls_10db),
+        ("ELS+", response.els_3db, response.els_10db),
+    ):
+        yield f"{name}: 3 dB at {_told(three)}, 10 dB at {_told(ten)}"
+    yield f"signal kept in contact: {100 * response.signal_kept:.1f} +- {100 * response.signal_kept_uncertainty:.1f} %"
+
+
+def _told(drop: DropOff) -> str:
+    return f"{drop.um:.1f} +- {drop.uncertainty_um:.1f} um" if np.isfinite(drop.um) else "beyond the scan"

@@ -1,0 +1,327 @@
+"""Axial response: how fast the signal of a plate falls as it leaves the focus (Thrapp and Hughes, Sec. 3.1).
+
+The mean of the central 240 x 240 um of LS, residual and ELS+ is taken at each depth; the distances at which LS and ELS+
+have fallen to a half (3 dB) and to a tenth (10 dB) of their value in contact measure the optical sectioning.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from scipy.optimize import curve_fit, isotonic_regression
+
+from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
+from napari_elsplus.processing.sectioning import Sectioner
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.processing.sectioning import Frames
+
+    Curve = NDArray[np.float64]
+
+SQUARE_UM: Final = 240.0
+"""Side of the square that is averaged, as in the paper."""
+HALF, TENTH = 0.5, 0.1
+_FEWEST_DEPTHS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class DropOff:
+    """Distance from contact at which a curve falls to a level; NaN where the scan does not reach it."""
+
+    um: float
+    uncertainty_um: float
+
+
+@dataclass(frozen=True, slots=True)
+class AxialResponse:
+    """What a scan of depths says about the sectioning.
+
+    Parameters
+    ----------
+    depth_um : numpy.ndarray
+        Depths as they were given, increasing, each once.
+    contact_um : float
+        The depth at which the plate touches: the maximum of the confocal signal.
+    ls, residual, els : numpy.ndarray
+        Normalised curves: LS and residual over LS in contact, ELS+ over ELS+ in contact.
+    ls_3db, ls_10db, els_3db, els_10db : DropOff
+        Distances from contact.
+    signal_kept : float
+        ELS+ over LS in contact.
+    signal_kept_uncertainty : float
+        Its standard deviation.
+    """
+
+    depth_um: Curve
+    contact_um: float
+    ls: Curve
+    residual: Curve
+    els: Curve
+    ls_3db: DropOff
+    ls_10db: DropOff
+    els_3db: DropOff
+    els_10db: DropOff
+    signal_kept: float
+    signal_kept_uncertainty: float
+
+    def content(self) -> dict[str, Any]:
+        """Everything, ready for JSON; a distance that the scan does not reach is None."""
+
+        def number(value: float) -> float | None:
+            return float(value) if np.isfinite(value) else None
+
+        def drops(three: DropOff, ten: DropOff) -> dict[str, float | None]:
+            return {
+                "drop_3db_um": number(three.um),
+                "drop_10db_um": number(ten.um),
+                "drop_3db_uncertainty_um": number(three.uncertainty_um),
+                "drop_10db_uncertainty_um": number(ten.uncertainty_um),
+            }
+
+        return {
+            "ls": drops(self.ls_3db, self.ls_10db),
+            "els": drops(self.els_3db, self.els_10db),
+            "signal_kept": self.signal_kept,
+            "signal_kept_uncertainty": self.signal_kept_uncertainty,
+            "contact_um": self.contact_um,
+            "depth_um": self.depth_um.tolist(),
+            "profiles": {"ls": self.ls.tolist(), "residual": self.residual.tolist(), "els": self.els.tolist()},
+        }
+
+
+def axial_profiles(
+    frames: Frames,
+    calibration: Calibration,
+    *,
+    watch: Callable[[Iterable[int]], Iterable[int]] = lambda numbers: numbers,
+) -> tuple[Curve, Curve]:
+    """Mean LS and residual signal of the central square in each frame, grey levels.
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols).
+    calibration : Calibration
+        Needs the bundle pair and the scale.
+    watch : callable
+        Wraps the frame numbers, say with a progress bar.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        LS and residual, (T,) each; ELS+ is their difference.
+
+    Raises
+    ------
+    CalibrationError
+        If a section is missing, or the scale is unknown.
+    MeasurementError
+        If the square does not fit into the bundle.
+    """
+    calibration.require("bundle", "optics")
+    assert calibration.bundle is not None
+    assert calibration.optics is not None
+    um_per_px = calibration.optics.um_per_px
+    if um_per_px is None:
+        raise CalibrationError("the calibration does not know um_per_px", "give it with `calibrate --um-per-px`")
+    if not len(frames):
+        raise InputError("the scan holds no frame", "record one at each depth")
+    diameter_um = calibration.bundle.diameter_px * um_per_px
+    if SQUARE_UM * np.sqrt(2) > diameter_um:
+        raise MeasurementError(
+            f"a square of {SQUARE_UM:.0f} um does not fit into the bundle of {diameter_um:.0f} um",
+            "check the calibration's um_per_px and diameter",
+        )
+    sectioner = Sectioner(calibration, frames[0].shape)
+    middle, half = (sectioner.side - 1) / 2, SQUARE_UM / um_per_px / 2
+    inside = slice(round(middle - half), round(middle + half) + 1)
+    ls, residual = np.empty((2, len(frames)))
+    image = np.empty((sectioner.side, sectioner.side), np.float32)
+    for k in watch(range(len(frames))):
+        frame = frames[k]
+        ls[k] = sectioner.ls(frame, image)[inside, inside].mean()
+        residual[k] = sectioner.residual(frame, image)[inside, inside].mean()
+    return ls, residual
+
+
+def axial_response(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> AxialResponse:
+    """Drop-off distances and kept signal from signals against depth.
+
+    Frames at the same depth are averaged. The plate touches where LS is largest, found by the best curve that rises to
+    one maximum and falls from it; beyond it the falling curve is followed, so that noise does not end it too early.
+
+    Parameters
+    ----------
+    depths_um : array_like
+        Depth of each frame, in any order, not necessarily even nor from zero.
+    ls, residual : array_like
+        Signals (T,), the background subtracted.
+
+    Returns
+    -------
+    AxialResponse
+        Distances that the scan does not reach are NaN.
+
+    Raises
+    ------
+    InputError
+        If the lengths differ, there are too few depths, or a number is not finite.
+    MeasurementError
+        If there is no signal in contact.
+
+    Examples
+    --------
+    >>> depth = np.arange(0.0, 800, 2)
+    >>> ls, els = 1 / (1 + depth / 60), 1 / (1 + (depth / 30) ** 2)
+    >>> response = axial_response(depth, ls, ls - els)
+    >>> [round(drop.um) for drop in (response.ls_3db, response.ls_10db, response.els_3db, response.els_10db)]
+    [60, 540, 30, 90]
+    """
+    depth, ls_mean, residual_mean = _by_depth(depths_um, ls, residual)
+    els_mean = ls_mean - residual_mean
+    contact = _peak(ls_mean)
+    ls_fall, els_fall = (_Fall(depth[contact:], curve[contact:]) for curve in (ls_mean, els_mean))
+    if not (ls_fall.contact > 3 * ls_fall.noise and ls_fall.contact > 0):
+        raise MeasurementError(
+            f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
+            "is the laser on, and does the background belong to this scan?",
+        )
+    if not els_fall.contact > 0:
+        raise MeasurementError(
+            f"ELS+ in contact is {els_fall.contact:.3g} grey levels", "is the residual's slit off the line?"
+        )
+    kept = els_fall.contact / ls_fall.contact
+    return AxialResponse(
+        depth_um=depth,
+        contact_um=float(depth[contact]),
+        ls=ls_mean / ls_fall.contact,
+        residual=residual_mean / ls_fall.contact,
+        els=els_mean / els_fall.contact,
+        ls_3db=ls_fall.drop(HALF),
+        ls_10db=ls_fall.drop(TENTH),
+        els_3db=els_fall.drop(HALF),
+        els_10db=els_fall.drop(TENTH),
+        signal_kept=float(kept),
+        signal_kept_uncertainty=float(np.hypot(els_fall.noise, kept * ls_fall.noise) / ls_fall.contact),
+    )
+
+
+class _Fall:
+    """A curve that falls from its first point: noise removed by pooling what does not fall."""
+
+    def __init__(self, depth: Curve, signal: Curve) -> None:
+        fitted = isotonic_regression(signal, increasing=False)
+        first, last = fitted.blocks[:-1], fitted.blocks[1:]
+        self._signal: Curve = fitted.x[first]
+        self._depth: Curve = np.array([depth[a:b].mean() for a, b in zip(first, last, strict=True)])
+        self._depth[0] = depth[0]
+        self._start = float(depth[0])
+        self.contact = float(self._signal[0])
+        self.noise = _noise(depth, signal)
+
+    def drop(self, level: float) -> DropOff:
+        share = self._signal / self.contact
+        below = int(np.argmax(share < level))
+        if share[below] >= level:
+            return DropOff(float("nan"), float("nan"))
+        slope = (share[below] - share[below - 1]) / (self._depth[below] - self._depth[below - 1])
+        at = self._depth[below - 1] + (level - share[below - 1]) / slope
+        error = self.noise / self.contact * np.hypot(1, level) / abs(slope)
+        return DropOff(float(at - self._start), float(error))
+
+
+def _by_depth(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[Curve, Curve, Curve]:
+    depth, *signals = (np.asarray(values, np.float64) for values in (depths_um, ls, residual))
+    if depth.ndim != 1 or any(signal.shape != depth.shape for signal in signals):
+        raise InputError(
+            f"{depth.size} depths for {signals[0].size} frames",
+            "the scan has a depth for each frame: give one per line",
+        )
+    if not all(np.isfinite(values).all() for values in (depth, *signals)):
+        raise InputError("a depth or signal is NaN or infinite", "leave that frame out")
+    unique, place = np.unique(depth, return_inverse=True)
+    if len(unique) < _FEWEST_DEPTHS:
+        raise InputError(f"the scan has {len(unique)} different depths", f"give at least {_FEWEST_DEPTHS}")
+    count = np.bincount(place)
+    ls_mean, residual_mean = (np.bincount(place, signal) / count for signal in signals)
+    return unique, ls_mean, residual_mean
+
+
+def _peak(signal: Curve) -> int:
+    """Index of the maximum of the best curve that rises to it and falls from it."""
+    misfit = [
+        np.square(signal[:k] - isotonic_regression(signal[:k]).x).sum()
+        + np.square(signal[k:] - isotonic_regression(signal[k:], increasing=False).x).sum()
+        if k
+        else np.square(signal - isotonic_regression(signal, increasing=False).x).sum()
+        for k in range(len(signal))
+    ]
+    return int(np.argmin(misfit))
+
+
+def _noise(depth: Curve, signal: Curve) -> float:
+    """Estimate the noise on a smooth curve from its points' departure from their neighbours' lines."""
+    if len(depth) < _FEWEST_DEPTHS:
+        return 0.0
+    ahead = (depth[1:-1] - depth[:-2]) / (depth[2:] - depth[:-2])
+    departure = signal[1:-1] - (1 - ahead) * signal[:-2] - ahead * signal[2:]
+    departure /= np.sqrt(1 + ahead**2 + (1 - ahead) ** 2)
+    return float(1.4826 * np.median(np.abs(departure - np.median(departure))))
+
+
+def contrast_to_noise(ls: ArrayLike, residual: ArrayLike, read_noise: float) -> Curve:
+    """Contrast of ELS+ over its noise, both views shot-noise limited.
+
+    Parameters
+    ----------
+    ls, residual : array_like
+        Electrons of the in-focus plane in either view.
+    read_noise : float
+        Electrons rms, of both views together.
+    """
+    confocal, offset = np.asarray(ls, np.float64), np.asarray(residual, np.float64)
+    return np.asarray((confocal - offset) / np.sqrt(confocal + offset + read_noise**2))
+
+
+@dataclass(frozen=True, slots=True)
+class Saturation:
+    """Fit ``limit (1 - exp(-rate offset))`` of drop-offs against slit offset, as the paper prints it."""
+
+    limit_um: float
+    rate_per_um: float
+    limit_uncertainty_um: float
+    rate_uncertainty_per_um: float
+
+
+def fit_saturation(offsets_um: ArrayLike, drops_um: ArrayLike) -> Saturation:
+    """Fit the paper's curve to drop-off distances against slit offset.
+
+    Raises
+    ------
+    MeasurementError
+        If the distances do not follow such a curve.
+
+    Examples
+    --------
+    >>> offset = np.array([12.0, 29, 40, 58, 77])
+    >>> fit = fit_saturation(offset, 58 * (1 - np.exp(-0.032 * offset)))
+    >>> round(fit.limit_um, 3), round(fit.rate_per_um, 5)
+    (58.0, 0.032)
+    """
+    offset, drop = np.asarray(offsets_um, np.float64), np.asarray(drops_um, np.float64)
+    start = (float(drop.max()), 1 / float(np.median(offset)))
+    try:
+        (limit, rate), covariance = curve_fit(lambda x, a, b: a * (1 - np.exp(-b * x)), offset, drop, p0=start)
+    except (RuntimeError, TypeError, ValueError) as error:
+        raise MeasurementError(
+            f"the drop-offs {drop} do not saturate ({error!s:.60})", "measure more offsets"
+        ) from None
+    limit_error, rate_error = np.sqrt(np.diag(covariance))
+    return Saturation(float(limit), float(rate), float(limit_error), float(rate_error))
