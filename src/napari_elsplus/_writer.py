@@ -1,0 +1,118 @@
+"""napari's door for writing: an image layer to OME-TIFF or OME-Zarr."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pint
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import write_mosaic, write_stack
+from napari_elsplus.io.zarr_export import write_ome_zarr
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+
+
+def write_tiff(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
+    """Write an image layer to OME-TIFF: a stack plane by plane, a single image tiled and with a pyramid.
+
+    Parameters
+    ----------
+    path : str
+        The file; napari has asked whether it may be replaced.
+    data : array-like
+        (rows, cols) or (T, rows, cols); of a multiscale layer, the full resolution is written.
+    attributes : dict
+        The layer's attributes: its scale, units and provenance go into the file.
+
+    Returns
+    -------
+    list of str
+        What was written.
+
+    Raises
+    ------
+    InputError
+        If the layer is in colour or has more dimensions.
+    """
+    image = _grey(data, attributes)
+    known = _provenance(attributes)
+    calibration: Calibration | None = known.get("calibration")
+    notes = _notes(known, attributes)
+    step_s, um_per_px = _steps(attributes, image.ndim)
+    if image.ndim == 2:
+        write_mosaic(path, np.asarray(image), um_per_px, metadata=notes, calibration=calibration, force=True)
+    else:
+        write_stack(
+            path, _Planes(image), um_per_px=um_per_px, frame_period_s=step_s, metadata=notes,
+            calibration=calibration, force=True,
+        )  # fmt: skip
+    return [path]
+
+
+def write_zarr(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
+    """Write an image layer to OME-Zarr, plane by plane; as :func:`write_tiff`."""
+    image = _grey(data, attributes)
+    step_s, um_per_px = _steps(attributes, image.ndim)
+    notes = _notes(_provenance(attributes), attributes)
+    planes = _Planes(image) if image.ndim == 3 else iter([np.asarray(image)])
+    write_ome_zarr(path, planes, um_per_px=um_per_px, frame_period_s=step_s, metadata=notes, force=True)
+    return [path]
+
+
+def _grey(data: Any, attributes: Mapping[str, Any]) -> Any:
+    full = data[0] if attributes.get("multiscale") or isinstance(data, list | tuple) else data
+    if attributes.get("rgb") or full.ndim not in (2, 3):
+        raise InputError(
+            f"the layer {attributes.get('name', '')!r} has shape {tuple(full.shape)}",
+            "an image (rows, cols) or a stack (T, rows, cols) of grey levels can be written",
+        )
+    return full
+
+
+class _Planes:
+    """Planes of a stack one after the other, with their number known beforehand."""
+
+    def __init__(self, stack: Any) -> None:
+        self._stack = stack
+
+    def __len__(self) -> int:
+        return len(self._stack)
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return (np.asarray(self._stack[index]) for index in range(len(self._stack)))
+
+
+def _steps(attributes: Mapping[str, Any], ndim: int) -> tuple[float | None, float | None]:
+    """Seconds per plane and micrometres per pixel, where the layer's units say so."""
+    scale: Sequence[float] = attributes.get("scale", (1.0,) * ndim)
+    units: Sequence[Any] = attributes.get("units") or ("pixel",) * ndim
+    step_s = _in(units[0], "second", scale[0]) if ndim == 3 else None
+    return step_s, _in(units[-1], "micrometer", scale[-1])
+
+
+def _in(unit: Any, target: str, value: float) -> float | None:
+    try:
+        return float(pint.Quantity(value, str(unit)).to(target).magnitude)
+    except (pint.DimensionalityError, pint.UndefinedUnitError, AttributeError):
+        return None
+
+
+def _provenance(attributes: Mapping[str, Any]) -> Mapping[str, Any]:
+    known = (attributes.get("metadata") or {}).get("elsplus", {})
+    return known if isinstance(known, dict) else {}
+
+
+def _notes(known: Mapping[str, Any], attributes: Mapping[str, Any]) -> dict[str, Any]:
+    notes = {"layer": str(attributes.get("name", ""))}
+    if "kind" in known:
+        notes["mode"] = str(known["kind"])
+    if "path" in known:
+        notes["recording"] = str(getattr(known["path"], "name", known["path"]))
+    return notes

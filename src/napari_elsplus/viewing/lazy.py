@@ -1,0 +1,109 @@
+"""Raw frames and images as arrays of which only the planes that are looked at are ever computed."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from threading import local
+from typing import TYPE_CHECKING, Any, Final
+
+import dask.array as da
+import numpy as np
+
+from napari_elsplus.pipeline import Images
+from napari_elsplus.processing.cores import CoreFilter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.io import Recording
+    from napari_elsplus.processing.sectioning import Mode
+
+CACHE_BYTES: Final = 64 << 20
+"""Planes that each array keeps in memory."""
+
+
+class LazyPlanes:
+    """An array (T, rows, cols) whose planes are computed when they are asked for, from any thread.
+
+    Parameters
+    ----------
+    compute : callable
+        Index to plane (rows, cols); called from several threads at once.
+    shape : tuple of int
+        (T, rows, cols).
+    dtype : numpy.dtype
+        Of the planes.
+
+    Examples
+    --------
+    >>> planes = LazyPlanes(lambda k: np.full((2, 3), k), (100, 2, 3), np.dtype(int))
+    >>> planes[7].max(), planes[5:7, 0].tolist()
+    (7, [[5, 5, 5], [6, 6, 6]])
+    """
+
+    ndim: Final = 3
+
+    def __init__(
+        self, compute: Callable[[int], NDArray[Any]], shape: tuple[int, int, int], dtype: np.dtype[Any]
+    ) -> None:
+        self.shape = shape
+        self.dtype = dtype
+        plane_bytes = shape[1] * shape[2] * dtype.itemsize
+        self._plane = lru_cache(maxsize=max(2, CACHE_BYTES // plane_bytes))(compute)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, key: Any) -> NDArray[Any]:
+        first, *rest = key if isinstance(key, tuple) else (key,)
+        if isinstance(first, slice):
+            chosen = [self._plane(k) for k in range(*first.indices(len(self)))]
+            stack = np.stack(chosen) if chosen else np.empty((0, *self.shape[1:]), self.dtype)
+            return stack[(slice(None), *rest)]
+        index = int(first)
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"plane {index} of {len(self)}")
+        plane: NDArray[Any] = self._plane(index % len(self))[tuple(rest)]
+        return plane
+
+    def dask(self) -> da.Array:
+        """Return the same planes as a dask array, one chunk each."""
+        return da.from_array(  # type: ignore[no-untyped-call, no-any-return, unused-ignore]
+            self,
+            chunks=(1, *self.shape[1:]),
+            name=False,
+            asarray=False,
+            inline_array=True,
+            meta=np.empty((0, 0, 0), self.dtype),
+        )
+
+
+def raw_planes(recording: Recording) -> LazyPlanes:
+    """Raw frames of an open recording."""
+    return LazyPlanes(recording.__getitem__, recording.shape, recording.dtype)
+
+
+def image_planes(
+    raw: LazyPlanes,
+    calibration: Calibration,
+    mode: Mode | str,
+    *,
+    cores: CoreFilter | str = CoreFilter.NONE,
+    flat_field: bool = False,
+) -> LazyPlanes:
+    """Images of one mode, made of raw planes when they are looked at.
+
+    Parameters and errors are those of :class:`napari_elsplus.pipeline.Images`, of which each thread has its own.
+    """
+    own = local()
+
+    def images() -> Images:
+        if not hasattr(own, "images"):
+            own.images = Images(raw, calibration, mode, cores=cores, flat_field=flat_field)
+        made: Images = own.images
+        return made
+
+    return LazyPlanes(lambda index: images()[index], images().shape, np.dtype(np.float32))
