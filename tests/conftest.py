@@ -22,3 +22,9 @@ def data_folder() -> Path:
 def open_recording(data_folder: Path) -> Path:
     """An ELS+ recording with known truth, made by a simulator that shares nothing with this project."""
     return data_folder / "open-recording"
+
+
+@pytest.fixture(autouse=True)
+def _settings_of_their_own(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No test reads or writes the settings of whoever runs it."""
+    monkeypatch.setenv("ELSPLUS_CONFIG", str(tmp_path_factory.mktemp("settings")))

@@ -33,6 +33,7 @@ ROOMS = (
     "diagnosis",
     "cli",
     "settings",
+    "viewing",
     "napari's doors",
     "widgets",
 )

@@ -81,7 +81,7 @@ def _all() -> dict[str, Any]:
     path = settings_file()
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return {}
     except (OSError, ValueError) as error:
         warnings.warn(f"the settings in {path} could not be read ({error!s:.80}); the defaults hold", stacklevel=3)

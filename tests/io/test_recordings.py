@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import imageio_ffmpeg
@@ -196,6 +198,19 @@ def test_a_closed_recording_says_so(tmp_path, frames):
     recording.close()
     with pytest.raises(InputError, match="closed"):
         recording[0]
+
+
+@pytest.mark.parametrize("name", ["zlib.tif", "r.ome.tif", "video.avi"])
+def test_a_recording_that_is_dropped_lets_go_of_its_file(tmp_path, frames, name):
+    FORMATS[name](tmp_path / name, frames)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = open_recording(tmp_path / name)
+        recording[0]
+        recording.me = recording
+        del recording
+        gc.collect()
+    assert [str(warning.message) for warning in caught] == []
 
 
 def write_bad(folder, name):

@@ -69,6 +69,7 @@ class OmeZarr(FrameSource):
 
 def _full_resolution(path: Path, group: Any) -> tuple[Any, dict[str, Any]]:
     attributes: Mapping[str, Any] = dict(group.attrs)
+    notes = attributes.get("napari-elsplus")
     attributes = attributes.get("ome", attributes)
     scales = attributes.get("multiscales")
     if not scales:
@@ -82,6 +83,8 @@ def _full_resolution(path: Path, group: Any) -> tuple[Any, dict[str, Any]]:
         if transform.get("type") == "scale" and len(transform["scale"]) == len(axes):
             scale = [a * b for a, b in zip(scale, transform["scale"], strict=True)]
     known: dict[str, Any] = {"axes": "".join(axis["name"][:1] for axis in axes)}
+    if isinstance(notes, dict):
+        known["settings"] = notes
     known |= _scales(axes, scale if transforms else ())
     return group[level["path"]], known
 

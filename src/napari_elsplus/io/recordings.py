@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
+from weakref import finalize
 
 import numpy as np
 
@@ -44,6 +45,7 @@ class Recording:
         self.metadata: dict[str, Any] = {
             name: value for name, value in source.metadata.items() if name not in {"calibration", "times_s"}
         }
+        self._let_go = finalize(self, source.close)  # a viewer drops its recordings without a word
         self._calibration_text: str | None = source.metadata.get("calibration")
 
     def __len__(self) -> int:
@@ -107,9 +109,8 @@ class Recording:
 
     def close(self) -> None:
         """Let go of the file; views that were handed out stay valid."""
-        if self._source is not None:
-            self._source.close()
-            self._source = None
+        self._source = None
+        self._let_go()
 
     def __enter__(self) -> Self:
         return self

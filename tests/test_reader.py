@@ -1,0 +1,121 @@
+"""What happens when a file is dropped on napari."""
+
+from __future__ import annotations
+
+import json
+import logging
+
+import numpy as np
+import pytest
+import tifffile
+from napari.utils.notifications import notification_manager
+
+from napari_elsplus import settings
+from napari_elsplus._reader import get_reader
+from napari_elsplus.io import write_calibration
+from napari_elsplus.pipeline import images
+from pairs import calibration, frames, write_pair
+
+PLUGIN = "napari-elsplus"
+
+
+@pytest.fixture
+def said():
+    """What napari was told to show, as (severity, message)."""
+    before = len(notification_manager.records)
+    return lambda: [(r.severity.value, r.message) for r in notification_manager.records[before:]]
+
+
+def test_a_recording_is_shown_and_scrolled(make_napari_viewer_proxy, tmp_path):
+    viewer = make_napari_viewer_proxy()
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    assert [layer.name for layer in viewer.layers] == ["scan raw", "scan LS", "scan residual", "scan ELS+", "scan ELSA"]
+    layer = viewer.layers["scan ELS+"]
+    els = images(frames(), calibration(), "els")
+    for step in (0, 4, 2):
+        viewer.dims.set_current_step(0, step)
+        shown = np.asarray(layer.get_value((step * layer.scale[0], 64.0, 62.0), world=True))
+        side = els.shape[1]
+        assert shown == els[step, side // 2, side // 2] or shown == els[step, (side - 1) // 2, (side - 1) // 2]
+    assert [str(unit) for unit in layer.units] == ["second", "micrometer", "micrometer"]
+
+
+def test_a_calibration_is_shown_and_put_in_force(make_napari_viewer_proxy, tmp_path, said):
+    viewer = make_napari_viewer_proxy()
+    path = write_calibration(tmp_path / "c.json", calibration())
+    (tmp_path / "stacks").mkdir()
+    tifffile.imwrite(tmp_path / "stacks" / "bare.tif", frames())
+    viewer.open(str(path), plugin=PLUGIN)
+    (outline,) = viewer.layers
+    assert outline.features["view"].tolist() == ["confocal", "residual"]
+    assert settings.calibration_in_force() == path
+    viewer.open(str(tmp_path / "stacks" / "bare.tif"), plugin=PLUGIN)
+    assert "bare ELS+" in viewer.layers
+    assert [severity for severity, _ in said()] == ["info", "warning"]
+
+
+def damaged(tmp_path):
+    path = tmp_path / "cut.tif"
+    tifffile.imwrite(path, frames(), compression="zlib")
+    path.write_bytes(path.read_bytes()[:400])
+    return path
+
+
+def foreign(tmp_path):
+    path = tmp_path / "text.tif"
+    path.write_text("not a tiff")
+    return path
+
+
+def colour(tmp_path):
+    tifffile.imwrite(tmp_path / "rgb.tif", np.zeros((2, 20, 20, 3), np.uint8), photometric="rgb")
+    return tmp_path / "rgb.tif"
+
+
+def newer(tmp_path):
+    (tmp_path / "new.json").write_text(json.dumps({"format": "napari-elsplus/calibration", "version": 9}))
+    return tmp_path / "new.json"
+
+
+@pytest.mark.parametrize("make", [damaged, foreign, colour, newer])
+def test_bad_files_give_one_notification_and_no_layer(make_napari_viewer_proxy, tmp_path, said, make):
+    viewer = make_napari_viewer_proxy()
+    viewer.open(str(make(tmp_path)), plugin=PLUGIN)
+    assert len(viewer.layers) == 0
+    ((severity, message),) = said()
+    assert severity == "error"
+    assert ": " in message
+    assert settings.calibration_in_force() is None
+
+
+def test_a_calibration_that_does_not_fit_is_a_warning_and_the_raw_frames(make_napari_viewer_proxy, tmp_path, said):
+    viewer = make_napari_viewer_proxy()
+    path = write_pair(tmp_path)
+    tifffile.imwrite(path, frames()[:, :50])
+    viewer.open(str(path), plugin=PLUGIN)
+    assert [layer.name for layer in viewer.layers] == ["scan raw"]
+    ((severity, message),) = said()
+    assert severity == "warning"
+    assert "64 x 128" in message
+
+
+def test_only_what_is_ours_is_claimed(tmp_path):
+    (tmp_path / "other.json").write_text('{"a": 1}')
+    assert get_reader(str(tmp_path / "other.json")) is None
+    assert get_reader(str(tmp_path / "absent.json")) is None
+    assert get_reader([str(tmp_path / "a.tif"), str(tmp_path / "b.tif")]) is None
+    assert get_reader(str(newer(tmp_path))) is not None
+
+
+def test_a_closed_viewer_lets_the_recording_go(make_napari_viewer_proxy, tmp_path, caplog):
+    import gc
+    import weakref
+
+    viewer = make_napari_viewer_proxy()
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    recording = weakref.ref(viewer.layers[0].metadata["elsplus"]["recording"])
+    assert recording() is not None
+    with caplog.at_level(logging.CRITICAL):
+        viewer.layers.clear()
+    gc.collect()
+    assert recording() is None

@@ -1,0 +1,43 @@
+"""What is remembered between runs."""
+
+from __future__ import annotations
+
+import pytest
+
+from napari_elsplus import settings
+
+
+def test_sections_keep_to_themselves():
+    settings.remember("rig", name="simulated", gains=[1.0, 2.0])
+    settings.remember("view", name="dark")
+    settings.remember("rig", preset="240hz", gains=None)
+    assert settings.recall("rig") == {"name": "simulated", "preset": "240hz"}
+    assert settings.recall("view") == {"name": "dark"}
+    assert settings.recall("nothing") == {}
+
+
+def test_the_calibration_in_force_is_forgotten_when_its_file_goes(tmp_path):
+    assert settings.calibration_in_force() is None
+    path = tmp_path / "c.json"
+    path.write_text("{}")
+    settings.put_in_force(path)
+    assert settings.calibration_in_force() == path
+    path.unlink()
+    assert settings.calibration_in_force() is None
+    path.write_text("{}")
+    settings.put_in_force(None)
+    assert settings.calibration_in_force() is None
+
+
+def test_a_broken_file_costs_the_memory_but_not_the_work():
+    settings.remember("rig", name="simulated")
+    settings.settings_file().write_text("not [ toml")
+    with pytest.warns(UserWarning, match="could not be read"):
+        assert settings.recall("rig") == {}
+
+
+def test_a_folder_that_cannot_be_written_is_said(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv(settings.FOLDER_VARIABLE, str(tmp_path / "file" / "folder"))
+    with pytest.warns(UserWarning, match="could not be kept"):
+        settings.remember("rig", name="simulated")

@@ -1,0 +1,93 @@
+"""Layers are saved with their scale, and come back as they were."""
+
+from __future__ import annotations
+
+import dask.array as da
+import numpy as np
+import pytest
+import tifffile
+import zarr
+from napari.layers import Image
+
+from napari_elsplus._writer import write_tiff, write_zarr
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import open_recording
+from napari_elsplus.pipeline import images
+from pairs import FRAME_PERIOD_S, calibration, frames, write_pair
+
+PLUGIN = "napari-elsplus"
+
+
+@pytest.mark.parametrize("ending", [".ome.tif", ".ome.zarr"])
+def test_an_opened_layer_is_saved_and_comes_back(make_napari_viewer_proxy, tmp_path, ending):
+    viewer = make_napari_viewer_proxy()
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    target = tmp_path / f"els{ending}"
+    assert viewer.layers["scan ELS+"].save(str(target), plugin=PLUGIN) == [str(target)]
+    with open_recording(target) as back:
+        np.testing.assert_array_equal(back[:], images(frames(), calibration(), "els"))
+        assert back.metadata["um_per_px"] == pytest.approx(2.0)
+        assert back.metadata["frame_period_s"] == pytest.approx(FRAME_PERIOD_S)
+    viewer.open(str(target), plugin=PLUGIN)
+    assert viewer.layers[-1].name == "els ELS+"
+    np.testing.assert_allclose(viewer.layers[-1].scale, viewer.layers["scan ELS+"].scale)
+
+
+def test_the_calibration_and_the_mode_go_along(make_napari_viewer_proxy, tmp_path):
+    viewer = make_napari_viewer_proxy()
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    viewer.layers["scan LS"].save(str(tmp_path / "ls.tif"), plugin=PLUGIN)
+    with open_recording(tmp_path / "ls.tif") as back:
+        assert back.calibration.offset.rows == -4.0
+        assert back.metadata["settings"] == {"layer": "scan LS", "mode": "ls", "recording": "scan.tif"}
+    viewer.open(str(tmp_path / "ls.tif"), plugin=PLUGIN)
+    assert viewer.layers[-1].name == "ls LS"
+
+
+def test_a_single_image_gets_a_pyramid(tmp_path):
+    image = np.random.default_rng(0).random((700, 600)).astype(np.float32)
+    data, attributes, _ = Image(image, scale=(0.5, 0.5), units=("mm", "mm")).as_layer_data_tuple()
+    write_tiff(str(tmp_path / "m.tif"), data, attributes)
+    with tifffile.TiffFile(tmp_path / "m.tif") as file:
+        np.testing.assert_array_equal(file.asarray(), image)
+        assert len(file.series[0].levels) == 2
+        assert 'PhysicalSizeX="500.0"' in file.ome_metadata
+    write_zarr(str(tmp_path / "m.zarr"), data, attributes)
+    np.testing.assert_array_equal(zarr.open(tmp_path / "m.zarr")["0"][0], image)
+
+
+def test_pixels_are_not_taken_for_micrometres(tmp_path):
+    data, attributes, _ = Image(np.zeros((3, 8, 8), np.float32)).as_layer_data_tuple()
+    write_tiff(str(tmp_path / "a.tif"), data, attributes)
+    with open_recording(tmp_path / "a.tif") as back:
+        assert "um_per_px" not in back.metadata
+        assert "frame_period_s" not in back.metadata
+
+
+def test_planes_are_computed_one_at_a_time(tmp_path):
+    asked = []
+
+    def plane(block_info=None):
+        asked.append(block_info[None]["chunk-location"][0])
+        return np.zeros((1, 8, 8), np.float32)
+
+    lazy = da.map_blocks(plane, chunks=((1,) * 5, (8,), (8,)), dtype=np.float32, meta=np.empty((0, 0, 0), np.float32))
+    write_tiff(str(tmp_path / "a.tif"), lazy, {"name": "a"})
+    assert asked == [0, 1, 2, 3, 4]
+
+
+def test_of_a_pyramid_the_full_resolution_is_saved(tmp_path):
+    levels = [np.ones((64, 64), np.float32), np.zeros((32, 32), np.float32)]
+    data, attributes, _ = Image(levels, multiscale=True).as_layer_data_tuple()
+    write_tiff(str(tmp_path / "a.tif"), data, attributes)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.tif"), levels[0])
+
+
+@pytest.mark.parametrize("write", [write_tiff, write_zarr])
+@pytest.mark.parametrize(
+    ("data", "rgb"), [(np.zeros((8, 8, 3), np.uint8), True), (np.zeros((2, 2, 8, 8), np.uint8), False)]
+)
+def test_colour_and_more_dimensions_are_refused(tmp_path, write, data, rgb):
+    with pytest.raises(InputError, match="grey levels"):
+        write(str(tmp_path / "a.zarr"), data, {"name": "a", "rgb": rgb})
+    assert list(tmp_path.iterdir()) == []
