@@ -104,6 +104,7 @@ class Recorder(Thread):
         )
         self._stream = stream
         self._cursor = stream.join(earlier=round(plan.earlier_s * frame_rate_hz))
+        self._half_period_s = 0.5 / frame_rate_hz
         self._stop_before: int | None = None
 
     @property
@@ -149,7 +150,7 @@ class Recorder(Thread):
             if self._stop_before is not None and stamp.sequence >= self._stop_before:
                 return
             first_s = stamp.time_s if first_s is None else first_s
-            if self.plan.seconds is not None and stamp.time_s - first_s >= self.plan.seconds:
+            if self.plan.seconds is not None and stamp.time_s - first_s > self.plan.seconds - self._half_period_s:
                 return
             self._writer.append(frame, stamp.time_s, stamp.frame_number)
             self._tally.recorded += 1

@@ -146,6 +146,10 @@ class Ring:
         self._states[index] = _BEING_WRITTEN
         return Slot(self._next, self._arrays[index])
 
+    def skip(self) -> None:
+        """Pass over the oldest slot, which keeps what it holds; its new sequence number is never given to a frame."""
+        self._next += 1
+
     def finalize(self, slot: Slot, *, frame_number: int, time_s: float, ready_s: float) -> None:
         """Show an acquired slot to the readers."""
         header = self._headers[slot.sequence % self.layout.slots]

@@ -113,17 +113,17 @@ class Stream:
         """Whether no more frames will come."""
         return self._ended
 
-    def acquire(self) -> Slot | None:
-        """Take the oldest slot for the camera to fill; None if a consumer still works on what is in it."""
+    def acquire(self) -> Slot:
+        """Take the oldest slot that no consumer works on, for the camera to fill."""
         with self._changed:
-            lost = self._ring.written - self.depth
-            if any(cursor.held == lost for cursor in self._cursors if cursor.held is not None):
-                return None
+            held = {cursor.held % self.depth for cursor in self._cursors if cursor.held is not None}
+            while self._ring.written % self.depth in held:
+                self._ring.skip()
             for cursor in self._cursors:
-                oldest = max(lost + 1, self._ring.written + 1 - cursor.limit)
-                if cursor.next < oldest:
-                    cursor.skipped += oldest - cursor.next
-                    cursor.next = oldest
+                oldest = self._ring.written + 1 - min(cursor.limit, self.depth)
+                while cursor.next < oldest:
+                    cursor.skipped += self._ring.stamp(cursor.next) is not None
+                    cursor.next += 1
             return self._ring.acquire()
 
     def finalize(self, slot: Slot, *, frame_number: int, time_s: float) -> None:
@@ -166,10 +166,11 @@ class Stream:
             cursor.held = None
             if cursor.next >= self._ring.written and not self._ended:
                 self._changed.wait_for(lambda: cursor.next < self._ring.written or self._ended, timeout_s)
-            if cursor.next >= self._ring.written:
-                return None
-            sequence = cursor.next
-            stamp = self._ring.stamp(sequence)
-            assert stamp is not None
-            cursor.held, cursor.next = sequence, sequence + 1
-            return self._ring.peek(sequence).arrays["raw"], stamp
+            while cursor.next < self._ring.written:
+                sequence = cursor.next
+                cursor.next += 1
+                stamp = self._ring.stamp(sequence)
+                if stamp is not None:  # None: the camera passed over a slot that somebody worked on
+                    cursor.held = sequence
+                    return self._ring.peek(sequence).arrays["raw"], stamp
+            return None

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass, field
-from typing import Final
+from collections import Counter, deque
+from dataclasses import dataclass
+from math import nan
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
 _BINS_PER_MS: Final = 50
 _LONGEST_MS: Final = 2000
+_RATE_OVER: Final = 120
+"""Frames over which the momentary rate is taken."""
 
 
 @dataclass(frozen=True, slots=True)
 class Latency:
     """Milliseconds from the last byte of a frame to its result: median, 99th percentile, largest."""
 
-    p50: float
-    p99: float
-    max: float
+    p50: float = nan
+    p99: float = nan
+    max: float = nan
 
 
 class LatencyHistogram:
@@ -47,31 +55,70 @@ class LatencyHistogram:
         """Median, 99th percentile and maximum; NaN where nothing was counted."""
         total = self._counts.sum()
         if not total:
-            return Latency(np.nan, np.nan, np.nan)
+            return Latency()
         upto = np.cumsum(self._counts)
         p50, p99 = (float(np.searchsorted(upto, share * total) + 1) / _BINS_PER_MS for share in (0.5, 0.99))
         return Latency(min(p50, self._largest_ms), min(p99, self._largest_ms), self._largest_ms)
 
-    def counts(self) -> tuple[np.ndarray, np.ndarray]:
+    def counts(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Lower edges in milliseconds and counts of the bins that are not empty."""
         filled = np.flatnonzero(self._counts)
         return filled / _BINS_PER_MS, self._counts[filled]
 
 
-@dataclass(slots=True)
 class Tally:
-    """Frames of one run of the stream.
+    """Frames of one run of the stream, counted by the threads that see them.
 
-    Parameters
+    Attributes
     ----------
-    acquired, processed, recorded : int
-        Frames that the camera delivered whole, that have their result, that are in the file.
+    processed, recorded : int
+        Frames that have their result, that are in the file.
     dropped : Counter
         Frames lost, by cause; a frame may be acquired and yet be lost to one of its consumers.
+    latency : LatencyHistogram
+        Last byte of a frame to its result.
     """
 
-    acquired: int = 0
-    processed: int = 0
-    recorded: int = 0
-    dropped: Counter[str] = field(default_factory=Counter)
-    latency: LatencyHistogram = field(default_factory=LatencyHistogram)
+    def __init__(self) -> None:
+        self.processed = 0
+        self.recorded = 0
+        self.dropped: Counter[str] = Counter()
+        self.latency = LatencyHistogram()
+        self._arrivals_s: deque[float] = deque(maxlen=_RATE_OVER)
+        self._first_s = self._last_s = nan
+        self._acquired = 0
+
+    @property
+    def acquired(self) -> int:
+        """Frames that the camera delivered whole and that went into the stream."""
+        return self._acquired
+
+    def arrived(self, time_s: float) -> None:
+        """Count a frame that went into the stream."""
+        if not self._acquired:
+            self._first_s = time_s
+        self._last_s = time_s
+        self._arrivals_s.append(time_s)
+        self._acquired += 1
+
+    def lost_by_camera(self, known: Mapping[str, int], missing: int) -> None:
+        """Take over what the camera lost since the run began; what its numbers miss beyond that has no known cause."""
+        for cause, count in known.items():
+            self.skipped(f"camera: {cause}", count)
+        self.skipped("camera: missing numbers", max(0, missing - sum(known.values())))
+
+    def skipped(self, cause: str, count: int) -> None:
+        """Set how many frames one cause has cost."""
+        if count:
+            self.dropped[cause] = count
+
+    @property
+    def mean_hz(self) -> float:
+        """Frames per second over the whole run; NaN before the second frame."""
+        return (self._acquired - 1) / (self._last_s - self._first_s) if self._acquired > 1 else nan
+
+    @property
+    def recent_hz(self) -> float:
+        """Frames per second over the last frames; NaN before the second one."""
+        arrivals = tuple(self._arrivals_s)
+        return (len(arrivals) - 1) / (arrivals[-1] - arrivals[0]) if len(arrivals) > 1 else nan

@@ -1,0 +1,181 @@
+"""The two threads that must keep the camera's pace: one takes frames from the camera, one works on them."""
+
+from __future__ import annotations
+
+import time
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+
+import numpy as np
+
+from napari_elsplus.acquisition.live_images import LiveImages, Measures
+from napari_elsplus.errors import DeviceError, ElsPlusError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.acquisition.faults import FaultLog
+    from napari_elsplus.acquisition.ring import Ring, Stamp
+    from napari_elsplus.acquisition.stream import Stream
+    from napari_elsplus.acquisition.tally import Tally
+    from napari_elsplus.hardware.protocols import Camera
+
+DISPLAY_HZ: Final = 60.0
+PROCESSING_LIMIT: Final = 120
+"""Frames that processing may be behind before it skips: half a second at 240 Hz."""
+_PATIENCE_S: Final = 0.1
+_SILENCE_S: Final = 3.0
+
+
+class Shown(NamedTuple):
+    """How live images are made, and the ring in which they are shown; the two fit each other."""
+
+    images: LiveImages
+    ring: Ring
+
+
+class FrameConsumer(Protocol):
+    """Whatever else is done with every frame, in the order of frames."""
+
+    def add(self, raw: NDArray[np.uint8], stamp: Stamp) -> None:
+        """Work on a frame; it is overwritten later."""
+
+
+class CameraWorker(Thread):
+    """Takes frames from a streaming camera into the stream until it is told to stop or the camera fails.
+
+    Parameters
+    ----------
+    camera : Camera
+        Streaming.
+    stream : Stream
+        Where the frames go; ended when this thread ends.
+    tally : Tally
+        Counts frames.
+    faults : FaultLog
+        Hears of a camera that failed.
+    settling : int
+        Frames to throw away first: a camera's first two after a change of region are invalid.
+
+    Attributes
+    ----------
+    last_frame_s : float
+        When the newest frame came, on the clock of ``time.perf_counter``.
+    """
+
+    def __init__(self, camera: Camera, stream: Stream, tally: Tally, faults: FaultLog, settling: int) -> None:
+        super().__init__(name="camera", daemon=True)
+        self._camera, self._stream, self._tally, self._faults = camera, stream, tally, faults
+        self._settling = settling
+        self._stop_asked = Event()
+
+    def stop(self) -> None:
+        """End with the frame that is being read."""
+        self._stop_asked.set()
+
+    def run(self) -> None:
+        """Read frames."""
+        try:
+            self._read()
+        except DeviceError as error:
+            self._faults.add("camera", error)
+        finally:
+            self._stream.end()
+
+    def _read(self) -> None:
+        camera, stream, tally = self._camera, self._stream, self._tally
+        heard_s = time.perf_counter()
+        to_settle = self._settling
+        before: dict[str, int] = {}
+        expected: int | None = None
+        missing = 0
+        while not self._stop_asked.is_set():
+            slot = stream.acquire()
+            try:
+                info = camera.read_into(slot.arrays["raw"], _PATIENCE_S)
+            except TimeoutError:
+                if time.perf_counter() - heard_s > _SILENCE_S:
+                    raise DeviceError(
+                        f"the camera has sent no frame for {_SILENCE_S:g} s", "check its cable, then connect again"
+                    ) from None
+                continue
+            heard_s = info.time_s
+            if to_settle:
+                to_settle -= 1
+                before = dict(camera.dropped)
+                continue
+            if expected is not None and info.frame_number > expected:
+                missing += info.frame_number - expected
+            expected = info.frame_number + 1
+            known = {cause: count - before.get(cause, 0) for cause, count in camera.dropped.items()}
+            tally.lost_by_camera(known, missing)
+            stream.finalize(slot, frame_number=info.frame_number, time_s=info.time_s)
+            tally.arrived(info.time_s)
+
+
+class ProcessingWorker(Thread):
+    """Sections every frame, hands it to the tracker if there is one, and shows the newest at the display's pace.
+
+    Parameters
+    ----------
+    stream : Stream
+        Where the frames come from.
+    shown : Shown
+        How images are made and where they are shown; may be replaced while frames stream.
+    tally : Tally
+        Counts frames and latencies.
+    faults : FaultLog
+        Hears of what went wrong.
+    tracker : FrameConsumer, optional
+        Also gets every frame.
+    """
+
+    def __init__(
+        self,
+        stream: Stream,
+        shown: Shown,
+        tally: Tally,
+        faults: FaultLog,
+        tracker: FrameConsumer | None,
+    ) -> None:
+        super().__init__(name="processing", daemon=True)
+        self._stream, self._tally, self._faults = stream, tally, faults
+        self.shown, self.tracker = shown, tracker
+        self.measures = Measures()
+        self._cursor = stream.join(limit=min(PROCESSING_LIMIT, stream.depth))
+
+    def run(self) -> None:
+        """Work until the stream has ended and every frame has its result."""
+        cursor, tally = self._cursor, self._tally
+        due_s = 0.0
+        while True:
+            taken = cursor.take(_PATIENCE_S)
+            if taken is None:
+                if self._stream.ended:
+                    break
+                continue
+            raw, stamp = taken
+            shown = self.shown
+            shown.images.add(raw, stamp.frame_number)
+            if self.tracker is not None:
+                self._track(self.tracker, raw, stamp)
+            now_s = time.perf_counter()
+            tally.latency.add(now_s - stamp.time_s)
+            tally.processed += 1
+            tally.skipped("processing slow", cursor.skipped)
+            if now_s >= due_s or self._stream.ended:
+                due_s = max(due_s + 1 / DISPLAY_HZ, now_s)
+                self._show(shown, raw, stamp)
+        cursor.close()
+
+    def _track(self, tracker: FrameConsumer, raw: NDArray[np.uint8], stamp: Stamp) -> None:
+        try:
+            tracker.add(raw, stamp)
+        except ElsPlusError as error:
+            self._faults.add("tracking", error)
+            self.tracker = None
+
+    def _show(self, shown: Shown, raw: NDArray[np.uint8], stamp: Stamp) -> None:
+        slot = shown.ring.acquire()
+        self.measures = shown.images.fill(raw, slot.arrays)
+        shown.ring.finalize(slot, frame_number=stamp.frame_number, time_s=stamp.time_s, ready_s=time.perf_counter())
