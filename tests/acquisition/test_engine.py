@@ -61,20 +61,6 @@ def test_live_images_are_those_of_the_pipeline(engine: Engine, calibration: Cali
         np.testing.assert_array_equal(shown[mode], expected)
 
 
-def test_elsa_is_made_of_an_even_frame_and_the_odd_one_after_it(
-    engine: Engine, rig: Any, calibration: Calibration
-) -> None:
-    rig.camera.skipped_numbers = {4, 9}
-    engine.use(calibration)
-    engine.start()
-    frames = engine.fresh_frames(1)
-    until(lambda: engine.status().processed > 12)
-    engine.stop()
-    number, shown = newest(engine, "raw", "elsa", "els")
-    assert len(frames) == 1
-    np.testing.assert_allclose(shown["elsa"], shown["els"], atol=1e-4)  # nothing moves, so it does not matter which
-
-
 def test_a_recording_holds_every_frame_with_number_and_time(
     engine: Engine, calibration: Calibration, tmp_path: Path
 ) -> None:
@@ -248,30 +234,6 @@ def test_a_view_that_cannot_be_made_leaves_the_one_before(engine: Engine, calibr
         engine.show(View(flat_field=True))
     engine.show(View(average=4))
     until(lambda: engine.status().processed > 3)
-
-
-def test_averaging_lowers_the_noise_as_it_says() -> None:
-    from napari_elsplus.acquisition.live_images import LiveImages
-
-    rng = np.random.default_rng(1)
-    calibration = Calibration.parse(
-        {
-            "bundle": {
-                "confocal_centre": [50, 50],
-                "residual_centre": [50, 150],
-                "diameter_px": 80,
-                "residual_to_confocal": [[1, 0, 0], [0, 1, -100]],
-            }
-        }
-    )
-    live = LiveImages((100, 200), calibration, View(average=4))
-    slot = {name: np.empty(shape, dtype) for name, shape, dtype in live.layout.fields}
-    for number in range(60):
-        raw = rng.integers(0, 200, (100, 200)).astype(np.uint8)
-        live.add(raw, number)
-    live.fill(raw, slot)
-    ratio = slot["els"][20:60, 20:60].std() / images(raw[None], calibration, "els")[0][20:60, 20:60].std()
-    assert ratio == pytest.approx((1 / 7) ** 0.5, rel=0.1)  # recursive: variance w / (2 - w) with w = 1/4
 
 
 def test_an_engine_without_calibration_shows_raw_frames_and_leaves_the_mirror(engine: Engine, rig: Any) -> None:

@@ -6,12 +6,11 @@ import time
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
-import numpy as np
-
 from napari_elsplus.acquisition.live_images import LiveImages, Measures
 from napari_elsplus.errors import DeviceError, ElsPlusError
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.faults import FaultLog
