@@ -20,6 +20,8 @@ def fill(viewer: napari.Viewer) -> None:
         viewer.window.add_plugin_dock_widget(PLUGIN, widget.display_name, tabify=True)
     if not offers.widgets and offers.sample_data:
         viewer.open_sample(PLUGIN, offers.sample_data[0].key)
+        viewer.canvas.overlays.scale_bar.visible = True
+        viewer.reset_view()
 
 
 def main() -> None:
