@@ -154,8 +154,8 @@ class Scanner(Protocol):
     """
 
     @property
-    def ramps_done(self) -> int:
-        """Ramps that the card put out since `scan`: one for every strobe that it saw."""
+    def ramps_begun(self) -> int:
+        """Ramps that the card began since `scan`: one for every strobe that it saw."""
 
     def hold(self, volts: float) -> None:
         """Let the line stand; after the rig's time limit the mirror parks by itself.

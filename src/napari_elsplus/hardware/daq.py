@@ -1,0 +1,307 @@
+"""The galvo on a National Instruments card, through nidaqmx: hold, scan on the camera's strobe, park.
+
+A retriggerable counter, started by the strobe, gives one burst of sample clocks per frame; the analog output repeats
+the waveform from the card's own memory, so no buffer can run dry. A watch thread sees to it that the line never stands
+on the bundle: strobe lost, underrun, or a hold that goes on too long, and the mirror is parked.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import threading
+import time
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Final, Self
+
+from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.daq_errors import told_by_the_card
+
+if TYPE_CHECKING:
+    from nidaqmx import GrpcSessionOptions, Task
+
+    from napari_elsplus.hardware.waveform import MirrorLimits, Waveform
+
+WATCH_EVERY_S: Final = 0.02
+LOST_AFTER_FRAMES: Final = 6
+LOST_AFTER_S: Final = 0.08
+"""A strobe counts as lost when it is late by this many frames, and by so long at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class CardSettings:
+    """Which card, and what is wired to it.
+
+    Parameters
+    ----------
+    device, output, counter, strobe : str
+        Names as NI MAX shows them.
+    falling : bool
+        Whether the strobe's falling edge starts the ramp, as on the authors' rig.
+    park_v : float
+        Voltage at which the line clears the lit bundle; never assumed, always measured or confirmed by the user.
+    hold_limit_s : float
+        How long the line may stand on the bundle.
+    address : str
+        ``host:port`` of an NI gRPC device server; empty: the driver on this computer.
+
+    Raises
+    ------
+    InputError
+        If a number is impossible.
+    """
+
+    park_v: float
+    device: str = "Dev1"
+    output: str = "ao0"
+    counter: str = "ctr0"
+    strobe: str = "PFI0"
+    falling: bool = True
+    hold_limit_s: float = 20.0
+    address: str = ""
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.park_v) and abs(self.park_v) <= 10):
+            raise InputError(f"the parking voltage is {self.park_v}", "give a voltage within -10 to 10 V")
+        if not 0 < self.hold_limit_s <= 600:
+            raise InputError(f"the hold limit is {self.hold_limit_s} s", "give more than 0 and at most 600 s")
+
+
+def open_options(address: str) -> GrpcSessionOptions | None:
+    """Return what nidaqmx needs to reach a card elsewhere; None for the driver on this computer."""
+    if not address:
+        return None
+    import grpc
+    from nidaqmx import GrpcSessionOptions
+
+    return GrpcSessionOptions(grpc.insecure_channel(address), "")
+
+
+class Output:
+    """The card's analog output and its clock, as nidaqmx tasks; one of them holds the output at any time."""
+
+    def __init__(self, card: CardSettings, limits: MirrorLimits) -> None:
+        self.card, self.limits = card, limits
+        self._options = open_options(card.address)
+        self._tasks: list[Task] = []
+        self._still: Task | None = None
+
+    def put(self, volts: float) -> None:
+        """Put one voltage out, now."""
+        from nidaqmx.stream_writers import AnalogSingleChannelWriter
+
+        with told_by_the_card(self.card.device):
+            if self._still is None:
+                self.clear()
+                self._still, _ = self._voltage_task()
+            AnalogSingleChannelWriter(self._still.out_stream, auto_start=True).write_one_sample(volts)
+
+    def repeat(self, waveform: Waveform) -> None:
+        """Put a burst of the waveform out after each strobe, from the card's memory."""
+        from nidaqmx.constants import AcquisitionType, Edge, RegenerationMode
+        from nidaqmx.stream_writers import AnalogSingleChannelWriter
+
+        card, rate = self.card, waveform.sample_rate_hz
+        edge = Edge.FALLING if card.falling else Edge.RISING
+        with told_by_the_card(card.device):
+            self.clear()
+            clock = self._task()
+            clock.co_channels.add_co_pulse_chan_freq(f"{card.device}/{card.counter}", freq=rate)
+            clock.timing.cfg_implicit_timing(AcquisitionType.FINITE, waveform.samples_per_ramp)
+            clock.triggers.start_trigger.cfg_dig_edge_start_trig(f"/{card.device}/{card.strobe}", edge)
+            clock.triggers.start_trigger.retriggerable = True
+            ramp, channel = self._voltage_task()
+            channel.ao_use_only_on_brd_mem = True
+            source = f"/{card.device}/{card.counter.capitalize()}InternalOutput"
+            ramp.timing.cfg_samp_clk_timing(
+                rate, source, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=len(waveform.volts)
+            )
+            ramp.out_stream.regen_mode = RegenerationMode.ALLOW_REGENERATION
+            AnalogSingleChannelWriter(ramp.out_stream, auto_start=False).write_many_sample(waveform.volts)
+            ramp.start()
+            clock.start()
+
+    def samples_done(self) -> int:
+        """Count the samples put out since `repeat`; raise what stopped the output, if anything did."""
+        with told_by_the_card(self.card.device):
+            for task in self._tasks:
+                task.is_task_done()
+            return int(self._tasks[-1].out_stream.total_samp_per_chan_generated)
+
+    def clear(self) -> None:
+        """Let the output go; the card keeps the last voltage. Every task is let go, whatever happens to the others."""
+        tasks, self._tasks, self._still = self._tasks, [], None
+        with contextlib.ExitStack() as each, told_by_the_card(self.card.device):
+            for task in reversed(tasks):
+                each.callback(task.close)
+
+    def _task(self) -> Task:
+        from nidaqmx import Task
+
+        task = Task(grpc_options=self._options) if self._options else Task()
+        self._tasks.append(task)
+        return task
+
+    def _voltage_task(self) -> tuple[Task, Any]:
+        task = self._task()
+        name = f"{self.card.device}/{self.card.output}"
+        channel = task.ao_channels.add_ao_voltage_chan(name, min_val=self.limits.min_v, max_val=self.limits.max_v)
+        return task, channel
+
+
+class DaqScanner:
+    """The mirror behind a National Instruments card; see `napari_elsplus.hardware.protocols.Scanner`.
+
+    Opening it parks the mirror. It parks on leaving the context, on `close`, and when the interpreter ends.
+
+    Parameters
+    ----------
+    card : CardSettings
+        Which card, and where to park.
+    limits : MirrorLimits
+        What may be put out.
+
+    Raises
+    ------
+    InputError
+        If the parking voltage lies outside the limits.
+    DeviceError
+        If the driver is missing, the card is unknown, in use or gone.
+    """
+
+    def __init__(self, card: CardSettings, limits: MirrorLimits) -> None:
+        limits.check(card.park_v, "the parking position")
+        self.card, self.limits = card, limits
+        self._output = Output(card, limits)
+        self._lock = threading.RLock()
+        self._fault: DeviceError | None = None
+        self._waveform: Waveform | None = None
+        self._volts: float = card.park_v
+        self._seen, self._seen_at_s = 0, 0.0
+        self._closing = threading.Event()
+        self._output.put(card.park_v)
+        self._watch = threading.Thread(target=self._keep_watch, name="mirror watch", daemon=True)
+        self._watch.start()
+        atexit.register(self.close)
+
+    @property
+    def ramps_begun(self) -> int:
+        """Ramps that the card began since `scan`: one for every strobe that it saw."""
+        with self._lock:
+            if self._waveform is None:
+                return 0
+            return -(-self._output.samples_done() // self._waveform.samples_per_ramp)
+
+    def hold(self, volts: float) -> None:
+        """Let the line stand; after the time limit the mirror parks by itself."""
+        self.limits.check(volts)
+        with self._lock:
+            self._begin()
+            self._go_to(volts)
+            self._seen_at_s = time.perf_counter()
+
+    def scan(self, waveform: Waveform) -> None:
+        """Put the waveform out, one ramp after each strobe."""
+        self.limits.check(waveform.volts, "the scan")
+        with self._lock:
+            self._begin()
+            self._go_to(float(waveform.volts[0]))
+            try:
+                self._output.repeat(waveform)
+            except DeviceError:
+                self._try_to_park()
+                raise
+            self._waveform, self._seen, self._seen_at_s = waveform, 0, time.perf_counter()
+
+    def check(self) -> None:
+        """Raise what has gone wrong since the last `hold` or `scan`."""
+        with self._lock:
+            if self._fault is not None:
+                raise self._fault
+
+    def park(self) -> None:
+        """Stop the scan and take the line off the bundle."""
+        with self._lock:
+            self._waveform, self._volts = None, self.card.park_v
+            try:
+                self._output.clear()
+            finally:
+                self._output.put(self.card.park_v)
+
+    def close(self) -> None:
+        """Park, and let the card go; does nothing the second time."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        if threading.current_thread() is not self._watch:
+            self._watch.join()
+        with self._lock:
+            self._try_to_park()
+            with contextlib.suppress(DeviceError):  # the card is gone: there is nothing left to let go
+                self._output.clear()
+        atexit.unregister(self.close)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *reason: object) -> Any:
+        self.close()
+
+    def _begin(self) -> None:
+        if self._closing.is_set():
+            raise DeviceError("the mirror was closed", "open the rig again")
+        self._waveform, self._fault = None, None
+
+    def _go_to(self, volts: float) -> None:
+        """Move in steps that keep the slew limit, a millisecond each, then stand."""
+        step = self.limits.max_slew_v_per_s * 1e-3
+        try:
+            while abs(volts - self._volts) > step:
+                self._volts += step if volts > self._volts else -step
+                self._output.put(self._volts)
+                time.sleep(1e-3)
+            self._output.put(volts)
+        except DeviceError:
+            self._try_to_park()
+            raise
+        self._volts = volts
+
+    def _try_to_park(self) -> None:
+        with contextlib.suppress(DeviceError):  # what brought us here is raised already, and says more
+            self.park()
+
+    def _keep_watch(self) -> None:
+        while not self._closing.wait(WATCH_EVERY_S):
+            with self._lock:
+                fault = self._fault_now()
+                if fault is not None:
+                    self._try_to_park()
+                    self._fault = fault
+
+    def _fault_now(self) -> DeviceError | None:
+        if self._fault is not None:
+            return None
+        now = time.perf_counter()
+        if self._waveform is None or self._seen == 0:
+            stands = self._waveform is not None or self._volts != self.card.park_v
+            if stands and now - self._seen_at_s > self.card.hold_limit_s:
+                return DeviceError(
+                    f"the line stood on one place for {self.card.hold_limit_s:g} s, so the mirror was parked",
+                    "start again; the limit is hold_limit_s in the rig's file",
+                )
+        if self._waveform is None:
+            return None
+        try:
+            done = self._output.samples_done()
+        except DeviceError as error:
+            return error
+        if done != self._seen:
+            self._seen, self._seen_at_s = done, now
+        late = now - self._seen_at_s
+        if self._seen and late > max(LOST_AFTER_S, LOST_AFTER_FRAMES * self._waveform.frame_period_s):
+            return DeviceError(
+                f"no strobe for {late * 1e3:.0f} ms, so the mirror was parked",
+                f"check that the camera runs and that its strobe reaches {self.card.strobe}",
+            )
+        return None

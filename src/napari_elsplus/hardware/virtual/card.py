@@ -1,0 +1,240 @@
+"""The virtual card: DAQmx tasks on one analog output and one counter, as far as a line scan needs them."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain, volts_at
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+POWER_ON_V: Final = 0.0
+REMEMBERED: Final = 64
+ON_DEMAND, CONTINUOUS, FINITE = 10390, 10123, 10178
+MESSAGES: Final = {
+    -50103: "The specified resource is reserved. The operation could not be completed as specified.",
+    -200088: "Task specified is invalid or does not exist.",
+    -200170: "Physical channel specified does not exist on this device.",
+    -200220: "Device identifier is invalid.",
+    -200077: "Requested value is not a supported value for this property.",
+    -200290: "The generation has stopped to prevent the regeneration of old samples.",
+    -200478: "Specified operation cannot be performed when there are no channels in the task.",
+    -200561: "Attempted writing analog data that is too large or too small.",
+    -200621: "Onboard device memory underflow.",
+    -201003: "Device cannot be accessed. It may have been disconnected.",
+}
+
+
+class CardError(Exception):
+    """What the driver would answer: a DAQmx status code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(MESSAGES.get(code, "unknown"))
+        self.code = code
+
+
+@dataclass
+class VirtualTask:
+    """One DAQmx task."""
+
+    name: str
+    output: bool = False
+    counter: bool = False
+    low_v: float = -10.0
+    high_v: float = 10.0
+    mode: int = ON_DEMAND
+    rate_hz: float = 0.0
+    samples: int = 1
+    clock: str = ""
+    trigger: str = ""
+    retriggerable: bool = False
+    volts: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    running: bool = False
+
+
+class VirtualCard:
+    """One card with an analog output and a counter, and the strobe's wire on one of its terminals.
+
+    Parameters
+    ----------
+    clock : BenchClock, optional
+        The bench's clock; that of the computer by default.
+    device : str
+        Its name.
+    """
+
+    def __init__(self, clock: BenchClock | None = None, device: str = "Dev1") -> None:
+        self.clock, self.device = clock or BenchClock(), device
+        self._lock = threading.RLock()
+        self._tasks: dict[int, VirtualTask] = {}
+        self._last_handle = 0
+        self._strobe: StrobeTrain | None = None
+        self._programs = [Program(self.clock.now_s(), POWER_ON_V)]
+        self._fault = 0
+        self.version = 0
+
+    # The bench's side.
+
+    def strobe(self, train: StrobeTrain | None) -> None:
+        """Wire a train of edges to the strobe's terminal; a change of a train keeps the train's start."""
+        with self._lock:
+            self._strobe = train
+            running = self._programs[-1]
+            if not len(running.samples):
+                return
+            if train is None or running.strobe is None or train.start_s == running.strobe.start_s:
+                self._programs[-1] = replace(running, strobe=train)
+                self.version += 1
+                return
+            now = self.clock.now_s()
+            begun = -(-int(running.samples_by(np.array([now]))[0]) // running.burst) * running.burst
+            self._append(replace(running, since_s=now, resting_v=self.last_volts, strobe=train, begun=begun))
+
+    def programs(self) -> list[Program]:
+        """Return what the output did lately, oldest first."""
+        with self._lock:
+            return list(self._programs)
+
+    @property
+    def last_volts(self) -> float:
+        """The voltage on the output now."""
+        with self._lock:
+            return float(volts_at(self._programs, np.array([self.clock.now_s()]))[0])
+
+    def break_with(self, code: int) -> None:
+        """Let the card fail.
+
+        -200621 and -200290 stop the output, -201003 unplugs the card, -50103 lends it to another program, 0 heals it.
+        """
+        with self._lock:
+            self._fault = code
+            if code in (-200621, -200290, -201003):
+                self._halt()
+
+    # The driver's side.
+
+    def create_task(self, name: str) -> int:
+        """Create a task, and return its handle."""
+        with self._lock:
+            self._last_handle += 1
+            self._tasks[self._last_handle] = VirtualTask(name or f"_unnamedTask<{self._last_handle}>")
+            return self._last_handle
+
+    def clear_task(self, handle: int) -> None:
+        """Stop and forget a task."""
+        with self._lock:
+            task = self.task(handle)
+            self._stop(task)
+            del self._tasks[handle]
+
+    def task(self, handle: int) -> VirtualTask:
+        """Return a task."""
+        try:
+            return self._tasks[handle]
+        except KeyError:
+            raise CardError(-200088) from None
+
+    def add_output(self, handle: int, channel: str, low_v: float, high_v: float) -> None:
+        """Put the analog output into a task."""
+        self._find(channel, "ao0")
+        if not -10 <= low_v < high_v <= 10:
+            raise CardError(-200077)
+        task = self.task(handle)
+        task.output, task.low_v, task.high_v = True, low_v, high_v
+
+    def add_counter(self, handle: int, channel: str, rate_hz: float) -> None:
+        """Put the counter's pulses into a task."""
+        self._find(channel, "ctr0")
+        task = self.task(handle)
+        task.counter, task.rate_hz = True, rate_hz
+
+    def start_task(self, handle: int) -> None:
+        """Start a task; bursts begin once both the output and its clock run."""
+        with self._lock:
+            task = self.task(handle)
+            self._reach()
+            if not (task.output or task.counter):
+                raise CardError(-200478)
+            busy = any(t.running and t.output == task.output for t in self._tasks.values() if t is not task)
+            if busy or self._fault == -50103:
+                raise CardError(-50103)
+            task.running = True
+            clock = next((t for t in self._tasks.values() if t.running and t.counter and t.retriggerable), None)
+            ramp = next((t for t in self._tasks.values() if t.running and t.output and t.mode == CONTINUOUS), None)
+            if clock and ramp and ramp.clock.endswith("InternalOutput"):
+                now, resting = self.clock.now_s(), self.last_volts
+                self._append(Program(now, resting, ramp.volts.copy(), clock.samples, clock.rate_hz, self._strobe))
+
+    def stop_task(self, handle: int) -> None:
+        """Stop a task; the output keeps its voltage."""
+        with self._lock:
+            self._stop(self.task(handle))
+
+    def write(self, handle: int, volts: NDArray[np.float64], auto_start: bool) -> int:
+        """Write samples, put out at once by a task without timing."""
+        with self._lock:
+            task = self.task(handle)
+            self._reach()
+            if not (np.all(volts >= task.low_v) and np.all(volts <= task.high_v)):
+                raise CardError(-200561)
+            task.volts = np.array(volts, np.float64)
+            if auto_start and not task.running:
+                self.start_task(handle)
+            if task.mode == ON_DEMAND and task.running:
+                self._append(Program(self.clock.now_s(), float(task.volts[-1])))
+            return len(volts)
+
+    def is_done(self, handle: int) -> bool:
+        """Whether a task has ended; raises what ended it."""
+        with self._lock:
+            self._reach()
+            return not self.task(handle).running
+
+    def samples_done(self, handle: int) -> int:
+        """Count the samples that a task put out."""
+        with self._lock:
+            self.task(handle)
+            self._reach()
+            return int(self._programs[-1].samples_by(np.array([self.clock.now_s()]))[0])
+
+    def reset(self, device: str) -> None:
+        """Abort every task of the card; the output keeps its voltage."""
+        with self._lock:
+            self._find(device, "")
+            if self._fault == -201003:
+                raise CardError(-201003)
+            for task in self._tasks.values():
+                self._stop(task)
+            self._fault = 0
+
+    def _find(self, channel: str, wanted: str) -> None:
+        device, _, terminal = channel.strip("/").partition("/")
+        if device != self.device:
+            raise CardError(-200220)
+        if terminal != wanted:
+            raise CardError(-200170)
+
+    def _reach(self) -> None:
+        if self._fault in (-200621, -200290, -201003):
+            code = self._fault
+            if code != -201003:
+                self._fault = 0  # told once; the next task starts anew
+            raise CardError(code)
+
+    def _stop(self, task: VirtualTask) -> None:
+        if task.running and (task.counter or task.mode == CONTINUOUS):
+            self._halt()
+        task.running = False
+
+    def _halt(self) -> None:
+        if len(self._programs[-1].samples):
+            self._append(Program(self.clock.now_s(), self.last_volts))
+
+    def _append(self, program: Program) -> None:
+        self._programs = [*self._programs[1 - REMEMBERED :], program]
+        self.version += 1

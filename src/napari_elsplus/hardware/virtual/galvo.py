@@ -1,0 +1,66 @@
+"""The virtual mirror: a damped resonance behind the drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.linalg import expm
+
+from napari_elsplus.compiled import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+STEP_S: Final = 4e-6
+FORGETS_S: Final = 3e-3
+"""After so long, thirteen time constants of the mirror, it does not matter where it came from."""
+
+
+@dataclass(frozen=True, slots=True)
+class GalvoModel:
+    """A second-order mirror, described in drive volts.
+
+    Parameters
+    ----------
+    natural_hz : float
+        Its resonance.
+    damping : float
+        Of the resonance; the lag behind a ramp is ``damping / (pi natural_hz)``.
+
+    Examples
+    --------
+    >>> round(GalvoModel().lag_s * 1e6)
+    223
+    """
+
+    natural_hz: float = 1000.0
+    damping: float = 0.7
+
+    @property
+    def lag_s(self) -> float:
+        """How far the mirror is behind a steady ramp."""
+        return self.damping / (pi * self.natural_hz)
+
+    def follow(self, drive_v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Mirror position (volts) at the end of each step of `STEP_S`, for a drive that is constant within each."""
+        w = 2 * pi * self.natural_hz
+        system = np.zeros((3, 3))
+        system[0, 1] = 1.0
+        system[1] = -w * w, -2 * self.damping * w, w * w
+        step = expm(system * STEP_S)
+        return np.asarray(follow_drive(drive_v, step[:2]))
+
+
+@kernel
+def follow_drive(drive_v: NDArray[np.float64], step: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Run the resonance through a drive, from rest at its first voltage."""
+    out = np.empty_like(drive_v)
+    x, v = drive_v[0], 0.0
+    for k in range(len(drive_v)):
+        u = drive_v[k]
+        x, v = step[0, 0] * x + step[0, 1] * v + step[0, 2] * u, step[1, 0] * x + step[1, 1] * v + step[1, 2] * u
+        out[k] = x
+    return out

@@ -1,0 +1,130 @@
+"""Strobes and output voltages as functions of time.
+
+So they need no thread of their own, and another process can know what the output does without asking for every sample.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from math import ceil, inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Times = NDArray[np.float64]
+    Volts = NDArray[np.float64]
+
+
+class BenchClock:
+    """What time it is on the bench: the computer's time, or one that only moves when something waits for it.
+
+    Parameters
+    ----------
+    real_time : bool
+        Whether the clock is that of `time.perf_counter`, which all processes of a computer share.
+    """
+
+    def __init__(self, real_time: bool = True) -> None:
+        self.real_time = real_time
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        """Return the time."""
+        return time.perf_counter() if self.real_time else self._now_s
+
+    def wait_until(self, time_s: float) -> None:
+        """Sleep, or move the clock on."""
+        if self.real_time:
+            time.sleep(max(0.0, time_s - time.perf_counter()))
+        else:
+            self._now_s = max(self._now_s, time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class StrobeTrain:
+    """Edges on the strobe's line: one every `period_s` from `start_s` to `end_s`, but for those that are `missing`."""
+
+    start_s: float
+    period_s: float
+    end_s: float = inf
+    missing: frozenset[int] = frozenset()
+
+    def first_after(self, time_s: float) -> int:
+        """Index of the first edge at or after a time."""
+        return max(0, ceil((time_s - self.start_s) / self.period_s - 1e-9))
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """What the output does from `since_s` on: one standing voltage, or bursts of samples started by strobes.
+
+    Parameters
+    ----------
+    since_s : float
+        When it began; edges before do not count.
+    resting_v : float
+        Voltage before the first burst.
+    samples : numpy.ndarray
+        Repeated over and over, `burst` of them after each edge; empty: the resting voltage stays.
+    burst : int
+        Samples after an edge.
+    rate_hz : float
+        Samples per second.
+    strobe : StrobeTrain, optional
+        The edges that it hears.
+    begun : int
+        Samples that were put out before `since_s`, whole bursts.
+    """
+
+    since_s: float
+    resting_v: float
+    samples: Volts = field(default_factory=lambda: np.zeros(0))
+    burst: int = 0
+    rate_hz: float = 1.0
+    strobe: StrobeTrain | None = None
+    begun: int = 0
+
+    def samples_by(self, times_s: Times) -> NDArray[np.int64]:
+        """Count the samples put out by each time.
+
+        An edge that comes during a burst is not heard, as with a counter that is retriggered too soon.
+        """
+        train = self.strobe
+        if train is None or not len(self.samples):
+            return np.full(len(times_s), self.begun)
+        first = train.first_after(self.since_s)
+        stride = max(1, ceil(self.burst / self.rate_hz / train.period_s - 1e-9))
+        heard_by = np.minimum(times_s, train.end_s)
+        edge = np.floor((heard_by - train.start_s) / train.period_s + 1e-9).astype(np.int64)
+        edge = first + (edge - first) // stride * stride
+        count = (edge - first) // stride + 1
+        for lost in sorted(train.missing, reverse=True):
+            if lost >= first and (lost - first) % stride == 0:
+                count -= edge >= lost
+                edge = np.where(edge == lost, edge - stride, edge)
+        into = times_s - (train.start_s + edge * train.period_s)
+        in_burst = np.clip(np.floor(into * self.rate_hz + 1e-6).astype(np.int64) + 1, 0, self.burst)
+        return self.begun + np.where(count > 0, (count - 1) * self.burst + in_burst, 0)
+
+    def volts(self, times_s: Times) -> Volts:
+        """Voltage at each time."""
+        done = self.samples_by(times_s)
+        if not len(self.samples):
+            return np.full(len(times_s), self.resting_v)
+        return np.where(done > self.begun, self.samples[(done - 1) % len(self.samples)], self.resting_v)
+
+
+def volts_at(programs: Sequence[Program], times_s: Times) -> Volts:
+    """Voltage at increasing times, from programs that took over from one another; before the first it is its own."""
+    volts = programs[0].volts(times_s)
+    for program in programs[1:]:
+        later = times_s >= program.since_s
+        if later.any():
+            volts[later] = program.volts(times_s[later])
+    return volts
