@@ -1,0 +1,199 @@
+"""A USB3 Vision camera: control, stream, and the features of its make."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+
+from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.u3v import stream as streaming
+from napari_elsplus.hardware.u3v.control import MODEL, SERIAL, Control
+from napari_elsplus.hardware.u3v.discovery import endpoints, refuse_slow_link, told_by_usb
+from napari_elsplus.hardware.u3v.stream import Stream
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+    from usb.core import Device
+
+    from napari_elsplus.hardware.protocols import FrameInfo, Region
+
+INVALID_AFTER_CHANGE: Final = 2
+"""Frames that a camera of this make spoils after its region was changed."""
+
+
+class Features(Protocol):
+    """What differs from make to make: how region, exposure, gain, rate and strobe are set."""
+
+    @property
+    def line_period_s(self) -> float:
+        """Seconds per row, read from the camera or derived."""
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """The rate at which the camera says it runs."""
+
+    def configure(self, region: Region, exposure_s: float, frame_rate_hz: float, gain_db: float) -> None:
+        """Set everything, with the strobe on while the sensor is exposed."""
+
+    def start(self) -> None:
+        """Begin to acquire."""
+
+    def stop(self) -> None:
+        """End acquiring."""
+
+
+class U3vCamera:
+    """A USB3 Vision camera; see `napari_elsplus.hardware.protocols.Camera`.
+
+    Parameters
+    ----------
+    device : usb.core.Device
+        The camera on the bus.
+    features : callable
+        Makes the features of this make from the control channel.
+    wait_for_reader : bool
+        Whether a full queue holds the camera up instead of dropping frames; no real camera can wait.
+
+    Raises
+    ------
+    DeviceError
+        If it is on a USB 2 link, open elsewhere, may not be opened, or does not answer.
+    """
+
+    def __init__(
+        self, device: Device, features: Callable[[Control], Features], *, wait_for_reader: bool = False
+    ) -> None:
+        from usb import util
+
+        refuse_slow_link(device)
+        self._device, self._wait = device, wait_for_reader
+        self._ends = endpoints(device)
+        self._stream: Stream | None = None
+        self._region: Region | None = None
+        self._streamed: Region | None = None
+        self._dropped: Mapping[str, int] = {}
+        self._rate_hz = 0.0
+        try:
+            self._claim()
+            self._control = Control(device, self._ends)
+            self.model, self.serial = self._control.read_text(MODEL), self._control.read_text(SERIAL)
+            self._features = features(self._control)
+        except BaseException:
+            util.dispose_resources(device)
+            raise
+
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """Rows and columns of a frame, as configured."""
+        return self._configured().shape
+
+    @property
+    def line_period_s(self) -> float:
+        """Seconds from the readout of one row to that of the next."""
+        return self._features.line_period_s
+
+    @property
+    def rows_per_frame(self) -> float:
+        """Line periods from one frame to the next, idle time included."""
+        self._configured()
+        return 1 / (self._rate_hz * self.line_period_s)
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """Frames lost since `start`, by cause."""
+        return dict(self._stream.dropped) if self._stream else self._dropped
+
+    def configure(self, region: Region, *, slit_rows: int, frame_rate_hz: float, gain_db: float = 0.0) -> None:
+        """Set region, exposure, frame rate and gain; switch the strobe output on."""
+        if self._stream is not None:
+            raise DeviceError("the camera streams", "stop it before changing its settings")
+        if slit_rows < 1:
+            raise InputError(f"a slit of {slit_rows} rows", "give at least 1")
+        self._features.configure(region, slit_rows * self.line_period_s, frame_rate_hz, gain_db)
+        self._region, self._rate_hz = region, self._features.frame_rate_hz
+
+    def start(self) -> None:
+        """Begin to stream."""
+        if self._stream is not None:
+            return
+        region = self._configured()
+        sizes = streaming.arrange(self._control, region.shape)
+        self._control.write_number(self._control.sirm + streaming.ENABLE, 1)
+        self._stream = Stream(
+            self._device,
+            self._ends.stream_in,
+            sizes,
+            region.shape,
+            patience_s=0.5 + 2 / self._rate_hz,
+            skip=INVALID_AFTER_CHANGE if region != self._streamed else 0,
+            wait_for_reader=self._wait,
+        )
+        self._streamed = region
+        try:
+            self._features.start()
+        except DeviceError:
+            self.stop()
+            raise
+
+    def read_into(self, buffer: NDArray[np.uint8], timeout_s: float) -> FrameInfo:
+        """Fill the caller's buffer with the oldest frame that was not read yet."""
+        if self._stream is None:
+            raise DeviceError("the camera does not stream", "start it first")
+        shape = self.frame_shape
+        if buffer.shape != shape or buffer.dtype != "uint8" or not buffer.flags.c_contiguous:
+            raise InputError(f"a buffer of {buffer.shape} {buffer.dtype}", f"give {shape} uint8, C-contiguous")
+        return self._stream.read_into(buffer, timeout_s)
+
+    def stop(self) -> None:
+        """End the stream; frames not read yet are discarded."""
+        if self._stream is None:
+            return
+        stream, self._stream = self._stream, None
+        try:
+            self._features.stop()
+            self._control.write_number(self._control.sirm + streaming.ENABLE, 0)
+        except DeviceError:
+            self._streamed = None  # unplugged, or as good as: the next start begins anew
+        finally:
+            stream.stop()
+            self._dropped = dict(stream.dropped)
+
+    def close(self) -> None:
+        """Stop, and let the camera go."""
+        from usb import util
+        from usb.core import USBError
+
+        self.stop()
+        try:
+            util.dispose_resources(self._device)
+        except USBError:
+            self._region = None  # gone: there is nothing left to let go
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *reason: object) -> Any:
+        self.close()
+
+    def _configured(self) -> Region:
+        if self._region is None:
+            raise DeviceError("the camera was not configured", "configure it first")
+        return self._region
+
+    def _claim(self) -> None:
+        from usb import util
+
+        with told_by_usb("the camera"):
+            self._device.get_active_configuration()
+            for interface in (self._ends.control_interface, self._ends.stream_interface):
+                if self._kernel_has(interface):
+                    raise DeviceError("the camera is held by a driver of the system", "stop the program that uses it")
+                util.claim_interface(self._device, interface)
+
+    def _kernel_has(self, interface: int) -> bool:
+        try:
+            return bool(self._device.is_kernel_driver_active(interface))
+        except NotImplementedError:  # not on this system
+            return False

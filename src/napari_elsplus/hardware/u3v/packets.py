@@ -1,0 +1,142 @@
+"""USB3 Vision packets, to and from bytes.
+
+Whatever a device sends is parsed by fixed-size structures with their lengths checked; what does not fit raises
+`PacketError`. AIA USB3 Vision 1.0, tables 4-2 to 5-6; EMVA GenCP 1.1.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+COMMAND_MAGIC, LEADER_MAGIC, TRAILER_MAGIC = b"U3VC", b"U3VL", b"U3VT"
+REQUEST_ACK: Final = 0x4000
+IMAGE: Final = 0x0001
+MONO8: Final = 0x01080001
+HEADER: Final = struct.Struct("<4sHHHH")
+READ: Final = struct.Struct("<QHH")
+PENDING: Final = struct.Struct("<HH")
+LEADER: Final = struct.Struct("<4sHHQHHQIIIIIHH")
+TRAILER: Final = struct.Struct("<4sHHQHHQI")
+
+
+class Command(IntEnum):
+    """Control commands; an acknowledgement has the next number."""
+
+    READ = 0x0800
+    WRITE = 0x0802
+    PENDING_ACK = 0x0805
+
+
+class PacketError(ValueError):
+    """Bytes that are no packet of the kind expected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """An acknowledgement: status, what it answers, and its payload."""
+
+    status: int
+    command: int
+    request_id: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Leader:
+    """Announces a frame."""
+
+    block_id: int
+    timestamp_ns: int
+    pixel_format: int
+    rows: int
+    cols: int
+    row: int
+    col: int
+
+
+@dataclass(frozen=True, slots=True)
+class Trailer:
+    """Ends a frame, and says whether it is whole."""
+
+    block_id: int
+    status: int
+    valid_bytes: int
+
+
+def read_command(address: int, count: int, request_id: int) -> bytes:
+    """Ask for memory."""
+    return (
+        HEADER.pack(COMMAND_MAGIC, REQUEST_ACK, Command.READ, READ.size, request_id)
+        + READ.pack(address, 0, count)
+    )  # fmt: skip
+
+
+def write_command(address: int, data: bytes, request_id: int) -> bytes:
+    """Write memory."""
+    return (
+        HEADER.pack(COMMAND_MAGIC, REQUEST_ACK, Command.WRITE, 8 + len(data), request_id)
+        + struct.pack("<Q", address) + data
+    )  # fmt: skip
+
+
+def parse_ack(packet: bytes) -> Ack:
+    """Parse an acknowledgement.
+
+    Raises
+    ------
+    PacketError
+        If it is none, or shorter than it says.
+    """
+    if len(packet) < HEADER.size:
+        raise PacketError(f"an acknowledgement of {len(packet)} bytes")
+    magic, status, command, length, request_id = HEADER.unpack_from(packet)
+    data = packet[HEADER.size : HEADER.size + length]
+    if magic != COMMAND_MAGIC or len(data) != length:
+        raise PacketError(f"an acknowledgement that begins with {packet[:12].hex()}")
+    return Ack(status, command, request_id, data)
+
+
+def pending_ms(ack: Ack) -> int:
+    """Return how long a device asks to wait.
+
+    Raises
+    ------
+    PacketError
+        If it does not say.
+    """
+    if len(ack.data) < PENDING.size:
+        raise PacketError(f"a PENDING_ACK with {len(ack.data)} bytes")
+    return int(PENDING.unpack_from(ack.data)[1])
+
+
+def parse_leader(packet: bytes) -> Leader:
+    """Parse the leader of an image.
+
+    Raises
+    ------
+    PacketError
+        If it is none.
+    """
+    if len(packet) < LEADER.size or packet[:4] != LEADER_MAGIC:
+        raise PacketError(f"{len(packet)} bytes that are no leader: {packet[:8].hex()}")
+    _, _, _, block, _, kind, time, pixel, cols, rows, col, row, _, _ = LEADER.unpack_from(packet)
+    if kind != IMAGE:
+        raise PacketError(f"a leader of payload type {kind:#06x}")
+    return Leader(block, time, pixel, rows, cols, row, col)
+
+
+def parse_trailer(packet: bytes) -> Trailer:
+    """Parse the trailer of an image.
+
+    Raises
+    ------
+    PacketError
+        If it is none.
+    """
+    if len(packet) < TRAILER.size or packet[:4] != TRAILER_MAGIC:
+        raise PacketError(f"{len(packet)} bytes that are no trailer: {packet[:8].hex()}")
+    _, _, _, block, status, _, valid, _ = TRAILER.unpack_from(packet)
+    return Trailer(block, status, valid)

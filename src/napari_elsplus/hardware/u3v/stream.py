@@ -1,0 +1,248 @@
+"""The stream: one thread that reads frames into buffers made beforehand, and a queue that cannot grow."""
+
+from __future__ import annotations
+
+import threading
+import time
+from array import array
+from collections import Counter, deque
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.protocols import FrameInfo
+from napari_elsplus.hardware.u3v.discovery import told_by_usb
+from napari_elsplus.hardware.u3v.packets import MONO8, Leader, PacketError, Trailer, parse_leader, parse_trailer
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from usb.core import Device
+
+    from napari_elsplus.hardware.u3v.control import Control
+
+# Stream interface registers (USB3 Vision 1.0, table 4-22), from the SIRM's address.
+INFO, ENABLE, PAYLOAD_BYTES, LEADER_BYTES, TRAILER_BYTES = 0x00, 0x04, 0x08, 0x10, 0x14
+MAX_LEADER, TRANSFER_BYTES, TRANSFER_COUNT, FINAL_1, FINAL_2, MAX_TRAILER = 0x18, 0x1C, 0x20, 0x24, 0x28, 0x2C
+
+TRANSFER: Final = 1 << 20
+SMALL: Final = 1024
+"""Buffers for leader and trailer; a whole packet of a USB 3 bulk endpoint."""
+POLL_MS: Final = 100
+DEPTH: Final = 8
+SURPLUS: Final = 1 << 16
+"""How much more than the image a device may ask for; anything beyond is no frame of ours."""
+
+
+def arrange(control: Control, frame_shape: tuple[int, int]) -> list[int]:
+    """Agree with the device on the sizes of a frame's transfers, and return them.
+
+    Raises
+    ------
+    DeviceError
+        If the device wants leaders, trailers or payloads that cannot be right.
+    """
+    sirm, image = control.sirm, frame_shape[0] * frame_shape[1]
+    unit = 1 << min(control.read_number(sirm + INFO) >> 24, 16)
+    payload = control.read_number(sirm + PAYLOAD_BYTES, 8)
+    edges = max(control.read_number(sirm + LEADER_BYTES), control.read_number(sirm + TRAILER_BYTES))
+    if not image <= payload <= image + SURPLUS or edges > SMALL:
+        raise DeviceError(
+            f"the camera announces frames of {payload} bytes for {frame_shape[0]} x {frame_shape[1]} pixels",
+            "restart the camera; only Mono8 is read",
+        )
+    whole, rest = divmod(payload, TRANSFER)
+    final = -(-rest // unit) * unit
+    for register, value in (
+        (MAX_LEADER, SMALL), (MAX_TRAILER, SMALL), (TRANSFER_BYTES, TRANSFER), (TRANSFER_COUNT, whole),
+        (FINAL_1, final), (FINAL_2, 0),
+    ):  # fmt: skip
+        control.write_number(sirm + register, value)
+    return [TRANSFER] * whole + ([final] if final else [])
+
+
+class _Slot:
+    """One frame's transfers, and what is known of it."""
+
+    def __init__(self, sizes: list[int]) -> None:
+        self.transfers = [array("B", bytes(size)) for size in sizes]
+        self._bytes = [np.frombuffer(transfer, np.uint8) for transfer in self.transfers]
+        self.info = FrameInfo(0, 0.0, 0.0)
+
+    def copy_into(self, buffer: NDArray[np.uint8]) -> None:
+        flat, done = buffer.reshape(-1), 0
+        for part in self._bytes:
+            count = min(len(part), len(flat) - done)
+            flat[done : done + count] = part[:count]
+            done += count
+
+
+class Stream:
+    """Frames of a streaming device.
+
+    Parameters
+    ----------
+    device : usb.core.Device
+        The device, opened.
+    endpoint : int
+        Its stream endpoint.
+    sizes : list of int
+        Of a frame's transfers, as arranged.
+    frame_shape : tuple of int
+        Rows and columns.
+    patience_s : float
+        How long the rest of a frame may take after its leader.
+    skip : int
+        So many frames at the start are invalid.
+    wait_for_reader : bool
+        Whether a full queue holds the device up instead of dropping frames; only sensible where the device can wait.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        endpoint: int,
+        sizes: list[int],
+        frame_shape: tuple[int, int],
+        *,
+        patience_s: float = 0.5,
+        skip: int = 0,
+        wait_for_reader: bool = False,
+    ) -> None:
+        self._device, self._endpoint, self._frame_shape = device, endpoint, frame_shape
+        self._patience_ms = max(POLL_MS, round(patience_s * 1000))
+        self._skip, self._wait = skip, wait_for_reader
+        self._free = deque(_Slot(sizes) for _ in range(DEPTH))
+        self._ready: deque[_Slot] = deque()
+        self._spill = _Slot(sizes)
+        self._small = array("B", bytes(SMALL))
+        self._changed = threading.Condition()
+        self._fault: DeviceError | None = None
+        self._stopping = threading.Event()
+        self._last_block: int | None = None
+        self.dropped: Counter[str] = Counter()
+        self._thread = threading.Thread(target=self._run, name="camera stream", daemon=True)
+        self._thread.start()
+
+    def read_into(self, buffer: NDArray[np.uint8], timeout_s: float) -> FrameInfo:
+        """Fill a buffer with the oldest frame; see `napari_elsplus.hardware.protocols.Camera`."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ready or self._fault, timeout_s)
+            if not self._ready:
+                if self._fault:
+                    raise self._fault
+                raise TimeoutError(f"no frame within {timeout_s:g} s")
+            slot = self._ready.popleft()
+        slot.copy_into(buffer)
+        info = slot.info
+        with self._changed:
+            self._free.append(slot)
+            self._changed.notify_all()
+        return info
+
+    def stop(self) -> None:
+        """End the thread; it never outlives a poll."""
+        self._stopping.set()
+        with self._changed:
+            self._changed.notify_all()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            with told_by_usb("the camera"):
+                while not self._stopping.is_set():
+                    self._read_frame()
+        except DeviceError as error:
+            with self._changed:
+                self._fault = error
+                self._changed.notify_all()
+
+    def _read_frame(self) -> None:
+        packet = self._read_small()
+        if packet is None:
+            return
+        try:
+            leader = parse_leader(packet)
+        except PacketError:
+            self.dropped["bad leader"] += 1
+            self._resynchronise()
+            return
+        self._note_gap(leader)
+        slot = self._take_slot()
+        trailer = self._read_trailer() if self._read_payload(slot) else None
+        arrived_s = time.perf_counter()
+        cause = self._why_bad(leader, trailer)
+        if cause is None and self._skip:
+            self._skip, cause = self._skip - 1, "invalid after a change"
+        if slot is self._spill:
+            cause = cause or "slow consumer"
+        slot.info = FrameInfo(leader.block_id, arrived_s, leader.timestamp_ns * 1e-9)
+        with self._changed:
+            if cause is not None:
+                self.dropped[cause] += 1
+            if slot is not self._spill:
+                (self._ready if cause is None else self._free).append(slot)
+            self._changed.notify_all()
+        if trailer is None:
+            self._resynchronise()
+
+    def _read_payload(self, slot: _Slot) -> bool:
+        """Read a frame's transfers; all but the last must be full."""
+        full = [self._read_transfer(part, self._patience_ms) == len(part) for part in slot.transfers[:-1]]
+        return all(full) and self._read_transfer(slot.transfers[-1], self._patience_ms) > 0
+
+    def _why_bad(self, leader: Leader, trailer: Trailer | None) -> str | None:
+        rows, cols = self._frame_shape
+        if trailer is None or trailer.block_id != leader.block_id or trailer.status:
+            return "bad trailer" if trailer is not None else "short frame"
+        if trailer.valid_bytes < rows * cols:
+            return "short frame"
+        if (leader.rows, leader.cols, leader.pixel_format) != (rows, cols, MONO8):
+            return "other format"
+        return None
+
+    def _note_gap(self, leader: Leader) -> None:
+        if self._last_block is not None and leader.block_id > self._last_block + 1:
+            self.dropped["gap"] += leader.block_id - self._last_block - 1
+        self._last_block = leader.block_id
+
+    def _take_slot(self) -> _Slot:
+        with self._changed:
+            if self._wait:
+                self._changed.wait_for(lambda: self._free or self._stopping.is_set())
+            return self._free.popleft() if self._free else self._spill
+
+    def _read_small(self) -> bytes | None:
+        """Read a leader or trailer; None if nothing came within a poll. Empty packets are passed over."""
+        count = self._read_transfer(self._small)
+        return self._small[:count].tobytes() if count else None
+
+    def _read_trailer(self) -> Trailer | None:
+        for _ in range(2):  # a device may end the payload with an empty packet
+            packet = self._read_small()
+            if packet is not None:
+                try:
+                    return parse_trailer(packet)
+                except PacketError:
+                    return None
+        return None
+
+    def _read_transfer(self, buffer: array[int], timeout_ms: int = POLL_MS) -> int:
+        """Read one transfer; 0 if nothing came in time, or the stream is being stopped."""
+        from usb.core import USBTimeoutError
+
+        for _ in range(-(-timeout_ms // POLL_MS)):
+            try:
+                return int(self._device.read(self._endpoint, buffer, POLL_MS))
+            except USBTimeoutError:
+                if self._stopping.is_set():
+                    break
+        return 0
+
+    def _resynchronise(self) -> None:
+        """Read until a packet ends a frame, so that the next one can be a leader."""
+        for _ in range(16):
+            for transfer in self._spill.transfers:
+                count = self._read_transfer(transfer)
+                if self._stopping.is_set() or count == 0 or transfer[:4].tobytes() == b"U3VT":
+                    return
