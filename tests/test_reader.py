@@ -113,7 +113,7 @@ def test_a_closed_viewer_lets_the_recording_go(make_napari_viewer_proxy, tmp_pat
 
     viewer = make_napari_viewer_proxy()
     viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
-    recording = weakref.ref(viewer.layers[0].metadata["elsplus"]["recording"])
+    recording = weakref.ref(viewer.layers[0].metadata["elsplus"]["stack"].recording)
     assert recording() is not None
     with caplog.at_level(logging.CRITICAL):
         viewer.layers.clear()

@@ -10,7 +10,8 @@ from napari.utils.notifications import show_error, show_info, show_warning
 from napari_elsplus import settings
 from napari_elsplus.calibration import FORMAT
 from napari_elsplus.errors import ElsPlusError
-from napari_elsplus.viewing.layers import calibration_layers, open_layers
+from napari_elsplus.viewing.layers import open_layers
+from napari_elsplus.viewing.outlines import calibration_layers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

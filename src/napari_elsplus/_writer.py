@@ -113,6 +113,6 @@ def _notes(known: Mapping[str, Any], attributes: Mapping[str, Any]) -> dict[str,
     notes = {"layer": str(attributes.get("name", ""))}
     if "kind" in known:
         notes["mode"] = str(known["kind"])
-    if "path" in known:
-        notes["recording"] = str(getattr(known["path"], "name", known["path"]))
+    if known.get("path") is not None:
+        notes["recording"] = str(known["path"].name)
     return notes

@@ -1,4 +1,4 @@
-"""What a recording or a calibration becomes in a viewer: layers with their scale, units, names and provenance.
+"""What a recording becomes in a viewer: layers with their scale, units, names and provenance.
 
 A layer is napari's triple (data, attributes, type), plain data that needs no viewer.
 """
@@ -6,22 +6,22 @@ A layer is napari's triple (data, attributes, type), plain data that needs no vi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from napari_elsplus import __version__
-from napari_elsplus.errors import CalibrationError, ElsPlusError
+from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.io import calibration_beside, open_recording, read_calibration
 from napari_elsplus.processing.quality import white_level
 from napari_elsplus.processing.sectioning import Mode, side_px
-from napari_elsplus.viewing.lazy import image_planes, raw_planes
+from napari_elsplus.viewing.lazy import image_planes
+from napari_elsplus.viewing.stack import Stack, attributes, provenance
 
 if TYPE_CHECKING:
     import os
+    from pathlib import Path
 
-    from napari_elsplus.calibration import BundleSection, Calibration
+    from napari_elsplus.calibration import Calibration
     from napari_elsplus.io import Recording
     from napari_elsplus.viewing.lazy import LazyPlanes
 
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 TITLES: Final = {Mode.LS: "LS", Mode.RESIDUAL: "residual", Mode.ELS: "ELS+", Mode.ELSA: "ELSA"}
 """Names that microscopists know the modes by."""
-OUTLINE_COLOURS: Final = ("#56b4e9", "#e69f00")
-"""Of the confocal and the residual outline: blue and orange, told apart by everyone."""
 
 
 @dataclass(frozen=True)
@@ -71,18 +69,19 @@ def open_layers(path: str | os.PathLike[str], in_force: Path | None = None) -> O
         If it is no recording.
     """
     recording = open_recording(path)
+    stack = Stack.of(recording)
     if recording.dtype.kind == "f":
-        return Opened([finished_layer(recording)], [])
-    planes, notes = raw_planes(recording), []
+        return Opened([finished_layer(stack)], [])
+    notes = []
     try:
         calibration, source = calibration_for(recording, in_force)
-        layers = [] if calibration is None else image_layers(recording, planes, calibration, source)
+        layers = [] if calibration is None else image_layers(stack, calibration, source)
         if source is not None and source == in_force:
-            notes.append(f"{recording.path.name} is shown with the calibration in force, {source.name}")
+            notes.append(f"{stack.file_name} is shown with the calibration in force, {source.name}")
     except ElsPlusError as error:
         calibration, layers = None, []
-        notes.append(f"{recording.path.name} is shown as raw frames only. {error}")
-    raw = raw_layer(recording, planes, calibration)
+        notes.append(f"{stack.file_name} is shown as raw frames only. {error}")
+    raw = raw_layer(stack, calibration)
     raw[1]["visible"] = not layers
     return Opened([raw, *layers], notes)
 
@@ -103,19 +102,16 @@ def calibration_for(recording: Recording, in_force: Path | None = None) -> tuple
     return read_calibration(in_force), in_force
 
 
-def raw_layer(recording: Recording, planes: LazyPlanes, calibration: Calibration | None) -> Layer:
+def raw_layer(stack: Stack, calibration: Calibration | None = None) -> Layer:
     """Raw frames as a layer."""
-    step_um, step_s = _steps(recording, calibration)
-    attributes = _attributes(f"{_stem(recording)} raw", step_um, step_s, origin_px=(0.0, 0.0))
-    attributes["metadata"] = _provenance(recording, "raw", calibration, None)
-    attributes["contrast_limits"] = _limits(float(planes[0].max()))
-    return planes.dask(), attributes, "image"
+    words = attributes(stack, "raw", calibration)
+    words["contrast_limits"] = _limits(float(stack.planes[0].max()))
+    words["metadata"] = provenance(stack, "raw", calibration, None)
+    return stack.planes.dask(), words, "image"
 
 
-def image_layers(
-    recording: Recording, planes: LazyPlanes, calibration: Calibration, source: Path | None = None
-) -> list[Layer]:
-    """LS, residual, ELS+ and, of more than one frame, ELSA; each where it lies in the raw frame, ELS+ shown.
+def image_layers(stack: Stack, calibration: Calibration, source: Path | None = None) -> list[Layer]:
+    """LS, residual, ELS+ and, of a recording in time, ELSA; each where it lies in the raw frame, ELS+ shown.
 
     Raises
     ------
@@ -124,158 +120,38 @@ def image_layers(
     """
     calibration.require("bundle")
     assert calibration.bundle is not None
-    side = side_px(calibration.bundle.diameter_px)
+    middle = (side_px(calibration.bundle.diameter_px) - 1) / 2
     row, col = calibration.bundle.confocal_centre
-    origin_px = (row - (side - 1) / 2, col - (side - 1) / 2)
-    step_um, step_s = _steps(recording, calibration)
     layers: list[Layer] = []
     for mode, title in TITLES.items():
-        if mode is Mode.ELSA and len(recording) < 2:
+        if mode is Mode.ELSA and (len(stack.planes) < 2 or stack.depth_um is not None):
             continue
-        images = image_planes(planes, calibration, mode)
-        step = 2 * step_s if mode is Mode.ELSA and step_s is not None else step_s
-        attributes = _attributes(f"{_stem(recording)} {title}", step_um, step, origin_px)
-        if mode is Mode.ELSA and step_s is None:
-            attributes["scale"] = (2.0, *attributes["scale"][1:])
-        attributes["visible"] = mode is Mode.ELS
-        attributes["metadata"] = _provenance(recording, mode.value, calibration, source)
-        first = images[0]
-        attributes["contrast_limits"] = _limits(white_level(first, np.ones(first.shape, np.bool_)))
-        layers.append((images.dask(), attributes, "image"))
+        images = image_planes(stack.planes, calibration, mode)
+        words = attributes(stack, title, calibration, origin_px=(row - middle, col - middle))
+        if mode is Mode.ELSA:  # made of two frames each
+            words["scale"] = (2 * words["scale"][0], *words["scale"][1:])
+        words["visible"] = mode is Mode.ELS
+        words["contrast_limits"] = _white(images)
+        words["metadata"] = provenance(stack, mode.value, calibration, source)
+        layers.append((images.dask(), words, "image"))
     return layers
 
 
-def finished_layer(recording: Recording) -> Layer:
+def finished_layer(stack: Stack) -> Layer:
     """Images that were processed before, as a layer."""
-    planes = raw_planes(recording)
-    settings = recording.metadata.get("settings")
+    settings = stack.metadata.get("settings")
     mode = settings.get("mode") if isinstance(settings, dict) else None
-    title = TITLES.get(mode, "images") if isinstance(mode, str) else "images"  # type: ignore[call-overload]
-    try:
-        calibration = recording.calibration
-    except CalibrationError:
-        calibration = None
-    attributes = _attributes(f"{_stem(recording)} {title}", *_steps(recording, calibration), (0.0, 0.0))
-    first = planes[0]
-    attributes["contrast_limits"] = _limits(white_level(first, np.ones(first.shape, np.bool_)))
-    attributes["metadata"] = _provenance(recording, mode or "images", calibration, None)
-    return planes.dask(), attributes, "image"
+    title = next((title for known, title in TITLES.items() if known.value == mode), "images")
+    words = attributes(stack, title, None)
+    words["contrast_limits"] = _white(stack.planes)
+    words["metadata"] = provenance(stack, str(mode or "images"), stack.own_calibration(), None)
+    return stack.planes.dask(), words, "image"
 
 
-def calibration_layers(path: str | os.PathLike[str]) -> Opened:
-    """Show a calibration: the outlines of the two bundle images, in the raw frame's pixels or micrometres.
-
-    Parameters
-    ----------
-    path : path-like
-        A calibration's JSON file.
-
-    Returns
-    -------
-    Opened
-        A shapes layer if the bundle was located, and a line that says what the calibration holds.
-
-    Raises
-    ------
-    CalibrationError
-        If it is broken.
-    """
-    path = Path(path)
-    calibration = read_calibration(path)
-    note = f"{path.name} is the calibration in force: {summary(calibration)}"
-    bundle = calibration.bundle
-    if bundle is None:
-        return Opened([], [note])
-    step_um = calibration.optics.um_per_px if calibration.optics is not None else None
-    attributes = _attributes(f"{path.name.removesuffix('.json')} bundle", step_um, None, (0.0, 0.0), dimensions=2)
-    attributes |= {
-        "shape_type": "ellipse",
-        "edge_color": list(OUTLINE_COLOURS),
-        "face_color": "transparent",
-        "edge_width": max(1.0, bundle.diameter_px / 150),
-        "features": {"view": ["confocal", "residual"]},
-        "text": {"string": "{view}", "color": list(OUTLINE_COLOURS), "anchor": "upper_left", "size": 10},
-        "metadata": {"elsplus": {"kind": "calibration", "calibration": calibration, "calibration_path": path}},
-    }
-    return Opened([(_outlines(bundle), attributes, "shapes")], [note])
-
-
-def summary(calibration: Calibration) -> str:
-    """Say in a line what a calibration holds, and how good it is.
-
-    Examples
-    --------
-    >>> from napari_elsplus.calibration import Calibration
-    >>> summary(Calibration.parse({"offset": {"rows": -12.03, "uncertainty_rows": 0.01}}))
-    'slit offset -12.03 ± 0.01 rows'
-    """
-    said = []
-    if calibration.offset is not None:
-        said.append(f"slit offset {calibration.offset.rows:.2f} ± {calibration.offset.uncertainty_rows:.2f} rows")
-    if calibration.bundle is not None:
-        said.append(f"bundle {calibration.bundle.diameter_px:.1f} px wide")
-    if calibration.galvo is not None:
-        said.append(f"mirror {1e3 * calibration.galvo.volts_per_row:.3f} mV per row")
-    if calibration.quality is not None:
-        said.append(f"alignment error {100 * calibration.quality.alignment_error:.1f} %")
-    if calibration.background is not None:
-        said.append("background")
-    return ", ".join(said) or "it holds no measured section"
-
-
-def _outlines(bundle: BundleSection) -> list[np.ndarray[Any, np.dtype[np.float64]]]:
-    radius = bundle.diameter_px / 2
-    corners = radius * np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)], np.float64)
-    return [np.add(centre, corners) for centre in (bundle.confocal_centre, bundle.residual_centre)]
-
-
-def _steps(recording: Recording, calibration: Calibration | None) -> tuple[float | None, float | None]:
-    """Micrometres per pixel and seconds per frame, as far as the file or its calibration know them."""
-    step_um, step_s = recording.metadata.get("um_per_px"), recording.metadata.get("frame_period_s")
-    optics = calibration.optics if calibration is not None else None
-    if optics is not None:
-        step_um = step_um or optics.um_per_px
-        if step_s is None and optics.line_period_s and optics.rows_per_frame:
-            step_s = optics.line_period_s * optics.rows_per_frame
-    return step_um, step_s
-
-
-def _attributes(
-    name: str, step_um: float | None, step_s: float | None, origin_px: tuple[float, float], dimensions: int = 3
-) -> dict[str, Any]:
-    scale_px = step_um or 1.0
-    scale = (step_s or 1.0, scale_px, scale_px)
-    translate = (0.0, origin_px[0] * scale_px, origin_px[1] * scale_px)
-    units = ("s" if step_s else "pixel", *(("um", "um") if step_um else ("pixel", "pixel")))
-    labels = ("time", "row", "col")
-    return {
-        "name": name,
-        "scale": scale[-dimensions:],
-        "translate": translate[-dimensions:],
-        "units": units[-dimensions:],
-        "axis_labels": labels[-dimensions:],
-    }
-
-
-def _provenance(
-    recording: Recording, kind: str, calibration: Calibration | None, source: Path | None
-) -> dict[str, Any]:
-    return {
-        "elsplus": {
-            "kind": kind,
-            "path": recording.path,
-            "recording": recording,
-            "calibration": calibration,
-            "calibration_path": source,
-            "file": dict(recording.metadata),
-            "software": f"napari-elsplus {__version__}",
-        }
-    }
+def _white(images: LazyPlanes) -> tuple[float, float]:
+    first = images[0]
+    return _limits(white_level(first, np.ones(first.shape, np.bool_)))
 
 
 def _limits(white: float) -> tuple[float, float]:
     return 0.0, white if white > 1e-6 else 1.0
-
-
-def _stem(recording: Recording) -> str:
-    return recording.path.name.split(".")[0] or recording.path.name

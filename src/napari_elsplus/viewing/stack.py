@@ -1,0 +1,129 @@
+"""A stack of planes, what is known of it, and what that makes of a layer's axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from napari_elsplus import __version__
+from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.io import beside, read_depths_um
+from napari_elsplus.viewing.lazy import raw_planes
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.io import Recording
+    from napari_elsplus.viewing.lazy import LazyPlanes
+
+
+@dataclass(frozen=True)
+class Stack:
+    """A stack of planes with what is known of it.
+
+    Attributes
+    ----------
+    name : str
+        What its layers are called.
+    planes : LazyPlanes
+        Raw frames, or finished images.
+    metadata : dict
+        ``um_per_px``, ``frame_period_s``, ``settings``, as far as they are known.
+    recording : Recording, optional
+        Where the planes come from; none if they are simulated.
+    depth_um : numpy.ndarray, optional
+        (T,): the stack is a scan of depths.
+    """
+
+    name: str
+    planes: LazyPlanes
+    metadata: dict[str, Any] = field(default_factory=dict)
+    recording: Recording | None = None
+    depth_um: NDArray[np.float64] | None = None
+
+    @classmethod
+    def of(cls, recording: Recording) -> Stack:
+        """Describe an open recording; it is a scan of depths if NAME.depths.csv lies beside it."""
+        name = recording.path.name.split(".")[0] or recording.path.name
+        depths = beside(recording.path, ".depths.csv")
+        depth_um = read_depths_um(depths) if depths.is_file() else None
+        if depth_um is not None and len(depth_um) != len(recording):
+            raise InputError(
+                f"{depths.name} holds {len(depth_um)} depths, {recording.path.name} {len(recording)} frames",
+                "one depth per frame is expected: mend or remove the file",
+            )
+        return cls(name, raw_planes(recording), recording.metadata, recording, depth_um)
+
+    @property
+    def file_name(self) -> str:
+        """The recording's file, or the stack's name."""
+        return self.recording.path.name if self.recording is not None else self.name
+
+    def own_calibration(self) -> Calibration | None:
+        """Return the recording's own calibration, if it has one that can be read."""
+        try:
+            return self.recording.calibration if self.recording is not None else None
+        except CalibrationError:
+            return None
+
+
+def space(um_per_px: float | None, origin_px: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
+    """Scale, place, units and labels of the two axes of an image; pixels where the scale is unknown."""
+    scale = um_per_px or 1.0
+    return {
+        "scale": (scale, scale),
+        "translate": (origin_px[0] * scale, origin_px[1] * scale),
+        "units": ("um", "um") if um_per_px else ("pixel", "pixel"),
+        "axis_labels": ("row", "col"),
+    }
+
+
+def _first_axis(stack: Stack, calibration: Calibration | None) -> dict[str, Any]:
+    if stack.depth_um is not None:
+        steps = np.diff(stack.depth_um)
+        even = len(steps) > 0 and steps[0] > 0 and np.allclose(steps, steps[0], rtol=1e-3)
+        if not even:
+            return {"scale": 1.0, "translate": 0.0, "units": "pixel", "axis_labels": "depth"}
+        first = float(stack.depth_um[0])
+        return {"scale": float(steps[0]), "translate": first, "units": "um", "axis_labels": "depth"}
+    period_s = stack.metadata.get("frame_period_s")
+    optics = calibration.optics if calibration is not None else None
+    if period_s is None and optics is not None and optics.line_period_s and optics.rows_per_frame:
+        period_s = optics.line_period_s * optics.rows_per_frame
+    return {
+        "scale": period_s or 1.0,
+        "translate": 0.0,
+        "units": "s" if period_s else "pixel",
+        "axis_labels": "time",
+    }
+
+
+def attributes(
+    stack: Stack, title: str, calibration: Calibration | None, origin_px: tuple[float, float] = (0.0, 0.0)
+) -> dict[str, Any]:
+    """Name, scale, place, units and labels of a layer of three axes."""
+    known = stack.metadata.get("um_per_px")
+    if known is None and calibration is not None and calibration.optics is not None:
+        known = calibration.optics.um_per_px
+    place, first = space(known, origin_px), _first_axis(stack, calibration)
+    return {"name": f"{stack.name} {title}"} | {key: (first[key], *place[key]) for key in place}
+
+
+def provenance(stack: Stack, kind: str, calibration: Calibration | None, source: Path | None) -> dict[str, Any]:
+    """Say where a layer comes from, for its metadata."""
+    return {
+        "elsplus": {
+            "kind": kind,
+            "stack": stack,
+            "path": stack.recording.path if stack.recording is not None else None,
+            "calibration": calibration,
+            "calibration_path": source,
+            "file": dict(stack.metadata),
+            "software": f"napari-elsplus {__version__}",
+        }
+    }
