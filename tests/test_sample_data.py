@@ -1,4 +1,4 @@
-"""The sample recording: three images of one sweep, to scale, side by side."""
+"""The samples: simulated as they are looked at, to scale, with the calibration that fits them."""
 
 from __future__ import annotations
 
@@ -6,38 +6,70 @@ import numpy as np
 import pytest
 
 from napari_elsplus import _sample_data
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.optics import PRESETS
+from napari_elsplus.processing.calibrate import calibrate
+from napari_elsplus.simulation.instrument import Instrument
+
+
+def by_name(layers):
+    return {attributes["name"]: (data, attributes) for data, attributes, _ in layers}
 
 
 @pytest.fixture(scope="module")
-def layers() -> list[_sample_data.LayerData]:
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(_sample_data, "FRAMES", 3)
-        return _sample_data.recording()
+def recording():
+    return by_name(_sample_data.recording())
 
 
-def test_els_is_ls_minus_residual(layers: list[_sample_data.LayerData]) -> None:
-    (ls, _, _), (residual, _, _), (els, _, _) = layers
-    assert ls.shape[0] == 3
-    assert np.array_equal(els, ls - residual)
-
-
-def test_subtraction_takes_light_away_but_not_the_fibres(layers: list[_sample_data.LayerData]) -> None:
-    (ls, _, _), _, (els, _, _) = layers
+def test_els_is_ls_minus_residual_and_keeps_the_fibres(recording):
+    ls, residual, els = (np.asarray(recording[f"fibres {name}"][0][3]) for name in ("LS", "residual", "ELS+"))
+    np.testing.assert_array_equal(els, ls - residual)
     assert np.median(els[ls > 5]) < 0.8 * np.median(ls[ls > 5])
     assert np.percentile(els, 99.9) > 0.6 * np.percentile(ls, 99.9)
 
 
-def test_layers_stand_side_by_side_in_micrometres(layers: list[_sample_data.LayerData]) -> None:
+def test_three_images_stand_side_by_side_in_micrometres(recording):
+    shown = [(data, attributes) for data, attributes in recording.values() if attributes["visible"]]
     um_per_px = PRESETS["240hz"].optics.um_per_px
-    lefts = [settings["translate"][2] for _, settings, _ in layers]
-    for _, settings, _ in layers:
-        assert settings["scale"] == (1, um_per_px, um_per_px)
-    assert np.all(np.diff(lefts) > layers[0][0].shape[2] * um_per_px)
+    lefts = [attributes["translate"][2] for _, attributes in shown]
+    assert [attributes["name"] for _, attributes in shown] == ["fibres LS", "fibres residual", "fibres ELS+"]
+    assert all(attributes["scale"][1:] == (um_per_px, um_per_px) for _, attributes in shown)
+    assert np.all(np.diff(lefts) > shown[0][0].shape[2] * um_per_px)
 
 
-def test_the_calibration_comes_with_the_layer(layers: list[_sample_data.LayerData]) -> None:
-    _, settings, _ = layers[0]
-    calibration = Calibration.parse(settings["metadata"]["calibration"])
-    calibration.require("offset", "bundle", "optics")
+def test_frames_do_not_depend_on_the_order_in_which_they_are_looked_at(recording):
+    raw = recording["fibres raw"][0]
+    forwards = [np.asarray(raw[k]) for k in (5, 6, 400)]
+    again = by_name(_sample_data.recording())["fibres raw"][0]
+    for frame, k in zip(reversed(forwards), (400, 6, 5), strict=True):
+        np.testing.assert_array_equal(again[k], frame)
+
+
+def test_the_calibration_set_gives_the_calibration_of_the_instrument_it_was_made_with():
+    layers = by_name(_sample_data.calibration_set())
+    sweep, attributes = layers["calibration sweep"]
+    every = slice(None, None, 8)
+    found = calibrate(
+        line=np.asarray(layers["calibration line"][0]),
+        sweep=np.asarray(sweep[every]),
+        volts=attributes["metadata"]["elsplus"]["volts"][every],
+        bundle=np.asarray(layers["calibration distal light"][0]),
+        background=np.asarray(layers["calibration dark tube"][0][:10]),
+    )
+    instrument = Instrument.of("240hz")
+    assert found.offset.rows == pytest.approx(instrument.offset_rows, abs=0.05)
+    assert found.galvo.volts_per_row == pytest.approx(instrument.volts_per_row, rel=2e-3)
+    assert found.bundle.confocal_centre == pytest.approx(instrument.left_centre, abs=0.2)
+
+
+def test_the_axial_scan_knows_its_depths_and_falls_faster_in_els():
+    layers = by_name(_sample_data.axial_scan())
+    assert list(layers) == ["plate raw", "plate LS", "plate residual", "plate ELS+"]
+    depth_um = layers["plate ELS+"][1]["metadata"]["elsplus"]["stack"].depth_um
+    far = int(np.searchsorted(depth_um, 118))
+    falls = {
+        name: float(np.asarray(data[far]).sum() / np.asarray(data[0]).sum())
+        for name, (data, _) in layers.items()
+        if name in ("plate LS", "plate ELS+")
+    }
+    assert falls["plate LS"] > 0.25
+    assert falls["plate ELS+"] == pytest.approx(0.1, abs=0.03)  # the paper's 10 dB lie at 119 um for this offset

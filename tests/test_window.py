@@ -33,5 +33,9 @@ def test_the_window_shows_what_the_manifest_offers(
     if docked:
         assert len(viewer.window.dock_widgets) >= len(docked)
     else:
-        assert [layer.name for layer in viewer.layers] == ["LS", "residual", "ELS+"]
+        assert [layer.name for layer in viewer.layers if layer.visible] == [
+            "fibres LS",
+            "fibres residual",
+            "fibres ELS+",
+        ]
         assert viewer.canvas.overlays.scale_bar.visible

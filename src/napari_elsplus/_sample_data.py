@@ -1,56 +1,96 @@
-"""napari's sample data: what the simulated instrument shows."""
+"""napari's sample data: a recording, a calibration set and an axial scan, simulated as they are shown."""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from napari_elsplus import __version__
-from napari_elsplus.pipeline import images
-from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.simulation import calibration_scenes
+from napari_elsplus.simulation import calibration_scenes as scenes
+from napari_elsplus.simulation.axial_scan import axial_scan as scan_of_plate
+from napari_elsplus.simulation.axial_scan import lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import scene
+from napari_elsplus.simulation.scenes import distal_light, empty, scene
 from napari_elsplus.simulation.trajectories import trajectory
 from napari_elsplus.simulation.truth import true_calibration
+from napari_elsplus.viewing.layers import image_layers, raw_layer, side_by_side
+from napari_elsplus.viewing.lazy import LazyPlanes
+from napari_elsplus.viewing.stack import Stack
 
-LayerData = tuple[NDArray[np.float32], dict[str, Any], str]
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
-FRAMES: Final = 24
-GAP_PX: Final = 20
-"""Dark columns between the images that stand side by side."""
-NAMES: Final = {Mode.LS: "LS", Mode.RESIDUAL: "residual", Mode.ELS: "ELS+"}
+    from numpy.typing import NDArray
+
+FRAMES: Final = 480
+"""Of the sample recording: two seconds."""
+SEED: Final = 1
 
 
-def recording() -> list[LayerData]:
-    """Record a hand-held probe over fibres at 240 Hz and section it: LS, residual and ELS+ side by side.
-
-    Returns
-    -------
-    list of tuple
-        For each image its stack (T, n, n) in grey levels, its layer's settings (in micrometres, with the
-        calibration), and ``"image"``.
-    """
+def recording() -> list[tuple[Any, ...]]:
+    """Simulate a probe moved by hand over stained fibres for two seconds: LS, residual, ELS+ side by side, and raw."""
     instrument = Instrument.of("240hz")
-    renderer = Renderer(instrument, scene("fibres"), trajectory("hand"))
-    raw = np.stack([renderer.render(index) for index in range(FRAMES)])
-    calibration = true_calibration(instrument, calibration_scenes.background(instrument))
-    stacks = {mode: np.stack(list(images(raw, calibration, mode))) for mode in NAMES}
-    brightest = float(np.percentile(stacks[Mode.LS], 99.9))
-    um_per_px = instrument.optics.um_per_px
-    layers: list[LayerData] = []
-    for place, (mode, stack) in enumerate(stacks.items()):
-        settings = {
-            "name": NAMES[mode],
-            "scale": (1, um_per_px, um_per_px),
-            "translate": (0, 0, place * (stack.shape[2] + GAP_PX) * um_per_px),
-            "units": ("pixel", "um", "um"),
-            "axis_labels": ("frame", "row", "column"),
-            "contrast_limits": (0, brightest),
-            "metadata": {"software": f"napari-elsplus {__version__}", "calibration": calibration.content()},
-        }
-        layers.append((stack, settings, "image"))
+    renderer = Renderer(instrument, scene("fibres", SEED), trajectory("hand", seed=SEED), seed=SEED)
+    stack = Stack("fibres", _planes(instrument, FRAMES, renderer.render), _known(instrument))
+    calibration = true_calibration(instrument, scenes.background(instrument, seed=SEED))
+    raw = raw_layer(stack, calibration)
+    raw[1]["visible"] = False
+    *shown, elsa = image_layers(stack, calibration)
+    return [raw, elsa, *side_by_side(shown)]
+
+
+def calibration_set() -> list[tuple[Any, ...]]:
+    """Simulate what a calibration is measured from: standing line, sweep with its voltages, distal light, dark tube."""
+    instrument = Instrument.of("240hz")
+    line = scenes.line_renderer(instrument, seed=SEED)
+    lit = Renderer(instrument, distal_light(), seed=SEED + 1)
+    dark = Renderer(instrument, empty(), seed=SEED + 2)
+    still, sweep = scenes.line_volts(instrument), scenes.sweep_volts(instrument)
+    parts: list[tuple[str, int, Callable[[int], NDArray[Any]], NDArray[np.float64] | None]] = [
+        ("dark tube", scenes.BACKGROUND_FRAMES, dark.render, None),
+        ("distal light", scenes.TRANSMISSION_FRAMES, lit.render, None),
+        ("sweep", len(sweep), lambda k: line.render(k, line_rows=scenes.held_rows(instrument, sweep[k])), sweep),
+        ("line", len(still), lambda k: line.render(k, line_rows=scenes.held_rows(instrument, still[k])), None),
+    ]
+    layers = []
+    for name, count, render, volts in parts:
+        layer = raw_layer(Stack(name, _planes(instrument, count, render), _known(instrument)))
+        layer[1]["name"] = f"calibration {name}"
+        layer[1]["visible"] = name == "distal light"
+        if volts is not None:
+            layer[1]["metadata"]["elsplus"]["volts"] = volts
+        layers.append(layer)
     return layers
+
+
+def axial_scan() -> list[tuple[Any, ...]]:
+    """Simulate a stained plate that moves away from the probe, as sectioning is measured: raw, LS, residual, ELS+."""
+    instrument = lit_for_plate(Instrument.of("120hz"))
+    depth_um = scan_depths_um()
+
+    def at_depth(index: int) -> NDArray[Any]:
+        return next(scan_of_plate(instrument, depth_um[index : index + 1], seed=SEED + index))
+
+    planes = _planes(instrument, len(depth_um), at_depth)
+    stack = Stack("plate", planes, {"um_per_px": instrument.optics.um_per_px}, depth_um=depth_um)
+    calibration = true_calibration(instrument, scenes.background(instrument, seed=SEED))
+    raw = raw_layer(stack, calibration)
+    raw[1]["visible"] = False
+    return [raw, *image_layers(stack, calibration)]
+
+
+def _planes(instrument: Instrument, count: int, render: Callable[[int], NDArray[Any]]) -> LazyPlanes:
+    """Render frames as they are looked at, one thread at a time: a renderer keeps the scene around the probe."""
+    lock = Lock()
+
+    def plane(index: int) -> NDArray[Any]:
+        with lock:
+            return render(index)
+
+    return LazyPlanes(plane, (count, *instrument.frame_shape), np.dtype(np.uint8))
+
+
+def _known(instrument: Instrument) -> dict[str, Any]:
+    return {"um_per_px": instrument.optics.um_per_px, "frame_period_s": instrument.optics.frame_period_s}

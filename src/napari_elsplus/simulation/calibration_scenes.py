@@ -42,11 +42,21 @@ def standing_line(instrument: Instrument, volts: NDArray[np.float64], *, seed: i
     numpy.ndarray
         Raw frame (rows, cols), uint8.
     """
+    renderer = line_renderer(instrument, seed=seed)
+    for k, volt in enumerate(volts):
+        yield renderer.render(k, line_rows=held_rows(instrument, volt))
+
+
+def line_renderer(instrument: Instrument, *, seed: int = 0) -> Renderer:
+    """Return a renderer of frames in which nothing but the line is seen, for frames in any order."""
     bright = replace(instrument, light_dn=instrument.light_dn * LASER_TURNED_UP)
-    renderer = Renderer(bright, empty(), seed=seed)
-    rows = instrument.frame_shape[0]
-    for k, row in enumerate((volts - instrument.volts_at_row_zero) / instrument.volts_per_row):
-        yield renderer.render(k, line_rows=np.full(rows, row))
+    return Renderer(bright, empty(), seed=seed)
+
+
+def held_rows(instrument: Instrument, volt: float) -> NDArray[np.float64]:
+    """Row of the line, for :meth:`Renderer.render`, while a voltage holds it still."""
+    row = (volt - instrument.volts_at_row_zero) / instrument.volts_per_row
+    return np.full(instrument.frame_shape[0], row)
 
 
 def line_volts(instrument: Instrument) -> NDArray[np.float64]:

@@ -137,6 +137,30 @@ def image_layers(stack: Stack, calibration: Calibration, source: Path | None = N
     return layers
 
 
+def side_by_side(layers: list[Layer], gap_px: int = 20) -> list[Layer]:
+    """Move images of one size next to each other, from left to right, and show them all.
+
+    Parameters
+    ----------
+    layers : list of tuple
+        (data, attributes, type) each.
+    gap_px : int
+        Columns between them.
+
+    Returns
+    -------
+    list of tuple
+        The same layers; their attributes are new.
+    """
+    placed = []
+    for index, (data, words, kind) in enumerate(layers):
+        step_um = words["scale"][-1]
+        aside = index * (data.shape[-1] + gap_px) * step_um
+        place = (*words["translate"][:-1], words["translate"][-1] + aside)
+        placed.append((data, {**words, "translate": place, "visible": True}, kind))
+    return placed
+
+
 def finished_layer(stack: Stack) -> Layer:
     """Images that were processed before, as a layer."""
     settings = stack.metadata.get("settings")
