@@ -27,8 +27,8 @@ def fill(viewer: napari.Viewer) -> None:
 def main() -> None:
     """Open the window and stay until it is closed; a termination closes it as a click would."""
     viewer = napari.Viewer()
-    signal.signal(signal.SIGTERM, lambda *_: viewer.close())
     fill(viewer)
+    signal.signal(signal.SIGTERM, lambda *_: viewer.close())
     napari.run()
 
 
