@@ -30,6 +30,7 @@ ROOMS = (
     "acquisition",
     "evaluation",
     "figures",
+    "demo",
     "diagnosis",
     "cli",
     "settings",

@@ -13,7 +13,16 @@ import click
 from napari_elsplus import __version__
 from napari_elsplus.errors import ElsPlusError
 
-COMMANDS: tuple[str, ...] = ("axial", "calibrate", "compare", "doctor", "mosaic", "process", "simulate")
+COMMANDS: tuple[str, ...] = (
+    "demo",
+    "calibrate",
+    "process",
+    "mosaic",
+    "compare",
+    "axial",
+    "simulate",
+    "doctor",
+)
 """Names of the commands; each is the ``command`` of the module of that name in this package."""
 
 EXIT_BAD_INPUT = 2

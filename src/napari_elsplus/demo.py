@@ -1,0 +1,217 @@
+"""The whole job on the simulated rig: calibrate, acquire, section, mosaic, and measure it all against the truth.
+
+What a newcomer sees first, and what tells within a minute whether an installation works.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from napari_elsplus import __version__
+from napari_elsplus.evaluation.against_truth import (
+    TrackErrors,
+    calibration_errors,
+    correlation_with_focal_plane,
+    track_errors,
+)
+from napari_elsplus.figures.comparison import compare, draw_comparison
+from napari_elsplus.figures.contact_sheet import draw_contact_sheet
+from napari_elsplus.figures.files import save_figure
+from napari_elsplus.io import (
+    RecordingWriter,
+    open_recording,
+    refuse_existing,
+    replacing,
+    write_calibration,
+    write_mosaic,
+    write_stack,
+    write_track,
+)
+from napari_elsplus.pipeline import Images
+from napari_elsplus.processing.calibrate import measure
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.simulation import calibration_scenes as bench
+from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.renderer import Renderer
+from napari_elsplus.simulation.scenes import scene
+from napari_elsplus.simulation.trajectories import Straight, trajectory
+from napari_elsplus.simulation.truth import motion
+from napari_elsplus.tracking_pipeline import Pipeline, picture
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+
+    Watch = Callable[[Iterable[int], str], Iterable[int]]
+
+FRAMES: Final = 120
+SPEED_UM_S: Final = 6000.0
+SHOWN_FRAMES: Final = 12
+"""Images of each mode that are written, from the start of the recording."""
+SLOW_RATE_HZ: Final = 10.0
+SLOW_SPEED_UM_S: Final = 400.0
+"""Rate and speed that show what motion does to ELSA, as in the paper's lens-paper figure."""
+FILES: Final = (
+    "calibration.json",
+    "calibration.npz",
+    "recording.ome.tif",
+    "ls.ome.tif",
+    "residual.ome.tif",
+    "els.ome.tif",
+    "mosaic_ls.ome.tif",
+    "mosaic_els.ome.tif",
+    "track.csv",
+    "comparison.png",
+    "contact_sheet.png",
+    "report.json",
+)
+"""What the demonstration leaves in its folder."""
+_SEED: Final = 1
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """The simulated rig, the scene, and where the files go."""
+
+    instrument: Instrument
+    folder: Path
+    force: bool
+    watch: Watch
+
+    def renderer(self, *, in_focus_only: bool = False) -> Renderer:
+        whole = scene("fibres")
+        shown = whole.in_focus() if in_focus_only else whole
+        path = trajectory("spiral", speed_um_s=SPEED_UM_S)
+        return Renderer(self.instrument, shown, path, seed=_SEED, noise=not in_focus_only)
+
+
+def run_demo(folder: Path, *, force: bool = False, watch: Watch = lambda items, _: items) -> dict[str, Any]:
+    """Calibrate the simulated rig, record a moving probe, make images and mosaics; write them all into a folder.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Where the files go; made if it is not there.
+    force : bool
+        Overwrite existing files.
+    watch : callable
+        Takes a loop's numbers and a word for it and gives the numbers back: the place for a progress bar.
+
+    Returns
+    -------
+    dict
+        The report, as written to ``report.json``: errors against what the simulated rig really was.
+
+    Raises
+    ------
+    InputError
+        If a file exists and is not to be overwritten.
+    """
+    started = perf_counter()
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in FILES:
+        refuse_existing(folder / name, force=force)
+    stage = _Stage(Instrument.of("240hz"), folder, force, watch)
+    calibration = _calibrate(stage)
+    _record(stage, calibration)
+    tracks, mosaics = _process(stage, calibration)
+    slow = _slow_frames(stage.instrument)
+    comparison = compare(slow, calibration)
+    figure = draw_comparison(comparison, stage.instrument.optics.um_per_px)
+    save_figure(figure, folder / "comparison.png", force=force)
+    sheet = draw_contact_sheet(slow[0], calibration, comparison, mosaics)
+    save_figure(sheet, folder / "contact_sheet.png", force=force)
+    report = {
+        "software": f"napari-elsplus {__version__}",
+        "rig": f"simulated, {stage.instrument.preset.name}",
+        "calibration_errors": asdict(calibration_errors(calibration, stage.instrument)),
+        "correlation_with_focal_plane": _sectioning(stage, calibration),
+        "tracking": {mode.value: asdict(errors) for mode, errors in tracks.items()},
+        "seconds": round(perf_counter() - started, 1),
+    }
+    with replacing(folder / "report.json", force=force) as unfinished:
+        unfinished.write_text(json.dumps(report, indent=2), encoding="utf-8")
+    return report
+
+
+def _calibrate(stage: _Stage) -> Calibration:
+    """Measure the calibration from what the simulated rig shows, as on a real one."""
+    instrument = stage.instrument
+    volts = bench.sweep_volts(instrument)
+    sweep = bench.standing_line(instrument, volts, seed=_SEED)
+    findings = measure(
+        line=list(bench.standing_line(instrument, bench.line_volts(instrument), seed=_SEED)),
+        sweep=[next(sweep) for _ in stage.watch(range(len(volts)), "sweeping the line")],
+        volts=volts,
+        bundle=list(bench.transmission(instrument, seed=_SEED)),
+        background=list(bench.dark_tube(instrument, seed=_SEED)),
+        um_per_px=instrument.optics.um_per_px,
+        line_period_s=instrument.optics.line_period_s,
+        rows_per_frame=instrument.optics.rows_per_frame,
+        watch=lambda numbers: stage.watch(numbers, "fitting the line"),
+    )
+    write_calibration(stage.folder / "calibration.json", findings.calibration, force=stage.force)
+    return findings.calibration
+
+
+def _record(stage: _Stage, calibration: Calibration) -> None:
+    renderer = stage.renderer()
+    frame = np.empty(renderer.frame_shape, np.uint8)
+    path = stage.folder / "recording.ome.tif"
+    with RecordingWriter(path, renderer.frame_shape, frame.dtype, calibration=calibration, force=stage.force) as writer:
+        for k in stage.watch(range(FRAMES), "acquiring"):
+            writer.append(renderer.render(k, frame), k * stage.instrument.optics.frame_period_s, k)
+
+
+def _process(
+    stage: _Stage, calibration: Calibration
+) -> tuple[dict[Mode, TrackErrors], dict[Mode, NDArray[np.float32]]]:
+    """Images of the first frames, and LS and ELS+ mosaics, each on its own track; ELS+'s track is written."""
+    optics = stage.instrument.optics
+    tracks, mosaics = {}, {}
+    with open_recording(stage.folder / "recording.ome.tif") as recording:
+        for mode in (Mode.LS, Mode.RESIDUAL, Mode.ELS):
+            images = Images(recording[:SHOWN_FRAMES], calibration, mode)
+            write_stack(
+                stage.folder / f"{mode.value}.ome.tif",
+                images,
+                um_per_px=optics.um_per_px,
+                frame_period_s=optics.frame_period_s,
+                calibration=calibration,
+                force=stage.force,
+            )
+        path = trajectory("spiral", speed_um_s=SPEED_UM_S)
+        true_px = np.array(motion(stage.instrument, path, len(recording))["positions_mid"])
+        for mode in (Mode.LS, Mode.ELS):
+            pipeline = Pipeline(calibration, stage.instrument.frame_shape, mode)
+            for k in stage.watch(range(len(recording)), f"mosaic of {mode.value}"):
+                pipeline.add(recording[k], k, k * optics.frame_period_s)
+            tracks[mode] = track_errors(pipeline.rows, true_px)
+            mosaics[mode] = picture(list(pipeline.mosaics.values()))
+            scale = optics.um_per_px * pipeline.camera_px_per_pixel
+            target = stage.folder / f"mosaic_{mode.value}.ome.tif"
+            write_mosaic(target, mosaics[mode], scale, calibration=calibration, force=stage.force)
+    write_track(stage.folder / "track.csv", pipeline.rows, force=stage.force)
+    return tracks, mosaics
+
+
+def _sectioning(stage: _Stage, calibration: Calibration) -> dict[str, float]:
+    raw = stage.renderer().render(0)
+    in_focus = stage.renderer(in_focus_only=True).render(0)
+    return {mode.value: correlation_with_focal_plane(raw, in_focus, calibration, mode) for mode in (Mode.LS, Mode.ELS)}
+
+
+def _slow_frames(instrument: Instrument) -> list[NDArray[np.uint8]]:
+    """Two successive frames at 10 Hz, the probe moved by hand."""
+    slow = replace(instrument, preset=replace(instrument.preset, optics=instrument.optics.at_rate(SLOW_RATE_HZ)))
+    renderer = Renderer(slow, scene("fibres"), Straight(SLOW_SPEED_UM_S), seed=_SEED)
+    return [renderer.render(k) for k in range(2)]
