@@ -1,20 +1,20 @@
 """Where the laser line is in one view of the bundle.
 
 The paper takes profiles perpendicular to the line, removes the background by a threshold and fits a Gaussian (System
-Calibration, step i). Here all columns are fitted together, with the line's tilt, so that the honeycomb of the cores
-averages out and its rest is part of the stated uncertainty.
+Calibration, step i). Here the profiles of all columns are fitted together, with the line's tilt, so that the honeycomb
+of the cores averages out and its rest is part of the stated uncertainty.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-import cv2
 import numpy as np
 from scipy import ndimage
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.line_search import Streak, brightest_streak, without_hot_pixels
 from napari_elsplus.processing.uncertainty import clustered_influence
 
 if TYPE_CHECKING:
@@ -23,10 +23,15 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]
 
-CLUSTERS: Final = 32
-STEEPEST_TILT: Final = 0.07
+RUNS: Final = 32
+"""Runs of columns that a line is divided into: its profiles, and the clusters of its uncertainty."""
 VISIBLE_SIGMAS: Final = 7.0
-_NEIGHBOURS: Final = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
+WIDEST_FIT_ROWS: Final = 120
+"""Rows to either side that a fit may use."""
+TOLERATED_MISFIT: Final = 0.03
+WORST_MISFIT: Final = 0.2
+"""Departure of the mean profile from a Gaussian, as a fraction of its height. Lines stay below 0.02."""
+_ROW, _SLOPE = 3, 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +52,13 @@ class Line:
         Grey levels above the background.
     columns : tuple of int
         First lit column and the one after the last.
+    profile : numpy.ndarray
+        Grey levels across the line, mean of its columns, as fitted; shape (rows,).
+    profile_rows : numpy.ndarray
+        Their rows, from the line's middle, shape (rows,).
     influence : numpy.ndarray
-        Shape (clusters, 2): what each run of columns contributes to the error of row and slope.
+        Shape (runs + 1, 2): what each run of columns contributes to the error of row and slope, and at the end what a
+        profile that is no Gaussian does, a reflection beside the line for one.
     """
 
     row: float
@@ -57,6 +67,8 @@ class Line:
     width_rows: float
     amplitude: float
     columns: tuple[int, int]
+    profile: Floats
+    profile_rows: Floats
     influence: Floats
 
     @property
@@ -105,8 +117,9 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None) -> L
 
     Notes
     -----
-    The profile is smoothed with its own width before the Gaussian is fitted. That costs little precision and keeps
-    the rows of cores, which are about as far apart as the line is wide, from pulling the fit.
+    The profiles are smoothed with the line's own width before the Gaussian is fitted. That costs little precision and
+    keeps the rows of cores, which are about as far apart as the line is wide, from pulling the fit. A slope of the
+    background is fitted too: near the bundle's rim the line's halo is cut on one side.
 
     Examples
     --------
@@ -116,138 +129,141 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None) -> L
     31.25
     """
     image = np.asarray(view, np.float32) if background is None else np.subtract(view, background, dtype=np.float32)
-    image = without_hot_pixels(image)
-    row, slope, width = _coarse_line(image)
-    line = _fit(image, row, image.shape[1] / 2 - 0.5, slope, width)
-    return _fit(image, line.row, line.column, line.slope, line.width_rows)
+    streak = brightest_streak(image)
+    first, band = _band_around(image, streak)
+    line = _fit(band, streak._replace(row=streak.row - first))
+    line = _fit(band, Streak(line.row, line.column, line.slope, line.width_rows))
+    if line.width_rows > len(image) / 8:
+        raise MeasurementError(
+            f"no laser line: the brightest streak is {2.355 * line.width_rows:.0f} of {len(image)} rows wide",
+            "is other light on?",
+        )
+    return replace(line, row=line.row + first)
 
 
-def without_hot_pixels(image: Image) -> Image:
-    """Replace pixels that outshine all their neighbours by far; cores, which spread, are left alone."""
-    around = cv2.dilate(image, _NEIGHBOURS)
-    floor = float(np.median(image[::7, ::7]))
-    hot = image - floor > 4 * np.maximum(around - floor, 2.0) + 8.0
-    return np.where(hot, cv2.medianBlur(image, 3), image) if hot.any() else image
+def _band_around(image: Image, streak: Streak) -> tuple[int, Image]:
+    """First row, and the rows that a fit may need, without hot pixels."""
+    reach = WIDEST_FIT_ROWS + int(np.ceil(abs(streak.slope) * image.shape[1] / 2))
+    first = max(int(streak.row) - reach, 0)
+    return first, without_hot_pixels(image[first : int(streak.row) + reach + 1])
 
 
-def _coarse_line(image: Image) -> tuple[float, float, float]:
-    """Row at the middle column, slope, and width, from the brightest straight streak."""
+def _fit(image: Image, streak: Streak) -> Line:
+    """Fit one tilted Gaussian line, by Gauss-Newton, to the profiles around a streak."""
+    width = min(streak.width_rows, WIDEST_FIT_ROWS / 9)
+    reach = int(np.ceil(4.5 * width)) + 2
+    patch, inside = _along(image, streak, reach + int(np.ceil(3 * width)))
+    first, stop = _lit_columns(_brightness(patch, width))
+    inset = min(int(np.ceil(2 * width)) + 2, (stop - first) // 8)
+    edges = np.linspace(first + inset, stop - inset, RUNS + 1).astype(int)
+    if stop - first - 2 * inset < RUNS or inside[:, first:stop].mean() < 0.6:
+        raise MeasurementError(
+            f"no laser line: what is brightest spans {stop - first} columns", "is the laser on, and on the bundle?"
+        )
+    profiles = np.add.reduceat(patch, edges, axis=1)[:, :-1] / np.diff(edges)
+    seen = np.logical_and.reduceat(inside, edges, axis=1)[:, :-1]
+    margin = (len(patch) - 1) // 2 - reach
+    data = ndimage.gaussian_filter1d(profiles, width, axis=0, mode="nearest", truncate=3.0)[margin:-margin]
+    seen = seen[margin:-margin]
+    middle = (first + stop - 1) / 2
+    u = np.broadcast_to(np.arange(-reach, reach + 1.0)[:, None], data.shape)[seen]
+    x = np.broadcast_to((edges[:-1] + edges[1:] - 1) / 2 - middle, data.shape)[seen]
+    run = np.broadcast_to(np.arange(RUNS), data.shape)[seen]
+    parameters, influence = _gauss_newton(data[seen], u, x, run, width)
+    amplitude, _, log_width, shift, turn, _ = (float(value) for value in parameters)
+    fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2, 0.1)))
+    misfit = _misfit(data, seen, parameters, u, x)
+    _must_be_a_line(amplitude, float(np.linalg.norm(influence[:, 0])), shift, reach, misfit)
+    pulled = max(misfit - TOLERATED_MISFIT, 0.0) * fitted
+    return Line(
+        row=streak.row + streak.slope * (middle - streak.column) + shift,
+        column=middle,
+        slope=streak.slope + turn,
+        width_rows=fitted,
+        amplitude=amplitude * float(np.exp(log_width)) / fitted,
+        columns=(first, stop),
+        profile=profiles.mean(axis=1),
+        profile_rows=np.arange(len(profiles), dtype=np.float64) - (len(profiles) - 1) / 2 - shift,
+        influence=np.vstack([influence[:, [_ROW, _SLOPE]], (pulled, 0.0)]),
+    )
+
+
+def _along(image: Image, streak: Streak, reach: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Profiles of all columns, each shifted so that the streak lies in their middle: (2 reach + 1, cols)."""
     rows, cols = image.shape
-    edges = np.linspace(0, cols, CLUSTERS + 1).astype(int)
-    if cols < CLUSTERS or rows < 16:
-        raise MeasurementError(f"the view has {rows} x {cols} pixels", "a line needs at least 16 x 32")
-    profiles = np.add.reduceat(image, edges[:-1], axis=1, dtype=np.float64) / np.diff(edges)
-    profiles -= np.median(profiles, axis=0)
-    noise = 1.4826 * np.median(np.abs(profiles)) + 1e-3 * float(np.abs(profiles).max())
-    if noise == 0:
-        raise MeasurementError(f"no laser line: all pixels are {float(image.flat[0]):g}", "is the laser on?")
-    evidence = np.log1p(np.clip(ndimage.gaussian_filter1d(profiles, 1.0, axis=0) / noise, 0, None))
-    middles = (edges[:-1] + edges[1:] - 1) / 2 - (cols - 1) / 2
-    slopes = np.arange(-STEEPEST_TILT, STEEPEST_TILT + 1e-9, max(1.5 / cols, 0.002))
-    sheared = np.zeros((len(slopes), rows))
-    for score, slope in zip(sheared, slopes, strict=True):
-        for block, shift in enumerate(np.rint(slope * middles).astype(int)):
-            score[max(-shift, 0) : rows - max(shift, 0)] += evidence[max(shift, 0) : rows + min(shift, 0), block]
-    best, row = np.unravel_index(np.argmax(ndimage.gaussian_filter1d(sheared, 1.0, axis=1)), sheared.shape)
-    reach = 12
-    profile = np.zeros(2 * reach + 1)
-    for block, shift in enumerate(np.rint(slopes[best] * middles).astype(int)):
-        window = np.clip(np.arange(row + shift - reach, row + shift + reach + 1), 0, rows - 1)
-        profile += profiles[window, block]
-    profile -= profile.min()
-    lit = np.flatnonzero(profile > 0.5 * profile[reach - 2 : reach + 3].max())
-    near = lit[np.abs(lit - reach) <= 6]
-    width = float(np.clip(len(near) / 2.355, 0.8, 5.0))
-    return float(row), float(slopes[best]), width
+    where = streak.row + streak.slope * (np.arange(cols) - streak.column)
+    base = np.floor(where).astype(int)
+    part = (where - base).astype(np.float32)
+    index = base + np.arange(-reach, reach + 2)[:, None]
+    whole = image[np.clip(index, 0, rows - 1), np.arange(cols)]
+    inside = (index >= 0) & (index < rows)
+    return ((1 - part) * whole[:-1] + part * whole[1:]).astype(np.float64), inside[:-1] & inside[1:]
+
+
+def _brightness(patch: Floats, width: float) -> Floats:
+    """Light of the line in each column, above the column's own background."""
+    u = np.arange(len(patch)) - (len(patch) - 1) / 2
+    bell = np.exp(-(u**2) / (2 * width**2))
+    weights = bell - bell.mean()
+    return np.asarray(weights @ patch, np.float64)
 
 
 def _lit_columns(brightness: Floats) -> tuple[int, int]:
     """Longest run of columns in which the line shines, at half its usual brightness."""
-    smooth = ndimage.uniform_filter1d(brightness, max(3, len(brightness) // CLUSTERS), mode="nearest")
-    lit = smooth > 0.5 * np.percentile(smooth, 85)
-    starts = np.flatnonzero(np.diff(np.r_[0, lit.astype(np.int8), 0]) == 1)
-    stops = np.flatnonzero(np.diff(np.r_[0, lit.astype(np.int8), 0]) == -1)
-    if not len(starts):
-        return 0, 0
-    longest = int(np.argmax(stops - starts))
-    return int(starts[longest]), int(stops[longest])
+    smooth = ndimage.uniform_filter1d(brightness, max(3, len(brightness) // RUNS), mode="nearest")
+    lit = np.r_[False, smooth > 0.5 * np.percentile(smooth, 85), False].astype(np.int8)
+    starts, stops = np.flatnonzero(np.diff(lit) == 1), np.flatnonzero(np.diff(lit) == -1)
+    longest = int(np.argmax(stops - starts)) if len(starts) else 0
+    return (int(starts[longest]), int(stops[longest])) if len(starts) else (0, 0)
 
 
-def _fit(image: Image, row: float, column: float, slope: float, width: float) -> Line:
-    """Gauss-Newton fit of one tilted Gaussian line to the pixels around it."""
-    rows, cols = image.shape
-    reach = int(np.ceil(4.5 * width)) + 2
-    margin = int(np.ceil(3 * width))
-    where = row + slope * (np.arange(cols) - column)
-    base = np.rint(where).astype(int)
-    offsets = np.arange(-reach - margin, reach + margin + 1)
-    index = base + offsets[:, None]
-    patch = image[np.clip(index, 0, rows - 1), np.arange(cols)].astype(np.float64)
-    patch = ndimage.gaussian_filter1d(patch, width, axis=0, mode="nearest", truncate=3.0)[margin:-margin]
-    inside = ((index >= 0) & (index < rows))[margin:-margin]
-    u = base + np.arange(-reach, reach + 1)[:, None] - where
-    shape = np.exp(-(u**2) / (4 * width**2))
-    floor = np.median(patch, axis=0)
-    brightness = ((patch - floor) * shape).sum(axis=0)
-    first, stop = _lit_columns(brightness)
-    inset = min(int(np.ceil(2 * width)) + 2, (stop - first) // 8)
-    use = np.zeros(cols, bool)
-    use[first + inset : stop - inset] = True
-    use &= inside.mean(axis=0) > 0.6
-    if use.sum() < CLUSTERS:
-        raise MeasurementError(
-            f"no laser line: what is brightest spans {int(use.sum())} columns",
-            "is the laser on and the line on the bundle?",
-        )
-    middle = (first + stop - 1) / 2
-    x = np.broadcast_to(np.arange(cols) - middle, u.shape)[:, use][inside[:, use]]
-    u = u[:, use][inside[:, use]]
-    data = patch[:, use][inside[:, use]]
-    level = np.percentile(data, 25)
-    parameters = np.array([float(np.percentile(data, 95) - level), float(level), np.log(1.414 * width), 0.0, 0.0, 0.0])
+def _gauss_newton(data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], width: float) -> tuple[Floats, Floats]:
+    """Amplitude, level, log width, row, slope and the level's slope, and the runs' influences on them."""
+    level = float(np.percentile(data, 25))
+    start = (float(np.percentile(data, 95)) - level, level, np.log(np.sqrt(2) * width), 0.0, 0.0, 0.0)
+    parameters = np.array(start)
     for _ in range(12):
         model, jacobian = _model(parameters, u, x)
         step = np.linalg.lstsq(jacobian.T @ jacobian, jacobian.T @ (data - model), rcond=None)[0]
         step[2] = np.clip(step[2], -0.4, 0.4)
-        step[3] = np.clip(step[3], -width, width)
+        step[_ROW] = np.clip(step[_ROW], -width, width)
         parameters += step
-        if np.abs(step[2:4]).max() < 1e-5:
+        if np.abs(step[2 : _ROW + 1]).max() < 1e-5:
             break
     model, jacobian = _model(parameters, u, x)
-    clusters = np.clip(((x + middle - first) * CLUSTERS / (stop - first)).astype(np.intp), 0, CLUSTERS - 1)
-    influence = clustered_influence(jacobian, data - model, clusters, CLUSTERS)
-    amplitude, _, log_width, shift, turn, _ = (float(value) for value in parameters)
-    fitted = np.sqrt(max(np.exp(2 * log_width) - width**2, 0.1))
-    _must_be_a_line(amplitude, float(np.linalg.norm(influence[:, 0])), fitted, shift, reach, rows)
-    return Line(
-        row=row + slope * (middle - column) + shift,
-        column=middle,
-        slope=slope + turn,
-        width_rows=float(fitted),
-        amplitude=amplitude * float(np.exp(log_width) / fitted),
-        columns=(first, stop),
-        influence=influence[:, 3:5],
-    )
+    return parameters, clustered_influence(jacobian, data - model, run, RUNS)
 
 
 def _model(parameters: Floats, u: Floats, x: Floats) -> tuple[Floats, Floats]:
-    amplitude, level, log_width, shift, turn, tilt = parameters
+    amplitude, level, log_width, shift, turn, ramp = parameters
     z = (u - shift - turn * x) / np.exp(log_width)
     bell = np.exp(-0.5 * z * z)
     pull = amplitude * bell * z / np.exp(log_width)
     jacobian = np.stack([bell, np.ones_like(bell), amplitude * bell * z * z, pull, pull * x, u], axis=1)
-    return amplitude * bell + level + tilt * u, jacobian
+    return amplitude * bell + level + ramp * u, jacobian
 
 
-def _must_be_a_line(amplitude: float, noise: float, width: float, shift: float, reach: int, rows: int) -> None:
+def _misfit(data: Floats, seen: NDArray[np.bool_], parameters: Floats, u: Floats, x: Floats) -> float:
+    """Largest departure of the mean profile from the fit, over the amplitude."""
+    left = np.zeros(data.shape)
+    left[seen] = data[seen] - _model(parameters, u, x)[0]
+    count = np.count_nonzero(seen, axis=1)
+    profile = left.sum(axis=1)[count > 0] / count[count > 0]
+    return float(np.abs(profile).max() / max(abs(float(parameters[0])), 1e-12))
+
+
+def _must_be_a_line(amplitude: float, noise: float, shift: float, reach: int, misfit: float) -> None:
     sigmas = amplitude / max(noise, 1e-12)
     if not sigmas > VISIBLE_SIGMAS:
         raise MeasurementError(
             f"no laser line: the brightest streak stands {sigmas:.1f} standard deviations out of the noise, "
             f"{VISIBLE_SIGMAS:g} are needed",
-            "is the laser on and the line on the bundle?",
+            "is the laser on, and on the bundle?",
         )
-    if width > rows / 8 or abs(shift) > reach:
+    if abs(shift) > reach:
+        raise MeasurementError(f"no laser line: the fit wandered off by {shift:.0f} rows", "is the laser on?")
+    if misfit > WORST_MISFIT:
         raise MeasurementError(
-            f"no laser line: the brightest streak is {2.355 * width:.0f} of {rows} rows wide", "is other light on?"
+            f"no laser line: the brightest streak departs from a Gaussian by {100 * misfit:.0f} % of its height",
+            "is other light on?",
         )

@@ -1,0 +1,110 @@
+"""The brightest straight streak in one view: a first guess of the laser line, to about a row.
+
+A Hough transform for nearly level lines: brightness is compressed so that every part of the line has its say and no
+hot spot has more, then summed along each slope.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from napari_elsplus.compiled import kernel
+from napari_elsplus.errors import MeasurementError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Image = NDArray[np.float32]
+
+SMALLEST_VIEW: Final = (16, 48)
+STEEPEST_SLOPE: Final = 0.07
+"""Rows per column: 4 degrees."""
+_BLOCKS: Final = 16
+_REACH: Final = 12
+_NEIGHBOURS: Final = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
+
+
+class Streak(NamedTuple):
+    """Row at a column, rows per column, and the standard deviation across, in rows."""
+
+    row: float
+    column: float
+    slope: float
+    width_rows: float
+
+
+def without_hot_pixels(image: Image) -> Image:
+    """Replace pixels that outshine all their neighbours by far; cores, which spread, are left alone.
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        (rows, cols) float32.
+
+    Returns
+    -------
+    numpy.ndarray
+        The image itself if there is none.
+    """
+    around = cv2.dilate(image, _NEIGHBOURS)
+    floor = float(np.median(image[::7, ::7]))
+    hot = image - floor > 4 * np.maximum(around - floor, 2.0) + 8.0
+    return np.where(hot, cv2.medianBlur(image, 3), image) if hot.any() else image
+
+
+def brightest_streak(image: Image) -> Streak:
+    """Find the straight, nearly level streak that collects the most light.
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        One view (rows, cols), float32.
+
+    Raises
+    ------
+    MeasurementError
+        If the view is too small or all alike.
+    """
+    rows, cols = image.shape
+    if rows < SMALLEST_VIEW[0] or cols < SMALLEST_VIEW[1]:
+        raise MeasurementError(f"no laser line: the view has {rows} x {cols} pixels", "a line needs at least 16 x 48")
+    edges = np.linspace(0, cols, _BLOCKS + 1).astype(int)
+    profiles = np.add.reduceat(image, edges[:-1], axis=1, dtype=np.float64) / np.diff(edges)
+    profiles -= np.median(profiles, axis=0)
+    noise = 1.4826 * float(np.median(np.abs(profiles))) + 1e-3 * float(np.abs(profiles).max())
+    if noise == 0:
+        raise MeasurementError(f"no laser line: all pixels are {float(image.flat[0]):g}", "is the laser on?")
+    evidence = np.log1p(np.clip(ndimage.gaussian_filter1d(profiles, 1.0, axis=0) / noise, 0, None))
+    middles = (edges[:-1] + edges[1:] - 1) / 2 - (cols - 1) / 2
+    count = int(STEEPEST_SLOPE * cols / 2.5)
+    slopes = np.linspace(-STEEPEST_SLOPE, STEEPEST_SLOPE, 2 * count + 1)
+    shifts = np.rint(slopes[:, None] * middles).astype(np.int64)
+    sheared = np.zeros((len(slopes), rows))
+    _add_along(np.ascontiguousarray(evidence.T), shifts, sheared)
+    best, row = np.unravel_index(int(np.argmax(ndimage.gaussian_filter1d(sheared, 1.0, axis=1))), sheared.shape)
+    return Streak(float(row), (cols - 1) / 2, float(slopes[best]), _width(profiles, int(row), shifts[best]))
+
+
+def _width(profiles: Floats, row: int, shifts: NDArray[np.int64]) -> float:
+    """Return the standard deviation of a Gaussian as wide as the streak at half height."""
+    around = np.arange(-_REACH, _REACH + 1)[:, None] + row + shifts
+    profile = profiles[np.clip(around, 0, len(profiles) - 1), np.arange(len(shifts))].sum(axis=1)
+    profile -= profile.min()
+    lit = np.flatnonzero(profile > 0.5 * profile[_REACH - 2 : _REACH + 3].max())
+    return float(np.clip(np.count_nonzero(np.abs(lit - _REACH) <= 6) / 2.355, 0.8, 5.0))
+
+
+@kernel
+def _add_along(evidence: NDArray[np.float64], shifts: NDArray[np.int64], total: NDArray[np.float64]) -> None:
+    """Sum blocks (blocks, rows), each shifted, for every slope: total (slopes, rows)."""
+    slopes, rows = total.shape
+    for s in range(slopes):
+        for b in range(evidence.shape[0]):
+            shift = shifts[s, b]
+            for r in range(max(0, -shift), min(rows, rows - shift)):
+                total[s, r] += evidence[b, r + shift]
