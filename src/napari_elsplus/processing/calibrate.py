@@ -498,7 +498,7 @@ def _optics_section(
 def _with_flat_and_quality(calibration: Calibration, pair: Pair, bundle: Frames, flat: Frames | None) -> Calibration:
     """Flat field, and how well the two views cancel: both from light of the far end, above its own darkness."""
     transmission = mean_frame(bundle)
-    dark = np.full_like(transmission, darkness(transmission, pair.left, pair.left, pair.right))
+    dark = darkness(transmission, pair.left, pair.right)
     above_dark = calibration.model_copy(update={"background": dark})
     if flat is None:
         image = measure_flat(bundle, above_dark)

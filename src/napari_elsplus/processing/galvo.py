@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 PAPER_VOLTAGES: Final = 400
 FEWEST_LINES: Final = 10
-SHORTEST_CHORD: Final = 0.5
+SHORTEST_CHORD: Final = 0.7
+"""Of the longest line; nearer to the rim the line's halo is cut on one side and pulls the fit."""
 OUTLIER_SIGMAS: Final = 5.0
 RUNS: Final = 20
 

@@ -27,6 +27,8 @@ CORE_AREA_PX: Final = 9.0
 """Pixels per independent sample when models are compared: about one core."""
 STRONG_EVIDENCE: Final = 6.0
 LEAST_CORRELATION: Final = 0.1
+GAINS: Final = (0.5, 2.0)
+LEAST_RING: Final = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,12 +107,35 @@ def align_pair(image: NDArray[np.generic], left: Disc, right: Disc) -> Alignment
     )
 
 
-def darkness(frame: NDArray[np.float32], view: Disc, left: Disc, right: Disc) -> float:
-    """Level beside a disc, where no bundle is: a ring of 1.08 to 1.25 radii, as much of it as the frame shows."""
+def darkness(frame: NDArray[np.float32], left: Disc, right: Disc) -> NDArray[np.float32]:
+    """Level of stray light and black everywhere, from rings around both discs, where no bundle is.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        (rows, cols) float32.
+    left, right : Disc
+        The bundle images in it.
+
+    Returns
+    -------
+    numpy.ndarray
+        (rows, cols) float32: a plane fitted to the rings of 1.08 to 1.25 radii, robust against what shines in them.
+    """
     rows, cols = np.ogrid[: frame.shape[0], : frame.shape[1]]
-    distance = [np.hypot(rows - d.centre[0], cols - d.centre[1]) / (d.diameter_px / 2) for d in (view, left, right)]
-    ring = (distance[0] > 1.08) & (distance[0] < 1.25) & (distance[1] > 1.08) & (distance[2] > 1.08)
-    return float(np.mean(frame[ring])) if ring.any() else float(frame.min())
+    away = [np.hypot(rows - d.centre[0], cols - d.centre[1]) / (d.diameter_px / 2) for d in (left, right)]
+    nearest = np.minimum(*away)
+    y, x = np.nonzero((nearest > 1.08) & (nearest < 1.25))
+    if len(y) < LEAST_RING:
+        return np.full_like(frame, frame.min())
+    level = frame[y, x].astype(np.float64)
+    terms = np.stack([np.ones(len(y)), y, x], axis=1)
+    plane = np.array([np.median(level), 0.0, 0.0])
+    for _ in range(3):
+        miss = level - terms @ plane
+        kept = np.abs(miss) <= 4 * max(1.4826 * float(np.median(np.abs(miss))), 0.5)
+        plane = np.linalg.lstsq(terms[kept], level[kept], rcond=None)[0]
+    return np.asarray(plane[0] + plane[1] * rows + plane[2] * cols, np.float32)
 
 
 def _right_to_left(motion: Floats, left: Disc, right: Disc) -> Floats:
@@ -122,15 +147,18 @@ def _right_to_left(motion: Floats, left: Disc, right: Disc) -> Floats:
 
 def _gain(frame: Image, left: Disc, right: Disc, motion: Floats, matcher: CoreMatcher) -> tuple[float, float]:
     """Brightness of the right view over the left, each above the darkness around it."""
+    above_dark = frame - darkness(frame, left, right)
     confocal, residual = (
-        resampled(frame, grid, matcher.side)[matcher.inside].astype(np.float64) - darkness(frame, view, left, right)
-        for view, grid in (
-            (left, matcher.grid_to_frame(left.centre, np.eye(2, 3))),
-            (right, matcher.grid_to_frame(right.centre, motion)),
-        )
+        resampled(above_dark, matcher.grid_to_frame(view.centre, shift), matcher.side)[matcher.inside]
+        for view, shift in ((left, np.eye(2, 3)), (right, motion))
     )
     tile, count = tiles(matcher.rows, matcher.cols)
-    gain = float(residual.sum() / confocal.sum())
+    gain = float(residual.sum(dtype=np.float64) / confocal.sum(dtype=np.float64))
+    if not GAINS[0] < gain < GAINS[1]:
+        raise MeasurementError(
+            f"the right view is {gain:.2f} times as bright as the left, {GAINS[0]:g} to {GAINS[1]:g} is expected",
+            "is one of the views blocked?",
+        )
     misses = np.bincount(tile, weights=residual - gain * confocal, minlength=count)
     filled = np.count_nonzero(np.bincount(tile, minlength=count))
     spread = np.sqrt(np.square(misses).sum() * filled / max(filled - 1, 1)) / confocal.sum()
