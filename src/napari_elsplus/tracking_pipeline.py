@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.frontend import FrontEnd
 from napari_elsplus.processing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.paper_mosaic import PaperTracker
@@ -31,42 +32,6 @@ class Method(StrEnum):
     """Sub-pixel, rolling shutter undone, gated: this project's method."""
     PAPER = "paper"
     """Whole-pixel template matching from frame to frame, as Thrapp and Hughes describe it: the baseline."""
-
-
-class TrackRow(NamedTuple):
-    """One frame's line of a track, in the units of the camera.
-
-    Parameters
-    ----------
-    frame : int
-        Number of the frame.
-    time_s : float
-        When it was taken; nan where unknown.
-    segment : int
-        Positions are comparable within a segment.
-    row_px, col_px : float
-        Position of the probe when the bundle's middle row is read, in confocal camera pixels, relative to the segment's
-        first frame; nan where lost.
-    row_um, col_um : float
-        The same in micrometres; nan where the scale is unknown.
-    score : float
-        Correlation with the frame that this one was linked to.
-    sigma_px : float
-        Larger axis of the uncertainty relative to that frame, one standard deviation.
-    state : str
-        ``tracked``, ``predicted`` or ``lost``.
-    """
-
-    frame: int
-    time_s: float
-    segment: int
-    row_px: float
-    col_px: float
-    row_um: float
-    col_um: float
-    score: float
-    sigma_px: float
-    state: str
 
 
 class _Method(Protocol):
@@ -129,7 +94,7 @@ class Pipeline:
 
     Attributes
     ----------
-    rows : list of TrackRow
+    rows : list of TrackPoint
         The track so far, a row for every frame.
     mosaics : dict of int to Mosaic
         One for each segment.
@@ -160,7 +125,7 @@ class Pipeline:
             subtracts = Mode(mode) in (Mode.ELS, Mode.ELSA) and calibration.offset is not None
             away = calibration.offset.rows / self.grid.binning if subtracts and calibration.offset else 0.0
             self._weights = rim_weights(self.grid, away)
-        self.rows: list[TrackRow] = []
+        self.rows: list[TrackPoint] = []
         self.poses: list[Pose] = []
         self.mosaics: dict[int, Mosaic] = {}
 
@@ -176,7 +141,7 @@ class Pipeline:
 
     def add(
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
-    ) -> TrackRow:
+    ) -> TrackPoint:
         """Track a raw frame and lay it into the mosaic of its segment.
 
         Parameters
@@ -205,11 +170,11 @@ class Pipeline:
             mosaic = self.mosaics[pose.segment] = Mosaic(self.grid, self._insertion, weights=self._weights)
         mosaic.insert(image, pose.row, pose.col, pose.velocity)
 
-    def _row(self, pose: Pose, frame: int, time_s: float) -> TrackRow:
+    def _row(self, pose: Pose, frame: int, time_s: float) -> TrackPoint:
         row_px, col_px = pose.row * self._method.scale, pose.col * self._method.scale
         um = self._um_per_px
         sigma = pose.sigma * self._method.scale
-        return TrackRow(
+        return TrackPoint(
             frame, time_s, pose.segment, row_px, col_px, row_px * um, col_px * um, pose.score, sigma, pose.state.value
         )
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from napari_elsplus.evaluation.against_truth import calibration_errors, correlation_with_focal_plane, track_errors
+from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.tracking_pipeline import TrackRow
 
 INSTRUMENT = Instrument.of("240hz")
 
@@ -39,8 +39,8 @@ def test_els_shows_the_focal_plane_better_than_ls() -> None:
     assert correlation_with_focal_plane(in_focus, in_focus, calibration, Mode.LS) == pytest.approx(1)
 
 
-def row(frame: int, segment: int, col_px: float, state: str = "tracked") -> TrackRow:
-    return TrackRow(frame, 0.0, segment, 0.0, col_px, 0.0, 0.0, 1.0, 0.1, state)
+def row(frame: int, segment: int, col_px: float, state: str = "tracked") -> TrackPoint:
+    return TrackPoint(frame, 0.0, segment, 0.0, col_px, 0.0, 0.0, 1.0, 0.1, state)
 
 
 def test_links_across_segments_and_lost_frames_do_not_count() -> None:

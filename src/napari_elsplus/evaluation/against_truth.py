@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.calibration import Calibration
+    from napari_elsplus.io import TrackPoint
     from napari_elsplus.simulation.instrument import Instrument
-    from napari_elsplus.tracking_pipeline import TrackRow
 
 _SMOOTHING_PX = 1.5
 """Sigma of the Gaussian under which images are compared: it hides the cores, not the structure."""
@@ -138,12 +138,12 @@ class TrackErrors:
 WRONG_PX = 3.0
 
 
-def track_errors(rows: Sequence[TrackRow], true_px: NDArray[np.float64]) -> TrackErrors:
+def track_errors(rows: Sequence[TrackPoint], true_px: NDArray[np.float64]) -> TrackErrors:
     """Compare a track with the path that was simulated.
 
     Parameters
     ----------
-    rows : sequence of TrackRow
+    rows : sequence of TrackPoint
         One for each frame.
     true_px : numpy.ndarray
         (T, 2): where the probe was, row and column in camera pixels, when the bundle's middle row was read.

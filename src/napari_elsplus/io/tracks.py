@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
@@ -15,31 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 STATES: Final = ("tracked", "predicted", "lost")
-
-
-class _TrackRow(Protocol):
-    """Whatever knows where the probe was in one frame."""
-
-    @property
-    def frame(self) -> int: ...
-    @property
-    def time_s(self) -> float: ...
-    @property
-    def segment(self) -> int: ...
-    @property
-    def row_px(self) -> float: ...
-    @property
-    def col_px(self) -> float: ...
-    @property
-    def row_um(self) -> float: ...
-    @property
-    def col_um(self) -> float: ...
-    @property
-    def score(self) -> float: ...
-    @property
-    def sigma_px(self) -> float: ...
-    @property
-    def state(self) -> str: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +35,9 @@ class TrackPoint:
     row_um, col_um : float
         The same in micrometres; NaN where the scale is unknown.
     score : float
-        Registration score.
+        Correlation with the frame that this one was linked to.
     sigma_px : float
-        Larger axis of the position's covariance relative to the previous frame.
+        Larger axis of the position's uncertainty relative to that frame, one standard deviation.
     state : str
         ``tracked``, ``predicted`` or ``lost``.
     """
@@ -83,7 +58,7 @@ HEADER: Final = tuple(field.name for field in fields(TrackPoint))
 _INTEGERS: Final = ("frame", "segment")
 
 
-def write_track(path: str | os.PathLike[str], rows: Iterable[_TrackRow], force: bool = False) -> None:
+def write_track(path: str | os.PathLike[str], rows: Iterable[TrackPoint], force: bool = False) -> None:
     """Write a track file, a row for every frame, every digit kept.
 
     Parameters
@@ -91,7 +66,7 @@ def write_track(path: str | os.PathLike[str], rows: Iterable[_TrackRow], force: 
     path : path-like
         The CSV file.
     rows : iterable of TrackPoint
-        Or of anything with its attributes, in the order of frames.
+        In the order of frames.
     force : bool
         Whether an existing file may be replaced.
 
