@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Final
 
 import cv2
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.textures import Texture
 
 BLOCK: Final = 64
+SAMPLES_PER_SIGMA: Final = 2.0
+BLOCKS_AHEAD: Final = 4
+"""Blocks that are made ahead of the probe in each frame, so that crossing a border costs no more than other frames."""
 _KEPT_BLOCKS: Final = 2048
 
 
@@ -41,16 +45,13 @@ class Layer:
         What to blur.
     blur : Blur
         By how much.
-    finest_um : float
-        Step of the grid where the blur asks for no coarser one.
     reach_um : float
         Half the width of what one frame looks at.
     """
 
-    def __init__(self, texture: Texture, blur: Blur, finest_um: float, reach_um: float) -> None:
+    def __init__(self, texture: Texture, blur: Blur, reach_um: float) -> None:
         self._texture = texture
-        narrowest = min(blur.rows_um, blur.cols_um)
-        self.step_um = finest_um * 2 ** max(0, int(np.log2(max(1.0, narrowest / (2 * finest_um)))))
+        self.step_um: float = min(blur.rows_um, blur.cols_um) / SAMPLES_PER_SIGMA
         # Bilinear sampling blurs by a triangle of variance step^2 / 6: the filter leaves that much out.
         self._sigma_rows, self._sigma_cols = (
             float(np.sqrt(max(sigma**2 - self.step_um**2 / 6, 0.01 * self.step_um**2)) / self.step_um)
@@ -60,8 +61,9 @@ class Layer:
         needed = 2 * reach_um / self.step_um + 3 * BLOCK
         self.size = 1 << int(np.ceil(np.log2(needed)))
         self.window: NDArray[np.float32] = np.zeros((self.size, self.size), np.float32)
-        per_side = self.size // BLOCK
-        self._held = np.full((per_side, per_side, 2), np.iinfo(np.int64).min, np.int64)
+        self._held: dict[tuple[int, int], tuple[int, ...]] = {}
+        self._ahead: list[tuple[int, ...]] = []
+        self._covered: list[range] = []
         self._kept: OrderedDict[tuple[int, int], NDArray[np.float32]] = OrderedDict()
 
     def cover(self, top_um: float, left_um: float, bottom_um: float, right_um: float) -> None:
@@ -72,8 +74,21 @@ class Layer:
         InputError
             If the region is larger than the window.
         """
+        needed = self._blocks_of(((top_um, bottom_um), (left_um, right_um)))
+        if needed != self._covered:
+            self._covered = needed
+            around = [range(span.start - 1, span.stop + 1) for span in needed]
+            self._hold(needed)
+            self._ahead = [block for block in product(*around) if not self._holds(block)]
+            if any(len(span) > self.size // BLOCK for span in around):
+                self._ahead.clear()
+        for block in self._ahead[-BLOCKS_AHEAD:]:
+            self._fill(block)
+        del self._ahead[-BLOCKS_AHEAD:]
+
+    def _blocks_of(self, region_um: tuple[tuple[float, float], tuple[float, float]]) -> list[range]:
         spans = []
-        for low, high in ((top_um, bottom_um), (left_um, right_um)):
+        for low, high in region_um:
             first = int(np.floor(low / self.step_um)) // BLOCK
             last = (int(np.floor(high / self.step_um)) + 1) // BLOCK
             if last - first >= self.size // BLOCK:
@@ -83,21 +98,30 @@ class Layer:
                     "move the probe more slowly",
                 )
             spans.append(range(first, last + 1))
+        return spans
+
+    def _hold(self, spans: list[range]) -> None:
+        for block in product(*spans):
+            if not self._holds(block):
+                self._fill(block)
+
+    def _holds(self, block: tuple[int, ...]) -> bool:
         per_side = self.size // BLOCK
-        for i in spans[0]:
-            for j in spans[1]:
-                held = self._held[i % per_side, j % per_side]
-                if held[0] != i or held[1] != j:
-                    row, col = (i % per_side) * BLOCK, (j % per_side) * BLOCK
-                    self.window[row : row + BLOCK, col : col + BLOCK] = self._block(i, j)
-                    held[:] = i, j
+        return self._held.get((block[0] % per_side, block[1] % per_side)) == block
+
+    def _fill(self, block: tuple[int, ...]) -> None:
+        per_side = self.size // BLOCK
+        slot = block[0] % per_side, block[1] % per_side
+        row, col = slot[0] * BLOCK, slot[1] * BLOCK
+        self.window[row : row + BLOCK, col : col + BLOCK] = self._block(*block)
+        self._held[slot] = block
 
     def _block(self, i: int, j: int) -> NDArray[np.float32]:
         if (i, j) in self._kept:
             self._kept.move_to_end((i, j))
             return self._kept[i, j]
         rows, cols = (
-            (np.arange(-margin, BLOCK + margin) + index * BLOCK) * self.step_um
+            (np.arange(-margin, BLOCK + margin, dtype=np.float64) + index * BLOCK) * self.step_um
             for index, margin in zip((i, j), self._margins, strict=True)
         )
         sharp = self._texture.sample(rows, cols)

@@ -77,11 +77,9 @@ class Renderer:
         self._seed = seed
         self._cores, *self._views = views(instrument)
         self._scan = Scan(instrument, scene, self._cores)
-        um_per_px = instrument.optics.um_per_px
         reach_um = instrument.bundle.radius_um + abs(instrument.offset_um) / 2
-        self._layers = [Layer(term.plane.texture, term.blur, um_per_px, reach_um) for term in self._scan.terms]
-        self._line_rows: NDArray[np.float64] | None = None
-        self._light = self._lit(None)
+        self._layers = [Layer(term.plane.texture, term.blur, reach_um) for term in self._scan.terms]
+        self._receive(None)
         self._values = np.empty((2, len(self._cores.rows_um)), np.float32)
         self._places = np.empty((2, len(self._cores.rows_um)))
         self._row_signal = np.empty(self.frame_shape[1], np.float32)
@@ -154,8 +152,11 @@ class Renderer:
         for frame_index in range(frames):
             self._refuse_outside(frame_index, self.row_positions_um(frame_index))
 
-    def _lit(self, line_rows: NDArray[np.float64] | None) -> tuple[CoreLight, ...]:
-        return tuple(self._scan.light(view, line_rows) for view in self._views)
+    def _receive(self, line_rows: NDArray[np.float64] | None) -> None:
+        self._line_rows = None if line_rows is None else line_rows.copy()
+        self._light: list[CoreLight] = [self._scan.light(view, line_rows) for view in self._views]
+        shifts_um = np.stack([light.shift_um for light in self._light])
+        self._shifts_um = list(zip(shifts_um.min((0, 2)).tolist(), shifts_um.max((0, 2)).tolist(), strict=True))
 
     def _follow_line(self, line_rows: NDArray[np.float64] | None) -> None:
         """Work out anew what the cores receive, if the line moves otherwise than in the last frame."""
@@ -170,16 +171,13 @@ class Renderer:
         else:
             same = np.allclose(line_rows, self._line_rows, rtol=0, atol=SAME_LINE_ROWS, equal_nan=True)
         if not same:
-            self._light = self._lit(line_rows)
-            self._line_rows = None if line_rows is None else line_rows.copy()
+            self._receive(line_rows)
 
     def _cover(self, positions_um: NDArray[np.float64]) -> None:
         radius = self.instrument.bundle.radius_um
         low, high = positions_um.min(0) - radius, positions_um.max(0) + radius
-        for t, layer in enumerate(self._layers):
-            shifts = [light.shift_um[t] for light in self._light]
-            up, down = min(float(s.min()) for s in shifts), max(float(s.max()) for s in shifts)
-            layer.cover(low[0] + up, low[1], high[0] + down, high[1])
+        for layer, (up_um, down_um) in zip(self._layers, self._shifts_um, strict=True):
+            layer.cover(low[0] + up_um, low[1], high[0] + down_um, high[1])
 
     def _refuse_outside(self, frame_index: int, positions_um: NDArray[np.float64]) -> None:
         bounds = self.scene.bounds_um

@@ -29,15 +29,17 @@ if TYPE_CHECKING:
 
 _FAR_UM = 1e6
 _NEGLIGIBLE = 1e-5
+_ALIKE = 0.25
+"""Two blurs closer than this, in standard deviations, are drawn as one: deep planes, where the spread rules."""
 
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One blurred image that contributes to every core: a textured plane through one part of the line."""
+    """One blurred image that contributes to every core: a textured plane through parts of the line."""
 
     plane: Plane
-    part: int | None
-    """0: core of the line, 1: its halo, None: both at once, which in focus see the same."""
+    parts: tuple[int, ...]
+    """0: core of the line, 1: its halo; both, where they see the same."""
     blur: Blur
 
 
@@ -50,6 +52,13 @@ class CoreLight(NamedTuple):
     steady: NDArray[np.float32]
     scale: NDArray[np.float32]
     shift_um: NDArray[np.float32]
+
+
+class _Product(NamedTuple):
+    """A Gaussian's middle, per offset of the line, and its standard deviation."""
+
+    pull: float
+    sigma_um: float
 
 
 class Scan:
@@ -111,11 +120,12 @@ class Scan:
             if isinstance(plane.texture, Uniform):
                 steady += plane.brightness * parts(plane.depth_um).sum(0)
         for t, term in enumerate(self.terms):
-            received = parts(term.plane.depth_um)
-            scale[t] = term.plane.brightness * (received.sum(0) if term.part is None else received[term.part])
-            if term.part is not None:
-                pull, _ = self._product(term.part, term.plane.depth_um)
-                shift_um[t] = np.where(scale[t] > _NEGLIGIBLE * instrument.light_dn, pull * offset_um, 0)
+            received = parts(term.plane.depth_um)[list(term.parts)]
+            total = received.sum(0)
+            scale[t] = term.plane.brightness * total
+            pulls = [self._product(part, term.plane.depth_um).pull for part in term.parts]
+            lit = total > _NEGLIGIBLE * instrument.light_dn
+            shift_um[t] = np.where(lit, offset_um * (pulls @ received) / np.where(lit, total, 1), 0)
         return CoreLight(steady.astype(np.float32), scale, shift_um)
 
     def _terms_of(self, plane: Plane) -> list[Term]:
@@ -123,20 +133,25 @@ class Scan:
             return []
         mode_um = self._instrument.bundle.core_sigma * self._instrument.bundle.core_pitch_um
         if plane.depth_um == 0 or self._scene.transmission:
-            return [Term(plane, None, Blur(mode_um, mode_um))]
-        one_way_um = self._instrument.line.spread * plane.depth_um / np.sqrt(2)
-        across = float(np.hypot(one_way_um, mode_um))
+            return [Term(plane, (0, 1), Blur(mode_um, mode_um))]
+        across = float(np.hypot(self._instrument.line.spread * plane.depth_um / np.sqrt(2), mode_um))
+        core, halo = (self._product(part, plane.depth_um) for part in (0, 1))
+        apart_um = abs(core.pull - halo.pull) * abs(self._instrument.offset_um)
+        if apart_um < _ALIKE * core.sigma_um and abs(halo.sigma_um - core.sigma_um) < _ALIKE * core.sigma_um:
+            blur = Blur(float(np.hypot((core.sigma_um + halo.sigma_um) / 2, mode_um)), across)
+            return [Term(plane, (0, 1), blur)]
         return [
-            Term(plane, part, Blur(float(np.hypot(self._product(part, plane.depth_um)[1], mode_um)), across))
-            for part in (0, 1)
+            Term(plane, (part,), Blur(float(np.hypot(product.sigma_um, mode_um)), across))
+            for part, product in enumerate((core, halo))
         ]
 
-    def _product(self, part: int, depth_um: float) -> tuple[float, float]:
-        """Middle (per offset) and standard deviation (um) of spread line times collection, both Gaussians."""
+    def _product(self, part: int, depth_um: float) -> _Product:
+        """Spread line times collection, both Gaussians."""
         _, sigma_um = self._instrument.line.parts[part]
         collected = (self._instrument.line.spread * depth_um) ** 2 / 2
         excited = sigma_um**2 + self._smear_um**2 + collected
-        return collected / (collected + excited), float(np.sqrt(collected * excited / (collected + excited)))
+        pull = collected / (collected + excited)
+        return _Product(pull, float(np.sqrt(pull * excited)))
 
     def _parts(
         self,

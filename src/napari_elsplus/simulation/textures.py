@@ -72,20 +72,23 @@ class Fibres:
         """Brightness on an even grid."""
         out = np.zeros((len(rows_um), len(cols_um)), np.float32)
         reach = 0.75 * self.length_um + 2 * self.width_um
-        cells = [
-            (int(np.floor((axis[0] - reach) / _CELL_UM)), int(np.floor((axis[-1] + reach) / _CELL_UM)))
+        cells = (
+            range(int(np.floor((axis[0] - reach) / _CELL_UM)), int(np.floor((axis[-1] + reach) / _CELL_UM)) + 1)
             for axis in (rows_um, cols_um)
-        ]
-        step = _step(rows_um)
-        for i in range(cells[0][0], cells[0][1] + 1):
-            for j in range(cells[1][0], cells[1][1] + 1):
-                for fibre in _fibres_of_cell(self, i, j):
-                    _draw_fibre(out, rows_um[0], cols_um[0], step, fibre)
+        )
+        _draw_fibres(out, rows_um[0], cols_um[0], _step(rows_um), _fibres_of_cells(self, *cells))
         return out
 
 
 _CELL_UM = 250.0
 _POINTS_PER_FIBRE = 9
+
+
+@lru_cache(maxsize=64)
+def _fibres_of_cells(fibres: Fibres, rows: range, cols: range) -> Picture:
+    """Fibres of all cells, (fibres, points, 4)."""
+    found = [fibre for i in rows for j in cols for fibre in _fibres_of_cell(fibres, i, j)]
+    return np.array(found, np.float32).reshape(-1, _POINTS_PER_FIBRE, 4)
 
 
 @lru_cache(maxsize=4096)
@@ -130,6 +133,12 @@ def _draw_fibre(out: Picture, row0: float, col0: float, step: float, fibre: Pict
                 inside = min(1.0, max(0.0, 0.5 + (half - away) / soft))
                 value = bright * inside * (1 - 0.35 * min(1.0, (away / half) ** 2))
                 out[i, j] = max(out[i, j], value)
+
+
+@kernel
+def _draw_fibres(out: Picture, row0: float, col0: float, step: float, fibres: Picture) -> None:
+    for n in range(len(fibres)):
+        _draw_fibre(out, row0, col0, step, fibres[n])
 
 
 @dataclass(frozen=True)
