@@ -40,7 +40,7 @@ class LazyPlanes:
     Examples
     --------
     >>> planes = LazyPlanes(lambda k: np.full((2, 3), k), (100, 2, 3), np.dtype(int))
-    >>> planes[7].max(), planes[5:7, 0].tolist()
+    >>> int(planes[7].max()), planes[5:7, 0].tolist()
     (7, [[5, 5, 5], [6, 6, 6]])
     """
 
