@@ -19,6 +19,8 @@ from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.daq_errors import told_by_the_card
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from nidaqmx import GrpcSessionOptions, Task
 
     from napari_elsplus.hardware.waveform import MirrorLimits, Waveform
@@ -161,6 +163,8 @@ class DaqScanner:
         Which card, and where to park.
     limits : MirrorLimits
         What may be put out.
+    now_s : callable
+        The clock by which strobes are awaited and holds are timed.
 
     Raises
     ------
@@ -170,10 +174,12 @@ class DaqScanner:
         If the driver is missing, the card is unknown, in use or gone.
     """
 
-    def __init__(self, card: CardSettings, limits: MirrorLimits) -> None:
+    def __init__(
+        self, card: CardSettings, limits: MirrorLimits, now_s: Callable[[], float] = time.perf_counter
+    ) -> None:
         limits.check(card.park_v, "the parking position")
         self.card, self.limits = card, limits
-        self._output = Output(card, limits)
+        self._output, self._now_s = Output(card, limits), now_s
         self._lock = threading.RLock()
         self._fault: DeviceError | None = None
         self._waveform: Waveform | None = None
@@ -199,7 +205,7 @@ class DaqScanner:
         with self._lock:
             self._begin()
             self._go_to(volts)
-            self._seen_at_s = time.perf_counter()
+            self._seen_at_s = self._now_s()
 
     def scan(self, waveform: Waveform) -> None:
         """Put the waveform out, one ramp after each strobe."""
@@ -212,7 +218,7 @@ class DaqScanner:
             except DeviceError:
                 self._try_to_park()
                 raise
-            self._waveform, self._seen, self._seen_at_s = waveform, 0, time.perf_counter()
+            self._waveform, self._seen, self._seen_at_s = waveform, 0, self._now_s()
 
     def check(self) -> None:
         """Raise what has gone wrong since the last `hold` or `scan`."""
@@ -282,7 +288,7 @@ class DaqScanner:
     def _fault_now(self) -> DeviceError | None:
         if self._fault is not None:
             return None
-        now = time.perf_counter()
+        now = self._now_s()
         if self._waveform is None or self._seen == 0:
             stands = self._waveform is not None or self._volts != self.card.park_v
             if stands and now - self._seen_at_s > self.card.hold_limit_s:

@@ -31,6 +31,7 @@ MIN_SAMPLE_RATE_HZ: Final = 20_000.0
 """Steps of the output must be far faster than the mirror's resonance, which then smooths them away."""
 REARM_S: Final = 16e-6
 """The counter is deaf for so long before the next strobe; the last sample is held."""
+BRIDGE_SAMPLES: Final = 24
 TURN_S: Final = 1.5e-3
 LEAD_IN_S: Final = 0.6e-3
 """With time to spare the mirror turns, rests above the image and runs up again, instead of flying through."""
@@ -252,15 +253,36 @@ def ramp_waveform(
     carried = 2 * limits.damping / natural if natural else 0.0  # the lag that the resonance itself causes
     begin, end = timing.time_s(rows[0] - 0.5 * timing.slit_rows), timing.time_s(rows[1] + 0.5 * timing.slit_rows)
     path = _Path(begin, end, timing, shifts_rows)
-    held = (np.arange(samples) + 0.5) / rate  # a sample's value stands for its middle
-    times = (np.arange(count)[:, None] * period + held).ravel() + galvo.lag_s - carried
+    fine = ceil(period * rate)  # samples of a card that were never deaf
+    middles = (np.arange(fine) + 0.5) / rate  # a sample's value stands for its middle
+    times = (np.arange(count)[:, None] * period + middles).ravel() + galvo.lag_s - carried
     where, speed, acceleration = path(times)
     slope = galvo.volts_per_row
     drive = where + (carried * speed + acceleration / natural**2 if natural else 0.0)
+    drive = _bridge(drive.reshape(count, fine), samples, period * rate).ravel()
     _refuse_too_fast(abs(slope) * np.abs(speed).max(), abs(slope) * np.abs(acceleration).max(), limits)
     volts = np.asarray(galvo.volts(drive))
     limits.check(volts, "the scan")
     return Waveform(volts, count, rate, period)
+
+
+def _bridge(drive: Volts, samples: int, period: float) -> Volts:
+    """Cut each ramp to the samples that there is time for, without a jolt where the last one is held until the strobe.
+
+    The last samples before are changed, as little as possible, so that the drive's mean and first two moments over them
+    and the hold are what they would have been: a mirror slower than the hold does not notice the difference.
+    """
+    fine, first = drive.shape[1], samples - BRIDGE_SAMPLES
+    starts = np.arange(first, fine)
+    lasts = np.minimum(starts + 1, period) - starts
+    held_by = np.minimum(starts, samples - 1) - first
+    middles = starts + lasts / 2 - period
+    moments = np.stack([lasts * middles**power for power in range(3)])
+    merged = np.stack([np.bincount(held_by, row) for row in moments])
+    short = drive[:, :samples].copy()
+    wrong = moments @ drive[:, first:].T - merged @ short[:, first:].T
+    short[:, first:] += (np.linalg.pinv(merged) @ wrong).T
+    return short
 
 
 class _Path:

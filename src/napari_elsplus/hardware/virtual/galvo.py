@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from math import pi
 from typing import TYPE_CHECKING, Final
 
@@ -46,12 +47,17 @@ class GalvoModel:
 
     def follow(self, drive_v: NDArray[np.float64]) -> NDArray[np.float64]:
         """Mirror position (volts) at the end of each step of `STEP_S`, for a drive that is constant within each."""
-        w = 2 * pi * self.natural_hz
-        system = np.zeros((3, 3))
-        system[0, 1] = 1.0
-        system[1] = -w * w, -2 * self.damping * w, w * w
-        step = expm(system * STEP_S)
-        return np.asarray(follow_drive(drive_v, step[:2]))
+        return np.asarray(follow_drive(drive_v, _step(self.natural_hz, self.damping)))
+
+
+@cache
+def _step(natural_hz: float, damping: float) -> NDArray[np.float64]:
+    """Exact step of position and speed, for a constant drive: rows of (position, speed, drive)."""
+    w = 2 * pi * natural_hz
+    system = np.zeros((3, 3))
+    system[0, 1] = 1.0
+    system[1] = -w * w, -2 * damping * w, w * w
+    return np.ascontiguousarray(expm(system * STEP_S)[:2])
 
 
 @kernel

@@ -95,9 +95,24 @@ class Program:
 
         An edge that comes during a burst is not heard, as with a counter that is retriggered too soon.
         """
+        return self._progress(times_s)[0]
+
+    def volts(self, times_s: Times) -> Volts:
+        """Voltage at each time."""
+        if not len(self.samples):
+            return np.full(len(times_s), self.resting_v)
+        done = self.samples_by(times_s)
+        return np.where(done > self.begun, self.samples[(done - 1) % len(self.samples)], self.resting_v)
+
+    def last_change_s(self, times_s: Times) -> Times:
+        """When the sample that is out at each time was put out."""
+        return self._progress(times_s)[1]
+
+    def _progress(self, times_s: Times) -> tuple[NDArray[np.int64], Times]:
+        """Return the samples done by each time, and when the last of them was put out."""
         train = self.strobe
         if train is None or not len(self.samples):
-            return np.full(len(times_s), self.begun)
+            return np.full(len(times_s), self.begun), np.full(len(times_s), self.since_s)
         first = train.first_after(self.since_s)
         stride = max(1, ceil(self.burst / self.rate_hz / train.period_s - 1e-9))
         heard_by = np.minimum(times_s, train.end_s)
@@ -108,16 +123,10 @@ class Program:
             if lost >= first and (lost - first) % stride == 0:
                 count -= edge >= lost
                 edge = np.where(edge == lost, edge - stride, edge)
-        into = times_s - (train.start_s + edge * train.period_s)
-        in_burst = np.clip(np.floor(into * self.rate_hz + 1e-6).astype(np.int64) + 1, 0, self.burst)
-        return self.begun + np.where(count > 0, (count - 1) * self.burst + in_burst, 0)
-
-    def volts(self, times_s: Times) -> Volts:
-        """Voltage at each time."""
-        done = self.samples_by(times_s)
-        if not len(self.samples):
-            return np.full(len(times_s), self.resting_v)
-        return np.where(done > self.begun, self.samples[(done - 1) % len(self.samples)], self.resting_v)
+        edge_s = train.start_s + edge * train.period_s
+        in_burst = np.clip(np.floor((times_s - edge_s) * self.rate_hz + 1e-6).astype(np.int64) + 1, 0, self.burst)
+        done = self.begun + np.where(count > 0, (count - 1) * self.burst + in_burst, 0)
+        return done, np.where(count > 0, edge_s + (in_burst - 1) / self.rate_hz, self.since_s)
 
 
 def volts_at(programs: Sequence[Program], times_s: Times) -> Volts:
@@ -128,3 +137,15 @@ def volts_at(programs: Sequence[Program], times_s: Times) -> Volts:
         if later.any():
             volts[later] = program.volts(times_s[later])
     return volts
+
+
+def mean_volts(programs: Sequence[Program], starts_s: Times, step_s: float) -> Volts:
+    """Mean voltage over increasing steps, each shorter than a sample."""
+    before, after = volts_at(programs, starts_s + 1e-9), volts_at(programs, starts_s + step_s - 1e-9)
+    changed_s = programs[0].last_change_s(starts_s + step_s - 1e-9)
+    for program in programs[1:]:
+        later = starts_s + step_s >= program.since_s
+        if later.any():
+            changed_s[later] = np.maximum(program.since_s, program.last_change_s(starts_s[later] + step_s - 1e-9))
+    share = np.clip((changed_s - starts_s) / step_s, 0, 1)
+    return np.asarray(share * before + (1 - share) * after)

@@ -25,9 +25,10 @@ if TYPE_CHECKING:
 
     from napari_elsplus.hardware.virtual.timeline import BenchClock
 
-REMEMBERS_FRAMES: Final = 2
-"""Frames that the camera itself can keep when the computer is late; older ones are lost."""
-IDLE_ROWS: Final = 20.0
+BYTES_KEPT: Final = 32 << 20
+"""What the camera itself can keep while the computer is late; older frames are lost."""
+IDLE: Final = LINE_RATE_HZ / 240 / 524
+"""Shortest frame over the rows read, as in the paper's modes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,9 @@ class Bench(Protocol):
 
     def strobe(self, train: StrobeTrain | None) -> None:
         """Hear a train of edges."""
+
+    def prepare(self, shot: Shot) -> None:
+        """Get ready for frames like this one."""
 
     def expose(self, shot: Shot, out: NDArray[np.uint8]) -> None:
         """Fill a frame."""
@@ -212,9 +216,11 @@ class VirtualCamera:
 
     def _skip_lost_frames(self, train: StrobeTrain) -> None:
         clock = self.bench.clock
-        late = int((clock.now_s() - self._shot(self._frame, train).read_out_s) / train.period_s)
-        if clock.real_time and late > REMEMBERS_FRAMES:
-            self._frame += late - REMEMBERS_FRAMES
+        shot = self._shot(self._frame, train)
+        late = int((clock.now_s() - shot.read_out_s) / train.period_s)
+        kept = BYTES_KEPT // (shot.region[2] * shot.region[3])
+        if clock.real_time and late > kept:
+            self._frame += late - kept
         if self.faults.drop_frames:
             self._frame += self.faults.drop_frames
             self.faults.drop_frames = 0
@@ -242,7 +248,7 @@ class VirtualCamera:
         rows, cols = size & 0xFFFF, size >> 16
         memory.put64(SIRM + stream.PAYLOAD_BYTES, rows * cols)
         exposure_s = memory.get_float(base + flea3.EXPOSURE)
-        fastest = 1 / ((rows + IDLE_ROWS) * self._line_period_s)
+        fastest = 1 / (rows * IDLE * self._line_period_s)
         memory.put_float(base + flea3.RATE_MAX, fastest)
         memory.put_float(base + flea3.EXPOSURE_MAX, 1 / memory.get_float(base + flea3.RATE))
         memory.put_float(base + flea3.EXPOSURE, exposure_s)
@@ -254,6 +260,7 @@ class VirtualCamera:
                 return
             if on:
                 period_s = 1 / self.memory.get_float(flea3.BASE + flea3.RATE)
+                self.bench.prepare(self._shot(0, StrobeTrain(0.0, period_s)))
                 self._train = StrobeTrain(clock.now_s() + 2e-3, period_s)
                 self._frame, self._sent = 0, -1
                 heard = self._train if self._strobe_is_on() and not self.faults.strobe_off else None

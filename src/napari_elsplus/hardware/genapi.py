@@ -1,0 +1,163 @@
+"""Any USB3 Vision camera, through the description that it carries and EMVA's reference reader (extra ``genicam``)."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from typing import TYPE_CHECKING, Any, Final
+
+from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.u3v.control import MANIFEST
+from napari_elsplus.optics import LINE_RATE_HZ
+
+if TYPE_CHECKING:
+    from napari_elsplus.hardware.protocols import Region
+    from napari_elsplus.hardware.u3v.control import Control
+
+MAX_FILE: Final = 4 << 20
+MAX_TEXT: Final = 16 << 20
+MAX_ENTRIES: Final = 16
+ENTRY_BYTES: Final = 64
+ZIPPED: Final = 1
+
+
+def read_description(control: Control) -> bytes:
+    """Read a camera's GenICam description, unpacked.
+
+    Raises
+    ------
+    DeviceError
+        If there is none, it is longer than any description is, or it is no XML.
+    """
+    table = control.read_number(MANIFEST, 8)
+    entries = control.read_number(table, 8)
+    if not 0 < entries <= MAX_ENTRIES:
+        raise DeviceError(f"the camera lists {entries} descriptions of itself", "update its firmware")
+    kind, address, size = (control.read_number(table + 8 + at, count) for at, count in ((4, 4), (8, 8), (16, 8)))
+    if not 0 < size <= MAX_FILE:
+        raise DeviceError(f"the camera's description has {size} bytes", "update its firmware")
+    data = control.read(address, size)
+    if kind >> 10 & 0x3F == ZIPPED:
+        data = _unzip(data)
+    if b"<" not in data[:256] or b"RegisterDescription" not in data[:65536]:
+        raise DeviceError("the camera's description is no GenICam XML", "update its firmware")
+    return data
+
+
+def _unzip(data: bytes) -> bytes:
+    """Unpack the only file of an archive, up to a limit, whatever its directory says."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive, archive.open(archive.namelist()[0]) as file:
+            text = file.read(MAX_TEXT + 1)
+    except (zipfile.BadZipFile, IndexError, OSError, EOFError, ValueError, NotImplementedError, RuntimeError) as error:
+        raise DeviceError(f"the camera's description cannot be unpacked ({error})", "update its firmware") from error
+    if len(text) > MAX_TEXT:
+        raise DeviceError(f"the camera's description unpacks to more than {MAX_TEXT} bytes", "update its firmware")
+    return text
+
+
+class GenicamFeatures:
+    """Features by their standard names; see `napari_elsplus.hardware.u3v.camera.Features`.
+
+    Parameters
+    ----------
+    control : Control
+        The camera's control channel.
+    line_rate_hz : float
+        Rows per second; no standard feature tells it.
+    strobe_line : int
+        Line that carries the strobe.
+
+    Raises
+    ------
+    DeviceError
+        If the extra is not installed, or the description cannot be read.
+    """
+
+    def __init__(self, control: Control, *, line_rate_hz: float = LINE_RATE_HZ, strobe_line: int = 1) -> None:
+        try:
+            from genicam import genapi
+        except ImportError as error:
+            raise DeviceError(
+                "the genicam extra is not installed, so only the Flea3 can be driven",
+                "pip install 'napari-elsplus[genicam]'",
+            ) from error
+        self._line_rate_hz, self._strobe_line, self._genapi = line_rate_hz, strobe_line, genapi
+        self._nodes, self._port = genapi.NodeMap(), _port(genapi, control)  # the reader does not keep the port
+        try:
+            self._nodes.load_xml_from_string(read_description(control).decode("utf-8", "replace"))
+            self._nodes.connect(self._port, "Device")
+        except genapi.GenericException as error:
+            raise DeviceError(f"the camera's description cannot be read ({error})", "update its firmware") from error
+
+    @property
+    def line_period_s(self) -> float:
+        """Seconds per row."""
+        return 1 / self._line_rate_hz
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """The rate at which the camera says it runs."""
+        return float(self._node("AcquisitionFrameRate", "AcquisitionFrameRateAbs").value)
+
+    def configure(self, region: Region, exposure_s: float, frame_rate_hz: float, gain_db: float) -> None:
+        """Set everything, with the strobe on while the sensor is exposed."""
+        for name in ("OffsetX", "OffsetY"):
+            self._set(0, name)
+        self._set(region.cols, "Width")
+        self._set(region.rows, "Height")
+        self._set(region.col, "OffsetX")
+        self._set(region.row, "OffsetY")
+        self._set_if_there("Mono8", "PixelFormat")
+        for name in ("ExposureAuto", "GainAuto", "AcquisitionFrameRateAuto"):
+            self._set_if_there("Off", name)
+        for name in ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"):
+            self._set_if_there(True, name)
+        self._set(frame_rate_hz, "AcquisitionFrameRate", "AcquisitionFrameRateAbs")
+        self._set(exposure_s * 1e6, "ExposureTime", "ExposureTimeAbs")
+        self._set(gain_db, "Gain")
+        self._set_if_there(f"Line{self._strobe_line}", "LineSelector")
+        self._set_if_there("Output", "LineMode")
+        self._set("ExposureActive", "LineSource")
+
+    def start(self) -> None:
+        """Begin to acquire."""
+        self._node("AcquisitionStart").execute()
+
+    def stop(self) -> None:
+        """End acquiring."""
+        self._node("AcquisitionStop").execute()
+
+    def _node(self, *names: str) -> Any:
+        for name in names:
+            if self._nodes.has_node(name):
+                return self._nodes.get_node(name)
+        raise DeviceError(f"the camera has no feature {names[0]}", "this camera cannot be used")
+
+    def _set(self, value: object, *names: str) -> None:
+        node = self._node(*names)
+        try:
+            node.value = value
+        except self._genapi.GenericException as error:
+            allowed = f"{node.min:g} to {node.max:g}" if hasattr(node, "min") else "other values"
+            raise InputError(f"{names[0]} = {value}", f"the camera allows {allowed}") from error
+
+    def _set_if_there(self, value: object, name: str) -> None:
+        if self._nodes.has_node(name):
+            self._set(value, name)
+
+
+def _port(genapi: Any, control: Control) -> Any:
+    """Let the reader reach the camera's registers."""
+
+    class Port(genapi.AbstractPort):  # type: ignore[misc] # known at run time only
+        def get_access_mode(self) -> int:
+            return int(genapi.EAccessMode.RW)
+
+        def read(self, address: int, length: int) -> bytes:
+            return control.read(address, length)
+
+        def write(self, address: int, data: bytes) -> None:
+            control.write(address, bytes(data))
+
+    return Port()

@@ -1,0 +1,186 @@
+"""Rigs: a camera, a mirror and their limits under one name.
+
+``simulated`` is always there; a user's own are TOML files.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, Self
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.daq import DaqScanner
+from napari_elsplus.hardware.rig_files import RigSettings, read_rig, rig_files
+from napari_elsplus.optics import PRESETS, Preset
+
+if TYPE_CHECKING:
+    from napari_elsplus.hardware.protocols import Camera, Scanner
+    from napari_elsplus.hardware.virtual.bench import OpticalBench, Simulation
+    from napari_elsplus.hardware.virtual.card import VirtualCard
+    from napari_elsplus.hardware.virtual.card_process import RemoteCard
+    from napari_elsplus.hardware.virtual.usb_bus import Plug
+    from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase
+
+SIMULATED: Final = "simulated"
+
+
+@dataclass
+class Rig:
+    """An open rig. A context manager: leaving it parks the mirror and lets everything go.
+
+    Parameters
+    ----------
+    name : str
+        Under which it was opened.
+    camera, scanner : Camera, Scanner
+        The devices.
+    limits : MirrorLimits
+        What the mirror may be asked for.
+    strobe : StrobePhase
+        What the camera's strobe marks.
+    park : ParkOrder
+        What has to be done if this process dies.
+    bench : VirtualBench, optional
+        The simulated rig's truth, and its switches for faults.
+    presets : dict
+        Ways to run the camera.
+    """
+
+    name: str
+    camera: Camera
+    scanner: Scanner
+    limits: MirrorLimits
+    strobe: StrobePhase
+    park: ParkOrder
+    bench: VirtualBench | None = None
+    presets: dict[str, Preset] = field(default_factory=lambda: dict(PRESETS))
+    _held: ExitStack = field(default_factory=ExitStack, repr=False)
+
+    def close(self) -> None:
+        """Park, and let camera and card go."""
+        self._held.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *reason: object) -> Any:
+        self.close()
+
+
+@dataclass(frozen=True, slots=True)
+class ParkOrder:
+    """All that is needed to park the mirror from another process.
+
+    Parameters
+    ----------
+    device, output : str
+        The card and its output.
+    volts : float
+        Where to park.
+    min_v, max_v : float
+        The output's range.
+    address : str
+        ``host:port`` of a gRPC device server; empty: the driver on this computer.
+    """
+
+    device: str
+    output: str
+    volts: float
+    min_v: float
+    max_v: float
+    address: str = ""
+
+
+@dataclass(frozen=True)
+class VirtualBench:
+    """The simulated rig, seen from behind: truth for tests, and switches for faults.
+
+    Parameters
+    ----------
+    optics : OpticalBench
+        Scene, galvo, line: ``optics.show(scene)``, ``optics.calibration(preset)``, ``optics.line_row_now(preset)``.
+    card : VirtualCard or RemoteCard
+        ``card.last_volts``, ``card.break_with(code)``.
+    plug : Plug
+        The camera on the bus: ``plug.unplugged = True``, ``plug.camera.faults``.
+    """
+
+    optics: OpticalBench
+    card: VirtualCard | RemoteCard
+    plug: Plug
+
+
+def rig_names() -> list[str]:
+    """Return the rigs that can be opened, ``simulated`` first."""
+    return [SIMULATED, *sorted(rig_files())]
+
+
+def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig:
+    """Open a rig: the mirror is parked, the camera waits for its settings.
+
+    Opened in the main thread, the rig also parks when the process is told to end (SIGTERM).
+
+    Parameters
+    ----------
+    name : str
+        One of `rig_names`.
+    simulation : Simulation, optional
+        What the simulated rig looks at.
+
+    Returns
+    -------
+    Rig
+        A context manager.
+
+    Raises
+    ------
+    InputError
+        If there is no such rig, or its file is wrong.
+    DeviceError
+        If a device is absent, busy or fails.
+    """
+    with ExitStack() as held:
+        _end_on_sigterm(held)
+        if name == SIMULATED:
+            from napari_elsplus.hardware.virtual.rig import simulated_rig
+
+            rig = simulated_rig(simulation, held)
+        elif simulation is not None:
+            raise InputError(f"the rig {name} was given a scene", "only the simulated rig takes one")
+        else:
+            rig = _real_rig(name, read_rig(name), held)
+        rig._held = held.pop_all()  # noqa: SLF001 - its own
+    return rig
+
+
+def park_order(scanner: DaqScanner) -> ParkOrder:
+    """Say what parks a scanner's mirror."""
+    card, limits = scanner.card, scanner.limits
+    return ParkOrder(card.device, card.output, card.park_v, limits.min_v, limits.max_v, card.address)
+
+
+def _real_rig(name: str, settings: RigSettings, held: ExitStack) -> Rig:
+    from napari_elsplus.hardware.u3v.camera import U3vCamera
+    from napari_elsplus.hardware.u3v.discovery import choose_camera
+
+    limits = settings.limits()
+    scanner = held.enter_context(DaqScanner(settings.card_settings(), limits))
+    camera = held.enter_context(U3vCamera(choose_camera(settings.camera.serial), settings.camera.features()))
+    return Rig(name, camera, scanner, limits, settings.camera.strobe, park_order(scanner))
+
+
+def _end_on_sigterm(held: ExitStack) -> None:
+    """Let SIGTERM unwind the program, so that whatever holds the rig lets it go."""
+    if threading.current_thread() is not threading.main_thread():
+        return
+    if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        return  # the program has its own way to end
+
+    def end(number: int, _: object) -> None:
+        raise SystemExit(128 + number)
+
+    signal.signal(signal.SIGTERM, end)
+    held.callback(signal.signal, signal.SIGTERM, signal.SIG_DFL)

@@ -1,0 +1,168 @@
+"""The optical bench: strobe, card, galvo and sensor on one clock, so that a wrong ramp gives a wrong image."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from napari_elsplus.hardware.virtual.frame_source import Circle, FrameSource
+from napari_elsplus.hardware.virtual.galvo import FORGETS_S, STEP_S, GalvoModel
+from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain, mean_volts
+from napari_elsplus.optics import PRESETS, Preset
+from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.scenes import Scene, fibres
+from napari_elsplus.simulation.trajectories import Still, Trajectory
+from napari_elsplus.simulation.truth import true_calibration
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.hardware.virtual.u3v_device import Shot
+
+
+class Card(Protocol):
+    """The virtual card as the bench sees it, in this process or in one of its own."""
+
+    @property
+    def last_volts(self) -> float:
+        """The voltage on the output now."""
+
+    def strobe(self, train: StrobeTrain | None) -> None:
+        """Wire a train of edges to the strobe's terminal."""
+
+    def programs(self) -> list[Program]:
+        """Return what the output did lately."""
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What the simulated rig looks at, and how it behaves.
+
+    Parameters
+    ----------
+    scene : Scene
+        What lies before the probe.
+    trajectory : Trajectory
+        How the probe moves, from the start of each stream on; a closed one is rendered once and played again.
+    offset_um : float
+        Slit offset at the bundle, signed.
+    galvo : GalvoModel
+        The mirror.
+    seed : int
+        Of the camera's noise.
+    real_time : bool
+        Whether frames come at the camera's rate; otherwise as fast as they are read, and none is ever lost.
+    own_process : bool
+        Whether the card lives in a process of its own, so that it outlives this one; needs `real_time`.
+    instrument : dict
+        Further fields of `Instrument`.
+    """
+
+    scene: Scene = field(default_factory=fibres)
+    trajectory: Trajectory = field(default_factory=Circle)
+    offset_um: float = -29.0
+    galvo: GalvoModel = field(default_factory=GalvoModel)
+    seed: int = 0
+    real_time: bool = True
+    own_process: bool = False
+    instrument: dict[str, Any] = field(default_factory=dict)
+
+
+class OpticalBench:
+    """Renders what the camera sees while the mirror does what the card tells it.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Scene, optics, mirror.
+    card : Card
+        The virtual card.
+    clock : BenchClock
+        The clock of both.
+    """
+
+    def __init__(self, simulation: Simulation, card: Card, clock: BenchClock) -> None:
+        self.simulation, self.card, self.clock = simulation, card, clock
+        self._lock = threading.Lock()
+        self._frames: FrameSource | None = None
+
+    def show(self, scene: Scene, trajectory: Trajectory | None = None) -> None:
+        """Put another scene before the probe, from the next frame on."""
+        with self._lock:
+            self.simulation = replace(self.simulation, scene=scene, trajectory=trajectory or Still())
+
+    def instrument(self, preset: Preset, slit_rows: float = 3.0, gain_db: float = 0.0) -> Instrument:
+        """Return the optics of the bench in one of the camera's settings."""
+        known = Instrument.of(preset.name if preset.name in PRESETS else "120hz", offset_um=self.simulation.offset_um)
+        changed = replace(known, preset=preset, slit_rows=slit_rows, **self.simulation.instrument)
+        return changed.with_gain_db(gain_db) if gain_db else changed
+
+    def calibration(self, preset: Preset, slit_rows: float = 3.0) -> Calibration:
+        """Return what a perfect calibration of this bench would say, the galvo's lag included."""
+        perfect = true_calibration(self.instrument(preset, slit_rows))
+        assert perfect.galvo is not None
+        galvo = perfect.galvo.model_copy(update={"lag_s": self.simulation.galvo.lag_s})
+        return perfect.model_copy(update={"galvo": galvo})
+
+    def line_row_now(self, preset: Preset) -> float:
+        """Row of the left image on which the card's voltage holds the line, once the mirror is there."""
+        instrument = self.instrument(preset)
+        return (self.card.last_volts - instrument.volts_at_row_zero) / instrument.volts_per_row
+
+    def line_rows(self, shot: Shot) -> NDArray[np.float64]:
+        """Row of the left image on which the line stands in the middle of each row's exposure."""
+        instrument = self._instrument_of(shot)
+        before = round(FORGETS_S / STEP_S)
+        steps = before + int((shot.read_out_s - shot.strobe_s) / STEP_S) + 2
+        begins = np.asarray(shot.strobe_s + STEP_S * (np.arange(steps) - before), np.float64)
+        mirror = self.simulation.galvo.follow(mean_volts(self.card.programs(), begins, STEP_S))
+        exposed = shot.row_zero_s + np.arange(shot.region[2]) * shot.line_period_s - shot.exposure_s / 2
+        volts = np.interp(exposed, begins + STEP_S, mirror)
+        return np.asarray((volts - instrument.volts_at_row_zero) / instrument.volts_per_row)
+
+    # The camera's side.
+
+    def strobe(self, train: StrobeTrain | None) -> None:
+        """Pass the camera's strobe on to the card."""
+        self.card.strobe(train)
+
+    def prepare(self, shot: Shot) -> None:
+        """Build, compile and, for a closed path, render ahead, so that the first frame comes in time."""
+        with self._lock:
+            self._source(shot).render_ahead()
+
+    def expose(self, shot: Shot, out: NDArray[np.uint8]) -> None:
+        """Fill a frame."""
+        with self._lock:
+            self._source(shot).fill(shot.frame, out, self.line_rows(shot))
+
+    def _instrument_of(self, shot: Shot) -> Instrument:
+        return self.instrument(preset_of(shot), shot.exposure_s / shot.line_period_s, shot.gain_db)
+
+    def _source(self, shot: Shot) -> FrameSource:
+        wanted, simulation = self._instrument_of(shot), self.simulation
+        frames = self._frames
+        if frames is None or not frames.shows(wanted, simulation.scene, simulation.trajectory):
+            ahead = simulation.real_time
+            frames = FrameSource(wanted, simulation.scene, simulation.trajectory, simulation.seed, ahead=ahead)
+            self._frames = frames
+        return frames
+
+
+def preset_of(shot: Shot) -> Preset:
+    """Return the preset that has a shot's region, at the shot's frame rate; of the 10x objective if none has."""
+    row, col, rows, cols = shot.region
+    known = next(
+        (p for p in PRESETS.values() if p.frame_shape == (rows, cols) and p.sensor_origin == (row, col)),
+        replace(PRESETS["120hz"], name="custom", frame_shape=(rows, cols), sensor_origin=(row, col)),
+    )
+    optics = replace(
+        known.optics,
+        line_period_s=shot.line_period_s,
+        rows_per_frame=shot.frame_period_s / shot.line_period_s,
+    )
+    return replace(known, optics=optics)

@@ -1,0 +1,163 @@
+"""The virtual card in a process of its own, which outlives the one that drives it, as a real card does.
+
+Run as ``python -m napari_elsplus.hardware.virtual.card_process``; it prints where it can be
+reached, as one line of JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from multiprocessing.connection import Client, Connection, Listener
+from typing import Any, Final, Self, cast
+
+from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.virtual.card import VirtualCard
+from napari_elsplus.hardware.virtual.grpc_server import CardServer
+from napari_elsplus.hardware.virtual.timeline import Program, StrobeTrain
+
+LINGER_S: Final = 3.0
+"""Alone for so long, the card ends itself."""
+START_S: Final = 30.0
+Place = dict[str, Any]
+
+
+class RemoteCard:
+    """A virtual card in another process; the bench's side of it.
+
+    Parameters
+    ----------
+    place : dict
+        Where it is, as it printed.
+    """
+
+    def __init__(self, place: Place) -> None:
+        self.place, self.address = place, str(place["grpc"])
+        self._lock = threading.Lock()
+        self._wire = Client(("127.0.0.1", place["port"]), authkey=bytes.fromhex(place["key"]))
+        self._version, self._programs = -1, list[Program]()
+
+    @property
+    def last_volts(self) -> float:
+        """The voltage on the output now."""
+        return float(self._ask("last_volts"))
+
+    def strobe(self, train: StrobeTrain | None) -> None:
+        """Wire a train of edges to the strobe's terminal."""
+        self._ask("strobe", train)
+
+    def programs(self) -> list[Program]:
+        """Return what the output did lately; asked for anew only if it changed."""
+        version, programs = self._ask("programs", self._version)
+        if programs is not None:
+            self._version, self._programs = version, programs
+        return self._programs
+
+    def break_with(self, code: int) -> None:
+        """Let the card fail."""
+        self._ask("break_with", code)
+
+    def close(self) -> None:
+        """Let go of the card; it ends when nobody holds it."""
+        self._wire.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self.close()
+
+    def _ask(self, what: str, argument: object = None) -> Any:
+        with self._lock:
+            try:
+                self._wire.send((what, argument))
+                return self._wire.recv()
+            except (OSError, EOFError) as error:
+                raise DeviceError("the virtual card's process has ended", "open the rig again") from error
+
+
+def start_card() -> RemoteCard:
+    """Start a card in a process of its own.
+
+    Raises
+    ------
+    DeviceError
+        If it does not start.
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-m", __name__], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, start_new_session=True
+    )
+    assert process.stdout is not None
+    with process.stdout:
+        line = process.stdout.readline()
+    if not line:
+        raise DeviceError("the virtual card did not start", "see the messages above")
+    card = RemoteCard(json.loads(line))
+    threading.Thread(target=process.wait, name="virtual card's end", daemon=True).start()  # no zombie is left
+    return card
+
+
+def serve() -> None:
+    """Serve a card until nobody holds it."""
+    key = secrets.token_bytes(16)
+    card = VirtualCard()
+    held = _Holders()
+    with CardServer(card) as server, Listener(("127.0.0.1", 0), authkey=key) as listener:
+        place = {"grpc": server.address, "port": cast("tuple[str, int]", listener.address)[1], "key": key.hex()}
+        sys.stdout.write(json.dumps(place) + "\n")
+        sys.stdout.flush()
+        threading.Thread(target=_accept, args=(listener, card, held), daemon=True).start()
+        held.wait_until_none()
+
+
+class _Holders:
+    """How many hold the card, and since when nobody does."""
+
+    def __init__(self) -> None:
+        self._count, self._changed_s = 0, time.monotonic() + START_S - LINGER_S
+        self._lock = threading.Lock()
+
+    def change(self, by: int) -> None:
+        with self._lock:
+            self._count, self._changed_s = self._count + by, time.monotonic()
+
+    def wait_until_none(self) -> None:
+        while self._count or time.monotonic() - self._changed_s < LINGER_S:
+            time.sleep(0.1)
+
+
+def _accept(listener: Listener, card: VirtualCard, held: _Holders) -> None:
+    while True:
+        with suppress(OSError, EOFError):  # a caller without the key, or one that went away
+            wire = listener.accept()
+            threading.Thread(target=_answer, args=(wire, card, held), daemon=True).start()
+
+
+def _answer(wire: Connection[Any, Any], card: VirtualCard, held: _Holders) -> None:
+    held.change(1)
+    try:
+        with wire, suppress(OSError, EOFError):  # the caller went away
+            while True:
+                what, argument = wire.recv()
+                wire.send(_reply(card, what, argument))
+    finally:
+        held.change(-1)
+
+
+def _reply(card: VirtualCard, what: str, argument: Any) -> Any:
+    if what == "programs":
+        return card.version, None if card.version == argument else card.programs()
+    if what == "last_volts":
+        return card.last_volts
+    if what == "strobe":
+        return card.strobe(argument)
+    return card.break_with(argument)
+
+
+if __name__ == "__main__":
+    serve()

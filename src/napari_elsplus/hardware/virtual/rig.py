@@ -1,0 +1,70 @@
+"""The simulated rig: the real drivers on virtual devices."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.daq import CardSettings, DaqScanner
+from napari_elsplus.hardware.flea3 import Flea3
+from napari_elsplus.hardware.rigs import SIMULATED, Rig, VirtualBench, park_order
+from napari_elsplus.hardware.u3v.camera import U3vCamera
+from napari_elsplus.hardware.u3v.discovery import choose_camera
+from napari_elsplus.hardware.virtual.bench import OpticalBench, Simulation
+from napari_elsplus.hardware.virtual.card import VirtualCard
+from napari_elsplus.hardware.virtual.card_process import start_card
+from napari_elsplus.hardware.virtual.grpc_server import CardServer
+from napari_elsplus.hardware.virtual.timeline import BenchClock
+from napari_elsplus.hardware.virtual.u3v_device import VirtualCamera
+from napari_elsplus.hardware.virtual.usb_bus import Plug, VirtualBus
+from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase
+from napari_elsplus.optics import PRESETS
+from napari_elsplus.simulation.truth import park_volts
+
+if TYPE_CHECKING:
+    from contextlib import ExitStack
+
+    from napari_elsplus.hardware.virtual.card_process import RemoteCard
+
+SERIAL = "virtual-1"
+
+
+def simulated_rig(simulation: Simulation | None, held: ExitStack) -> Rig:
+    """Put the virtual devices together and open them with the real drivers.
+
+    Parameters
+    ----------
+    simulation : Simulation, optional
+        What it looks at.
+    held : contextlib.ExitStack
+        Keeps what has to be let go.
+
+    Raises
+    ------
+    InputError
+        If the card should live in a process of its own without real time.
+    """
+    simulation = simulation or Simulation()
+    clock = BenchClock(simulation.real_time)
+    card, address = _card(simulation, clock, held)
+    optics = OpticalBench(simulation, card, clock)
+    plug = Plug(VirtualCamera(optics, serial=SERIAL))
+    park_v = min(park_volts(optics.instrument(preset)) for preset in PRESETS.values())
+    galvo = simulation.galvo
+    limits = MirrorLimits(natural_hz=galvo.natural_hz, damping=galvo.damping)
+    settings = CardSettings(park_v, address=address)
+    scanner = held.enter_context(DaqScanner(settings, limits, now_s=clock.now_s))
+    device = choose_camera(SERIAL, VirtualBus(plug))
+    camera = held.enter_context(U3vCamera(device, Flea3, wait_for_reader=not simulation.real_time))
+    bench = VirtualBench(optics, card, plug)
+    return Rig(SIMULATED, camera, scanner, limits, StrobePhase.EXPOSURE, park_order(scanner), bench)
+
+
+def _card(simulation: Simulation, clock: BenchClock, held: ExitStack) -> tuple[VirtualCard | RemoteCard, str]:
+    if simulation.own_process:
+        if not simulation.real_time:
+            raise InputError("a card in a process of its own, without real time", "two processes share only real time")
+        remote = held.enter_context(start_card())
+        return remote, remote.address
+    card = VirtualCard(clock)
+    return card, held.enter_context(CardServer(card)).address
