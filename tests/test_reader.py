@@ -111,11 +111,15 @@ def test_a_closed_viewer_lets_the_recording_go(make_napari_viewer_proxy, tmp_pat
     import gc
     import weakref
 
+    from qtpy.QtCore import QEvent
+    from qtpy.QtWidgets import QApplication
+
     viewer = make_napari_viewer_proxy()
     viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
     recording = weakref.ref(viewer.layers[0].metadata["elsplus"]["stack"].recording)
     assert recording() is not None
     with caplog.at_level(logging.CRITICAL):
         viewer.layers.clear()
+        QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)  # PySide6 keeps the rows until then
     gc.collect()
     assert recording() is None
