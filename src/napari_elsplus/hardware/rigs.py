@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq import DaqScanner
+from napari_elsplus.hardware.parking import park_order
 from napari_elsplus.hardware.rig_files import RigSettings, read_rig, rig_files
 from napari_elsplus.optics import PRESETS, Preset
 
 if TYPE_CHECKING:
+    from napari_elsplus.hardware.parking import ParkOrder
     from napari_elsplus.hardware.protocols import Camera, Scanner
     from napari_elsplus.hardware.virtual.bench import OpticalBench, Simulation
     from napari_elsplus.hardware.virtual.card import VirtualCard
@@ -68,30 +70,6 @@ class Rig:
 
     def __exit__(self, *reason: object) -> Any:
         self.close()
-
-
-@dataclass(frozen=True, slots=True)
-class ParkOrder:
-    """All that is needed to park the mirror from another process.
-
-    Parameters
-    ----------
-    device, output : str
-        The card and its output.
-    volts : float
-        Where to park.
-    min_v, max_v : float
-        The output's range.
-    address : str
-        ``host:port`` of a gRPC device server; empty: the driver on this computer.
-    """
-
-    device: str
-    output: str
-    volts: float
-    min_v: float
-    max_v: float
-    address: str = ""
 
 
 @dataclass(frozen=True)
@@ -154,12 +132,6 @@ def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig
             rig = _real_rig(name, read_rig(name), held)
         rig._held = held.pop_all()  # noqa: SLF001 - its own
     return rig
-
-
-def park_order(scanner: DaqScanner) -> ParkOrder:
-    """Say what parks a scanner's mirror."""
-    card, limits = scanner.card, scanner.limits
-    return ParkOrder(card.device, card.output, card.park_v, limits.min_v, limits.max_v, card.address)
 
 
 def _real_rig(name: str, settings: RigSettings, held: ExitStack) -> Rig:

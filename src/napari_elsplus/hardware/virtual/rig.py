@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq import CardSettings, DaqScanner
 from napari_elsplus.hardware.flea3 import Flea3
-from napari_elsplus.hardware.rigs import SIMULATED, Rig, VirtualBench, park_order
+from napari_elsplus.hardware.parking import park_order
+from napari_elsplus.hardware.rigs import SIMULATED, Rig, VirtualBench
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.virtual.bench import OpticalBench, Simulation
