@@ -1,8 +1,8 @@
 """Two views of the same cores, matched to a hundredth of a pixel.
 
 Centres and diameters of the discs give shift and scale, a search over angles the rotation, a correlation the right
-one among the lattice's near matches, and Gauss-Newton on the pixels the rest (Lucas & Kanade 1981; Baker & Matthews
-2004, https://doi.org/10.1023/B:VISI.0000011205.11775.fd).
+one among the lattice's near matches, and Newton steps on the pixels the rest, in the manner of Lucas & Kanade (1981;
+Baker & Matthews 2004, https://doi.org/10.1023/B:VISI.0000011205.11775.fd).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.processing.resampling import resampled
-from napari_elsplus.processing.uncertainty import clustered_influence
+from napari_elsplus.processing.uncertainty import clustered
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 STEEPEST_TURN_DEG: Final = 2.0
 INNER: Final = 0.9
 TILES: Final = 8
-SEARCHED_POINTS: Final = 20_000
-"""Also what cv2.remap takes in one column, at most 32766."""
-NEIGHBOURHOOD_PX: Final = 6
+SEARCHED_POINTS: Final = 5_000
+SHIFT_STEP_PX: Final = 0.75
+SHIFT_STEPS: Final = 4
 
 
 class PairModel(StrEnum):
@@ -59,6 +59,33 @@ class PairModel(StrEnum):
                 terms += [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]]
         return np.array(terms, np.float64)
 
+    @property
+    def identity(self) -> Floats:
+        """Parameters of the affine model that move nothing."""
+        return np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+
+    @property
+    def constraints(self) -> Floats:
+        """What must vanish in the affine parameters, less the identity, if this model holds: (constraints, 6)."""
+        match self:
+            case PairModel.SHIFT:
+                return np.eye(6)[2:]
+            case PairModel.SIMILARITY:
+                return np.array([[0.0, 0, 1, 0, 0, -1], [0, 0, 0, 1, 1, 0]])
+            case PairModel.AFFINE:
+                return np.zeros((0, 6))
+
+    def nearest(self, matrix: Floats) -> Floats:
+        """Return the matrix of this model that is nearest to one, 2 x 2."""
+        match self:
+            case PairModel.SHIFT:
+                return np.eye(2)
+            case PairModel.SIMILARITY:
+                stretch, turn = matrix[0, 0] + matrix[1, 1], matrix[1, 0] - matrix[0, 1]
+                return np.array([[stretch, -turn], [turn, stretch]]) / 2
+            case PairModel.AFFINE:
+                return matrix
+
     def displacements(self, rows: Floats, cols: Floats) -> Floats:
         """Displacement (row, col) of points per parameter: shape (parameters, 2, points)."""
         points = np.stack([rows, cols, np.ones_like(rows)])
@@ -73,8 +100,8 @@ class CoreFit:
     ----------
     motion : numpy.ndarray
         Maps a point (row, col, 1) about the left centre to (row, col) about the right centre, shape (2, 3).
-    misfit : float
-        Mean square of what the aligned contrasts differ by.
+    influence : numpy.ndarray
+        What each tile of the disc contributes to the errors of the model's parameters, shape (tiles, parameters).
     correlation : float
         Between the aligned contrasts.
     uncertainty_px : float
@@ -82,9 +109,14 @@ class CoreFit:
     """
 
     motion: Floats
-    misfit: float
+    influence: Floats
     correlation: float
     uncertainty_px: float
+
+    @property
+    def parameters(self) -> Floats:
+        """The motion as the parameters of the affine model: shift, then the matrix row by row."""
+        return np.concatenate([self.motion[:, 2], self.motion[:, :2].ravel()])
 
 
 class CoreMatcher:
@@ -133,58 +165,70 @@ class CoreMatcher:
         return moved
 
     def start(self) -> Floats:
-        """Motion to within a core: scale from the diameters, the best angle, the best of the near shifts."""
-        motion = self._turned(np.array([[self._scale, 0.0, 0.0], [0.0, self._scale, 0.0]]))
-        moved = np.where(self.inside, self._sample(motion), 0).astype(np.float32)
-        reach = NEIGHBOURHOOD_PX
-        template = np.where(self.inside, self._confocal, 0).astype(np.float32)[reach:-reach, reach:-reach]
-        score = cv2.matchTemplate(moved, template, cv2.TM_CCOEFF_NORMED)
-        motion[:, 2] += np.array(np.unravel_index(np.argmax(score), score.shape)) - reach
-        return motion
+        """Motion to within half a core: scale from the diameters, then the angle and shift that correlate best.
+
+        The angle is what the discs' rims do not tell; the shift makes up for a rim that is a core off, where the
+        lattices nearly match too.
+        """
+        motion = np.array([[self._scale, 0.0, 0.0], [0.0, self._scale, 0.0]])
+        some = slice(None, None, -(-self.points // SEARCHED_POINTS))
+        rows, cols = self.rows[some], self.cols[some]
+        target = self._confocal[self.inside][some]
+        target = (target - target.mean()) / target.std()
+        shifts = SHIFT_STEP_PX * np.arange(-SHIFT_STEPS, SHIFT_STEPS + 1)
+        down, across = (grid.ravel() for grid in np.meshgrid(shifts, shifts, indexing="ij"))
+        step = 0.5 / float(np.hypot(rows, cols).max())
+        count = int(np.radians(STEEPEST_TURN_DEG) / step)
+        best, found = -1.0, motion
+        for turned in (_rotated(motion, k * step) for k in range(-count, count + 1)):
+            row, col = turned @ np.stack([rows, cols, np.ones_like(rows)]) + np.array(self._right_centre)[:, None]
+            at_row, at_col = (at.astype(np.float32) for at in (row + down[:, None], col + across[:, None]))
+            values = cv2.remap(self._contrast, at_col, at_row, cv2.INTER_LINEAR)
+            scores = (values @ target) / len(target) / np.maximum(values.std(axis=1), 1e-9)
+            if scores.max() > best:
+                best = float(scores.max())
+                found = turned.copy()
+                found[:, 2] += (down[scores.argmax()], across[scores.argmax()])
+        return found
 
     def fit(self, start: Floats, model: PairModel) -> CoreFit:
-        """Fit a model by Gauss-Newton from a motion that is right to within a core."""
+        """Fit a model by Newton steps from a motion that is right to within a core.
+
+        Of what least squares would sum, only products of the one view with the other are kept. Products of a view with
+        itself vanish on the signal, but not on its noise, which would turn and stretch the fit in dim light.
+        """
         motion = start.copy()
-        if model is PairModel.SHIFT:
-            motion[:, :2] = np.eye(2)
+        motion[:, :2] = model.nearest(motion[:, :2])
         moves = model.displacements(self.rows, self.cols)
         target = self._confocal[self.inside].astype(np.float64)
+        of_target = self._slopes(self._confocal, moves)
         for _ in range(20):
             moved = self._sample(motion)
             found = moved[self.inside].astype(np.float64)
-            down, across = (axis[self.inside] for axis in np.gradient(0.5 * (moved + self._confocal)))
-            jacobian = (moves[:, 0] * down + moves[:, 1] * across).T
-            scale = float(found @ target) / max(float(target @ target), 1e-12)
-            residuals = scale * target - found
-            step = np.linalg.lstsq(jacobian.T @ jacobian, jacobian.T @ residuals, rcond=None)[0]
+            of_found = self._slopes(moved, moves)
+            curvature = of_target.T @ of_found
+            curvature = (curvature + curvature.T) / 2
+            scores = (of_found * target[:, None] - of_target * found[:, None]) / 2
+            step = np.linalg.lstsq(curvature, scores.sum(axis=0), rcond=None)[0]
             motion = motion + np.tensordot(step, model.matrices, 1)
             if np.abs(np.tensordot(step, moves, 1)).max() < 1e-3:
                 break
         tile, count = tiles(self.rows, self.cols)
+        influence = clustered(scores, curvature, tile, count)
         return CoreFit(
             motion=motion,
-            misfit=float(np.mean(np.square(residuals))),
+            influence=influence,
             correlation=float(np.corrcoef(target, found)[0, 1]),
-            uncertainty_px=self._at_rim(clustered_influence(jacobian, residuals, tile, count), model),
+            uncertainty_px=self._at_rim(influence, model),
         )
+
+    def _slopes(self, image: Image, moves: Floats) -> Floats:
+        """Return how the image changes with each parameter, shape (points, parameters)."""
+        down, across = (np.asarray(np.gradient(image, axis=axis))[self.inside] for axis in (0, 1))
+        return np.asarray((moves[:, 0] * down + moves[:, 1] * across).T, np.float64)
 
     def _sample(self, motion: Floats) -> Image:
         return resampled(self._contrast, self.grid_to_frame(self._right_centre, motion), self.side)
-
-    def _turned(self, motion: Floats) -> Floats:
-        """Best rotation: the one number that the discs' edges do not tell."""
-        some = slice(None, None, -(-self.points // SEARCHED_POINTS))
-        rows, cols = self.rows[some], self.cols[some]
-        target = self._confocal[self.inside][some]
-        step = 0.5 / float(np.hypot(rows, cols).max())
-        count = int(np.radians(STEEPEST_TURN_DEG) / step)
-        turned = [_rotated(motion, k * step) for k in range(-count, count + 1)]
-        scores = []
-        for candidate in turned:
-            at = candidate @ np.stack([rows, cols, np.ones_like(rows)]) + np.array(self._right_centre)[:, None]
-            row, col = at.astype(np.float32)[:, :, None]
-            scores.append(np.corrcoef(target, cv2.remap(self._contrast, col, row, cv2.INTER_LINEAR)[:, 0])[0, 1])
-        return turned[int(np.argmax(scores))]
 
     def _at_rim(self, influence: Floats, model: PairModel) -> float:
         rim = float(np.hypot(self.rows, self.cols).max())

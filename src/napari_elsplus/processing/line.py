@@ -132,7 +132,8 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None) -> L
     streak = brightest_streak(image)
     first, band = _band_around(image, streak)
     line = _fit(band, streak._replace(row=streak.row - first))
-    line = _fit(band, Streak(line.row, line.column, line.slope, line.width_rows))
+    # A whole row in the middle: what interpolation skews left and right of it then cancels.
+    line = _fit(band, Streak(round(line.row), line.column, line.slope, line.width_rows))
     if line.width_rows > len(image) / 8:
         raise MeasurementError(
             f"no laser line: the brightest streak is {2.355 * line.width_rows:.0f} of {len(image)} rows wide",
@@ -152,7 +153,7 @@ def _fit(image: Image, streak: Streak) -> Line:
     """Fit one tilted Gaussian line, by Gauss-Newton, to the profiles around a streak."""
     width = min(streak.width_rows, WIDEST_FIT_ROWS / 9)
     reach = int(np.ceil(4.5 * width)) + 2
-    patch, inside = _along(image, streak, reach + int(np.ceil(3 * width)))
+    patch, inside, spread = _along(image, streak, reach + int(np.ceil(3 * width)))
     first, stop = _lit_columns(_brightness(patch, width))
     inset = min(int(np.ceil(2 * width)) + 2, (stop - first) // 8)
     edges = np.linspace(first + inset, stop - inset, RUNS + 1).astype(int)
@@ -171,7 +172,7 @@ def _fit(image: Image, streak: Streak) -> Line:
     run = np.broadcast_to(np.arange(RUNS), data.shape)[seen]
     parameters, influence = _gauss_newton(data[seen], u, x, run, width)
     amplitude, _, log_width, shift, turn, _ = (float(value) for value in parameters)
-    fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2, 0.1)))
+    fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2 - spread, 0.1)))
     misfit = _misfit(data, seen, parameters, u, x)
     _must_be_a_line(amplitude, float(np.linalg.norm(influence[:, 0])), shift, reach, misfit)
     pulled = max(misfit - TOLERATED_MISFIT, 0.0) * fitted
@@ -188,8 +189,11 @@ def _fit(image: Image, streak: Streak) -> Line:
     )
 
 
-def _along(image: Image, streak: Streak, reach: int) -> tuple[Floats, NDArray[np.bool_]]:
-    """Profiles of all columns, each shifted so that the streak lies in their middle: (2 reach + 1, cols)."""
+def _along(image: Image, streak: Streak, reach: int) -> tuple[Floats, NDArray[np.bool_], float]:
+    """Profiles of all columns, each shifted so that the streak lies in their middle: (2 reach + 1, cols).
+
+    The shift interpolates linearly; by how much that adds to the profile's variance comes last.
+    """
     rows, cols = image.shape
     where = streak.row + streak.slope * (np.arange(cols) - streak.column)
     base = np.floor(where).astype(int)
@@ -197,7 +201,11 @@ def _along(image: Image, streak: Streak, reach: int) -> tuple[Floats, NDArray[np
     index = base + np.arange(-reach, reach + 2)[:, None]
     whole = image[np.clip(index, 0, rows - 1), np.arange(cols)]
     inside = (index >= 0) & (index < rows)
-    return ((1 - part) * whole[:-1] + part * whole[1:]).astype(np.float64), inside[:-1] & inside[1:]
+    return (
+        ((1 - part) * whole[:-1] + part * whole[1:]).astype(np.float64),
+        inside[:-1] & inside[1:],
+        float(np.mean(part * (1 - part))),
+    )
 
 
 def _brightness(patch: Floats, width: float) -> Floats:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.core_matching import CoreMatcher, PairModel, tiles
+from napari_elsplus.processing.core_matching import CoreFit, CoreMatcher, PairModel, tiles
 from napari_elsplus.processing.resampling import resampled
 
 if TYPE_CHECKING:
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]
 
-CORE_AREA_PX: Final = 9.0
-"""Pixels per independent sample when models are compared: about one core."""
-STRONG_EVIDENCE: Final = 6.0
 LEAST_CORRELATION: Final = 0.1
 GAINS: Final = (0.5, 2.0)
 LEAST_RING: Final = 200
@@ -42,7 +39,7 @@ class Alignment:
     model : PairModel
         The simplest motion that the evidence asks for.
     evidence : dict
-        Bayesian information criterion of each model above the smallest; a richer model has to win by 6.
+        Bayesian information criterion of each model above the best one's.
     uncertainty_px : float
         One standard deviation of the map along a row or column, at the disc's rim, where it is least certain.
     gain : float
@@ -83,13 +80,10 @@ def align_pair(image: NDArray[np.generic], left: Disc, right: Disc) -> Alignment
     """
     frame = np.asarray(image, np.float32)
     matcher = CoreMatcher(frame, left, right)
-    start = matcher.start()
-    fits = {model: matcher.fit(start, model) for model in PairModel}
-    cores = max(100.0, matcher.points / CORE_AREA_PX)
-    criterion = {model: cores * np.log(fit.misfit) + model.parameters * np.log(cores) for model, fit in fits.items()}
-    least = min(criterion.values())
-    model = next(model for model in PairModel if criterion[model] < least + STRONG_EVIDENCE)
-    fit = fits[model]
+    affine = matcher.fit(matcher.start(), PairModel.AFFINE)
+    criterion = {model: _criterion(affine, model) for model in PairModel}
+    model = min(PairModel, key=lambda candidate: criterion[candidate])
+    fit = affine if model is PairModel.AFFINE else matcher.fit(affine.motion, model)
     if not fit.correlation > LEAST_CORRELATION:
         raise MeasurementError(
             f"the two views do not show the same cores (correlation {fit.correlation:.2f})",
@@ -99,12 +93,23 @@ def align_pair(image: NDArray[np.generic], left: Disc, right: Disc) -> Alignment
     return Alignment(
         residual_to_confocal=_right_to_left(fit.motion, left, right),
         model=model,
-        evidence={model.value: float(value - least) for model, value in criterion.items()},
+        evidence={other.value: criterion[other] - criterion[model] for other in PairModel},
         uncertainty_px=fit.uncertainty_px,
         gain=gain,
         gain_uncertainty=gain_uncertainty,
         correlation=fit.correlation,
     )
+
+
+def _criterion(affine: CoreFit, model: PairModel) -> float:
+    """Bayesian information criterion: how far the affine fit is from the model, in its own uncertainty, and parameters.
+
+    The Wald statistic stands in for the likelihood's loss, since its covariance also holds for lumpy residuals.
+    """
+    must_vanish = model.constraints @ (affine.parameters - PairModel.AFFINE.identity)
+    influence = affine.influence @ model.constraints.T
+    wald = float(must_vanish @ np.linalg.pinv(influence.T @ influence) @ must_vanish) if len(must_vanish) else 0.0
+    return wald + model.parameters * float(np.log(len(influence)))
 
 
 def darkness(frame: NDArray[np.float32], left: Disc, right: Disc) -> NDArray[np.float32]:

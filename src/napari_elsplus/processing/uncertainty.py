@@ -48,10 +48,29 @@ def clustered_influence(jacobian: Floats, residuals: Floats, clusters: NDArray[n
     >>> bool(0.02 < np.sqrt(np.square(influence[:, 0]).sum()) < 0.03)  # 0.5 / sqrt(400) = 0.025
     True
     """
-    scores = np.stack(
-        [np.bincount(clusters, weights=column * residuals, minlength=count) for column in jacobian.T], axis=1
-    )
-    bread = np.linalg.pinv(jacobian.T @ jacobian)
+    return clustered(jacobian * residuals[:, None], jacobian.T @ jacobian, clusters, count)
+
+
+def clustered(scores: Floats, curvature: Floats, clusters: NDArray[np.intp], count: int) -> Floats:
+    """Return what each cluster of samples contributes to the error of any estimate that solves ``scores.sum(0) == 0``.
+
+    Parameters
+    ----------
+    scores : numpy.ndarray
+        What each sample pulls at the parameters, shape (samples, parameters).
+    curvature : numpy.ndarray
+        How the sum of the scores falls with the parameters, shape (parameters, parameters).
+    clusters : numpy.ndarray
+        Cluster of each sample, 0 to ``count - 1``, shape (samples,).
+    count : int
+        Number of clusters.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (count, parameters), float64; zero for clusters without samples.
+    """
+    sums = np.stack([np.bincount(clusters, weights=column, minlength=count) for column in scores.T], axis=1)
     filled = np.count_nonzero(np.bincount(clusters, minlength=count))
-    freedom = filled / max(filled - jacobian.shape[1] / 2, 1.0)
-    return np.asarray(np.sqrt(freedom) * (scores @ bread), np.float64)
+    freedom = filled / max(filled - scores.shape[1] / 2, 1.0)
+    return np.asarray(np.sqrt(freedom) * (sums @ np.linalg.pinv(curvature)), np.float64)
