@@ -257,10 +257,8 @@ def _by_depth(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple
 def _peak(signal: Curve) -> int:
     """Index of the maximum of the best curve that rises to it and falls from it."""
     misfit = [
-        np.square(signal[:k] - isotonic_regression(signal[:k]).x).sum()
+        np.square(signal[: k + 1] - isotonic_regression(signal[: k + 1]).x).sum()
         + np.square(signal[k:] - isotonic_regression(signal[k:], increasing=False).x).sum()
-        if k
-        else np.square(signal - isotonic_regression(signal, increasing=False).x).sum()
         for k in range(len(signal))
     ]
     return int(np.argmin(misfit))

@@ -94,8 +94,10 @@ def gaussian_over_slit(offset_um: ArrayLike, slit_um: ArrayLike, sigma_um: Array
     half = np.where(wide, slit, sigma) / 2
     scale = 1 / (np.sqrt(2) * sigma)
     area = 0.5 * (erf((offset + half) * scale) - erf((offset - half) * scale))
-    point = np.exp(-0.5 * (offset / sigma) ** 2) / (np.sqrt(2 * np.pi) * sigma)
-    return np.asarray(np.where(wide, area / (2 * half), point))
+    mean = area / (2 * half)
+    if not wide.all():
+        mean = np.where(wide, mean, np.exp(-0.5 * (offset / sigma) ** 2) / (np.sqrt(2 * np.pi) * sigma))
+    return np.asarray(mean)
 
 
 def line_response(depth_um: ArrayLike, offset_um: ArrayLike, slit_um: ArrayLike, line: LineModel) -> Curve:

@@ -141,6 +141,14 @@ class Renderer:
         periods = frame_index + np.arange(self.frame_shape[0]) / optics.rows_per_frame
         return np.ascontiguousarray(self.trajectory.positions_um(periods * optics.frame_period_s))
 
+    def in_focus(self) -> Renderer:
+        """Return a renderer of the same views without out-of-focus light, background and noise.
+
+        Its confocal view is what perfect sectioning would give back, times the share of the signal that is kept.
+        """
+        bare = replace(self.instrument, autofluorescence=0.0, black_dn=0.0)
+        return Renderer(bare, self.scene.in_focus(), self.trajectory, noise=False)
+
     def refuse_path(self, frames: int) -> None:
         """Make sure, before the first frame is made, that the probe stays on the scene.
 

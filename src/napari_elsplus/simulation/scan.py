@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from napari_elsplus.simulation.axial_response import gaussian_over_slit, line_response
-from napari_elsplus.simulation.illumination import Edge
+from napari_elsplus.simulation.illumination import edge
 from napari_elsplus.simulation.instrument import REFERENCE_SLIT_ROWS
 from napari_elsplus.simulation.layers import Blur
 from napari_elsplus.simulation.textures import Uniform
@@ -76,7 +76,7 @@ class Scan:
 
     def __init__(self, instrument: Instrument, scene: Scene, cores: Cores) -> None:
         self._instrument, self._scene, self._cores = instrument, scene, cores
-        self._edge = Edge(instrument.bundle.radius_um, instrument.line, instrument.slit_um)
+        self._edge = edge(instrument.bundle.radius_um, instrument.line, instrument.slit_um)
         self._smear_um = instrument.slit_um / np.sqrt(12)
         self._place_on_grid()
         self.terms = tuple(term for plane in scene.planes for term in self._terms_of(plane))

@@ -1,0 +1,119 @@
+"""``simulate`` writes what other commands read, with the truth beside it."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import pytest
+
+from napari_elsplus.io import open_recording, read_volts
+from napari_elsplus.pipeline import images
+from napari_elsplus.processing.sectioning import Mode
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    Elsplus = Callable[..., Any]
+
+
+def test_a_recording_opens_with_its_calibration_and_truth(elsplus: Elsplus, tmp_path: Path) -> None:
+    path = tmp_path / "moving.ome.tif"
+    run = elsplus(
+        "simulate", "recording", "--preset", "240hz", "--scene", "nuclei", "--path", "straight", "--frames", 3,
+        "--rate-hz", 120, "-o", path,
+    )  # fmt: skip
+    assert run.code == 0, run.err
+    truth = json.loads((tmp_path / "moving.truth.json").read_text())
+    with open_recording(path) as recording:
+        assert recording.shape == (3, 524, 1328)
+        known = recording.calibration
+        assert known is not None
+        assert known.background is not None
+        els = np.array(images(recording, known, Mode.ELS)[0])
+    assert known.optics is not None
+    assert known.optics.rows_per_frame == pytest.approx(truth["rows_per_frame"]) == pytest.approx(1089.588, rel=1e-5)
+    steps = np.diff(truth["positions_mid"], axis=0) * truth["um_per_px"]
+    assert np.hypot(*steps.T) == pytest.approx([2000 / 120] * 2)
+    assert len(truth["positions"]) == 4
+    assert els.mean() > 5
+
+
+def test_same_seed_same_bytes_other_seed_others(elsplus: Elsplus, tmp_path: Path) -> None:
+    frames = []
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        elsplus("simulate", "recording", "--frames", 1, "--seed", seed, "-o", tmp_path / f"{name}.ome.tif")
+        with open_recording(tmp_path / f"{name}.ome.tif") as recording:
+            frames.append(np.array(recording[0]))
+    assert np.array_equal(frames[0], frames[1])
+    assert not np.array_equal(frames[0], frames[2])
+
+
+def test_a_calibration_set_is_what_calibrate_asks_for(elsplus: Elsplus, tmp_path: Path) -> None:
+    folder = tmp_path / "set"
+    assert elsplus("simulate", "calibration", "-o", folder).code == 0
+    truth = json.loads((folder / "truth.json").read_text())
+    volts = read_volts(folder / "sweep_volts.csv")
+    with open_recording(folder / "sweep.tif") as sweep:
+        assert len(sweep) == len(volts) == 400
+        k = 210
+        left = sweep[k][:, : sweep.shape[2] // 2].astype(float)
+    row = (volts[k] - truth["volt_0"]) / truth["volt_per_row"]
+    assert left.mean(1).argmax() == pytest.approx(row, abs=3)
+    again = elsplus("simulate", "calibration", "-o", folder)
+    assert again.code == 2
+    assert "line.tif exists" in again.err
+
+
+def test_any_image_is_a_scene_and_a_csv_file_a_path(elsplus: Elsplus, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    cv2.imwrite(str(tmp_path / "tissue.png"), rng.integers(0, 255, (900, 900)).astype(np.uint8))
+    (tmp_path / "path.csv").write_text("time_s,row_um,col_um\n0,0,0\n1,240,0\n")
+    arguments = ("simulate", "recording", "--scene", tmp_path / "tissue.png", "--path", tmp_path / "path.csv")
+    run = elsplus(*arguments, "--frames", 2, "-o", tmp_path / "r.ome.tif")
+    assert run.code == 0, run.err
+    truth = json.loads((tmp_path / "r.truth.json").read_text())
+    assert np.diff(truth["positions"], axis=0)[:, 0] * truth["um_per_px"] == pytest.approx([1, 1])
+    run = elsplus(*arguments, "--scene-um-per-px", 0.5, "--frames", 2, "-o", tmp_path / "s.ome.tif")
+    assert run.code == 2
+    assert "beyond the edge of the scene of 450 x 450 um" in run.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("recording", "--scene", "moon"), "no scene 'moon'"),
+        (("recording", "--scene", "absent.png"), "absent.png is no image"),
+        (("recording", "--scene", "plate:far"), "depth is 'far'"),
+        (("recording", "--path", "orbit"), "no path 'orbit'"),
+        (("recording", "--path", "absent.csv"), "no file absent.csv"),
+        (("recording", "--speed-um-s", "nan"), "speed is nan"),
+        (("recording", "--rate-hz", 500), "500.0 frames per second"),
+        (("recording", "--offset-um", 900), "offset is 900.0 um, beyond the bundle"),
+        (("recording", "--offset-um", -300), "do not fit a frame of 524 x 1328"),
+        (("axial", "--slit-um", 700), "slit is 700.4 um wide"),
+        (("axial", "--offset-um", "nan"), "offset_rows is nan"),
+    ],
+)
+def test_impossible_wishes_end_in_one_line_and_leave_nothing(
+    elsplus: Elsplus, tmp_path: Path, arguments: tuple[object, ...], word: str
+) -> None:
+    run = elsplus("simulate", *arguments, "-o", tmp_path / "out.ome.tif")
+    assert run.code == 2
+    assert word in run.err
+    assert len(run.err.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_existing_file_is_not_replaced_unasked(elsplus: Elsplus, tmp_path: Path) -> None:
+    truth = tmp_path / "r.truth.json"
+    truth.write_text("mine")
+    run = elsplus("simulate", "recording", "--frames", 1, "-o", tmp_path / "r.ome.tif")
+    assert run.code == 2
+    assert "r.truth.json exists" in run.err
+    assert [path.name for path in tmp_path.iterdir()] == ["r.truth.json"]
+    assert elsplus("simulate", "recording", "--frames", 1, "--force", "-o", tmp_path / "r.ome.tif").code == 0
+    assert truth.read_text() != "mine"

@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from napari_elsplus.calibration import Calibration
+from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
+from napari_elsplus.processing.axial import axial_profiles, axial_response, contrast_to_noise, fit_saturation
+
+DEPTH_UM = np.arange(0.0, 800.0, 2.0)
+
+
+def curves(depth_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """LS and residual with drop-offs that are known: LS 60 and 540 um, ELS+ 30 and 90 um, 80 % kept."""
+    ls = 100 / (1 + depth_um / 60)
+    return ls, ls - 80 / (1 + (depth_um / 30) ** 2)
+
+
+def drops(response: object) -> list[float]:
+    return [getattr(response, name).um for name in ("ls_3db", "ls_10db", "els_3db", "els_10db")]
+
+
+def test_known_curves_give_their_drop_offs() -> None:
+    response = axial_response(DEPTH_UM, *curves(DEPTH_UM))
+    assert drops(response) == pytest.approx([60, 540, 30, 90], rel=1e-3)
+    assert response.signal_kept == pytest.approx(0.8)
+    assert response.els[0] == response.ls[0] == 1
+
+
+def test_depths_in_any_order_from_any_start_repeated_and_uneven() -> None:
+    rng = np.random.default_rng(0)
+    depth = np.concatenate([np.arange(0, 100, 1.5), np.arange(100, 800, 7.0)])
+    ls, residual = curves(depth)
+    twice = rng.permutation(np.arange(2 * len(depth)) % len(depth))
+    response = axial_response(depth[twice] - 333.0, ls[twice], residual[twice])
+    assert response.contact_um == -333
+    assert drops(response) == pytest.approx([60, 540, 30, 90], rel=5e-3)
+
+
+def test_distances_count_from_contact_not_from_the_first_depth() -> None:
+    """The probe starts pressed too hard against the plate: the signal first rises."""
+    depth = np.arange(-40.0, 800.0, 2.0)
+    ls, residual = curves(np.abs(depth) * np.where(depth < 0, 0.3, 1))
+    response = axial_response(depth, ls, residual)
+    assert response.contact_um == 0
+    assert drops(response) == pytest.approx([60, 540, 30, 90], rel=5e-3)
+
+
+def test_noise_widens_the_uncertainty_that_covers_the_error() -> None:
+    rng = np.random.default_rng(1)
+    clean = curves(DEPTH_UM)
+    pulls = []
+    for _ in range(40):
+        ls, residual = (curve + rng.normal(0, 0.5, len(DEPTH_UM)) for curve in clean)
+        response = axial_response(DEPTH_UM, ls, residual)
+        assert drops(response) == pytest.approx([60, 540, 30, 90], rel=0.06)
+        for name, truth in (("ls_3db", 60), ("ls_10db", 540), ("els_3db", 30), ("els_10db", 90)):
+            drop = getattr(response, name)
+            pulls.append((drop.um - truth) / drop.uncertainty_um)
+    assert np.mean(np.abs(pulls) < 2) > 0.9
+
+
+def test_a_distance_beyond_the_scan_is_not_invented() -> None:
+    near = DEPTH_UM[DEPTH_UM < 200]
+    response = axial_response(near, *curves(near))
+    assert np.isnan(response.ls_10db.um)
+    assert response.els_10db.um == pytest.approx(90, rel=1e-2)
+    assert json.loads(json.dumps(response.content(), allow_nan=False))["ls"]["drop_10db_um"] is None
+
+
+@pytest.mark.parametrize(
+    ("depth", "ls", "residual", "error", "word"),
+    [
+        (np.arange(5.0), np.arange(4.0), np.arange(4.0), InputError, "5 depths for 4 frames"),
+        (np.zeros(9), np.arange(9.0), np.arange(9.0), InputError, "1 different depths"),
+        (np.arange(9.0), np.full(9, np.nan), np.zeros(9), InputError, "NaN"),
+        (np.arange(9.0), np.zeros(9), np.zeros(9), MeasurementError, "in contact is 0"),
+        (np.arange(9.0), 9 - np.arange(9.0), 9 - np.arange(9.0), MeasurementError, r"ELS\+ in contact is 0"),
+    ],
+)
+def test_what_cannot_be_measured_is_said(
+    depth: np.ndarray, ls: np.ndarray, residual: np.ndarray, error: type[Exception], word: str
+) -> None:
+    with pytest.raises(error, match=word):
+        axial_response(depth, ls, residual)
+
+
+def test_a_square_larger_than_the_bundle_is_refused_and_the_scale_is_needed() -> None:
+    record = {
+        "bundle": {
+            "confocal_centre": [100, 100],
+            "residual_centre": [100, 300],
+            "diameter_px": 150.0,
+            "residual_to_confocal": [[1, 0, 0], [0, 1, -200]],
+        },
+        "optics": {"um_per_px": 2.0},
+    }
+    frames = np.zeros((4, 200, 400), np.uint8)
+    with pytest.raises(MeasurementError, match="240 um does not fit into the bundle of 300 um"):
+        axial_profiles(frames, Calibration.parse(record))
+    with pytest.raises(CalibrationError, match="um_per_px"):
+        axial_profiles(frames, Calibration.parse(record | {"optics": {"line_period_s": 1e-5}}))
+
+
+def test_contrast_to_noise_has_a_best_offset_only_through_noise() -> None:
+    assert contrast_to_noise(400, 0, 0) == pytest.approx(20)
+    assert contrast_to_noise(400, 100, 0) == pytest.approx(300 / np.sqrt(500))
+    assert contrast_to_noise(400, 100, 50) < contrast_to_noise(400, 100, 0)
+
+
+def test_saturation_fit_says_when_nothing_saturates() -> None:
+    offset = np.array([12.0, 29, 40, 58, 77])
+    fit = fit_saturation(offset, [16.9, 35, 41.8, 48.4, 53])
+    assert fit.limit_um == pytest.approx(58, abs=5)
+    assert fit.rate_per_um == pytest.approx(0.032, rel=0.15)
+    with pytest.raises(MeasurementError, match="do not saturate"):
+        fit_saturation(offset, np.full(5, np.nan))
