@@ -117,9 +117,9 @@ class Edge:
                 return face
         rows_um, along_cols = self._entering(offsets_um)
         along_rows = _gaussian(self.grid_um[None, :, None] - rows_um[:, None, :], self._inner_um)
-        face = (along_rows @ along_cols) * self._disc
-        self._faces.append((offsets_um, face))
-        return face
+        leaving: Grid = (along_rows @ along_cols) * self._disc
+        self._faces.append((offsets_um, leaving))
+        return leaving
 
     def _on_chord(self, rows_um: Grid) -> Grid:
         """Share of the grid cell at each column that lies on the chord at each row; 0 off the bundle."""
