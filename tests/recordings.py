@@ -21,15 +21,19 @@ class Truth:
     calibration: Calibration
     positions: NDArray[np.float64]
     """Probe positions (row, col) at the time at which the bundle's middle row is read, px."""
+    starts: NDArray[np.float64]
+    """Positions at the start of each frame, and at the end of the last."""
     scene: NDArray[np.float32]
 
 
-def fibres(side: int, count: int, seed: int, width_px: float = 2.0) -> NDArray[np.float32]:
-    """Straight bright fibres in all directions on black, 0 to 1; `count` of them cross the scene."""
+def fibres(
+    side: int, count: int, seed: int, *, width_px: float = 2.0, half_length_px: tuple[float, float] = (100.0, 500.0)
+) -> NDArray[np.float32]:
+    """Draw `count` straight bright fibres in all directions on black, 0 to 1."""
     rng = np.random.default_rng(seed)
     image = np.zeros((side, side), np.float32)
     for _ in range(count):
-        centre, angle, half = rng.uniform(0, side, 2), rng.uniform(0, np.pi), rng.uniform(0.1, 0.4) * side
+        centre, angle, half = rng.uniform(0, side, 2), rng.uniform(0, np.pi), rng.uniform(*half_length_px)
         along = half * np.array([np.cos(angle), np.sin(angle)])
         ends = [tuple(int(v) for v in 16 * (centre + sign * along)) for sign in (-1, 1)]
         cv2.line(image, ends[0], ends[1], float(rng.uniform(0.4, 1.0)), 3, cv2.LINE_AA, 4)
@@ -52,8 +56,9 @@ def record(
     left: tuple[float, float] = (117.3, 116.6),
     right: tuple[float, float] = (109.1, 355.2),
     rows_per_frame: float = 250.0,
-    photons: float = 90.0,
+    photons: float = 900.0,
     haze: float = 0.5,
+    haze_left_over: float = 0.06,
     gain: float = 1.0,
     turn_deg: float = 0.0,
     seed: int = 0,
@@ -77,7 +82,8 @@ def record(
         for place, matrix, in_focus, brightness in zip(places, spread, (1.0, 0.0), (1.0, gain), strict=True):
             moved = starts[k] + (place[:, :1] / rows_per_frame) * (starts[k + 1] - starts[k])
             at = (cores + moved).astype(np.float32)
-            light = haze * _sample(defocused, at) + in_focus * _sample(scene, at)
+            kept = 1.0 if in_focus else 1.0 - haze_left_over
+            light = haze * kept * _sample(defocused, at) + in_focus * _sample(scene, at)
             mean += matrix @ (150 * brightness * transmission * light)
         noisy = rng.poisson(mean * photons / 150) * (150 / photons)
         frames[k] = np.clip(np.round(noisy + rng.normal(0, 0.3, noisy.shape)), 0, 255).reshape(shape)
@@ -95,7 +101,7 @@ def record(
         "frame": {"shape": shape},
     }
     calibration = Calibration.parse(content).model_copy(update={"background": np.full(shape, 4.0, np.float32)})
-    return Truth(frames, calibration, starts[:-1] + middle * np.diff(starts, axis=0), scene)
+    return Truth(frames, calibration, starts[:-1] + middle * np.diff(starts, axis=0), starts, scene)
 
 
 def smooth_path(frames: int, speed: float, side: int, seed: int) -> NDArray[np.float64]:

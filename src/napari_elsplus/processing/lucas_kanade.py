@@ -54,15 +54,22 @@ def accumulate(
     last: NDArray[np.int32],
     middle: float,
     warp: NDArray[np.float64],
+    tone: NDArray[np.float64],
     row_step: int,
     normal: NDArray[np.float64],
     right: NDArray[np.float64],
-) -> tuple[float, float, float, float]:
-    """Fill the normal equations of a step; return number of pixels, and both variances and the covariance times it."""
+) -> tuple[float, float, float, float, float]:
+    """Fill the normal equations of a step.
+
+    Returns the number of pixels; the variances of template and image and their covariance, times that number; and the
+    mean squared difference between the frames, weighted by the squared gradient: noise counts where structure is.
+    """
     normal[:] = 0.0
     right[:] = 0.0
     height = template.shape[0]
     count, sum_t, sum_i, sum_tt, sum_ti, sum_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    steep, noise_level = 0.0, 0.0
+    gain, offset = np.float32(tone[0]), np.float32(tone[1])
     for row in range(1, height - 1, row_step):
         above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
         if end <= begin:
@@ -80,13 +87,13 @@ def accumulate(
         )
         zero = np.float32(0)
         t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
-        y1, x1, yy, yx, xx, yt, xt, ye, xe = zero, zero, zero, zero, zero, zero, zero, zero, zero
+        y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
         for k in range(size):
             t = here[k]
             gx = np.float32(0.5) * (right_of[k] - left[k])
             gy = np.float32(0.5) * (under[k] - over[k])
             i = w00 * upper[k] + w01 * upper_next[k] + w10 * lower[k] + w11 * lower_next[k]
-            e = i - t
+            e = i - gain * t - offset
             t1 += t
             i1 += i
             tt += t * t
@@ -101,7 +108,10 @@ def accumulate(
             xt += gx * t
             ye += gy * e
             xe += gx * e
+            gg += (gy * gy + gx * gx) * e * e
         y = row - middle
+        noise_level += float(gg)
+        steep += float(yy) + float(xx)
         count += size
         sum_t += float(t1)
         sum_i += float(i1)
@@ -133,14 +143,20 @@ def accumulate(
     normal[4, 4] = sum_tt
     normal[4, 5] = sum_t
     normal[5, 5] = count
-    right[4] = sum_ti - sum_tt
-    right[5] = sum_i - sum_t
+    right[4] = sum_ti - tone[0] * sum_tt - tone[1] * sum_t
+    right[5] = sum_i - tone[0] * sum_t - tone[1] * count
     for i in range(_UNKNOWNS):
         for k in range(i):
             normal[i, k] = normal[k, i]
-    if count == 0:
-        return 0.0, 0.0, 0.0, 0.0
-    return count, sum_tt - sum_t * sum_t / count, sum_ii - sum_i * sum_i / count, sum_ti - sum_t * sum_i / count
+    if count == 0 or steep == 0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    return (
+        count,
+        sum_tt - sum_t * sum_t / count,
+        sum_ii - sum_i * sum_i / count,
+        sum_ti - sum_t * sum_i / count,
+        noise_level / steep,
+    )
 
 
 @kernel
@@ -208,6 +224,7 @@ def align(
     middle: float,
     row_step: int,
     steps: int,
+    tolerance_px: float,
     expected: NDArray[np.float64],
     stiffness: NDArray[np.float64],
     correlated_px: float,
@@ -227,7 +244,9 @@ def align(
     row_step : int
         Every how many rows are used.
     steps : int
-        Gauss-Newton steps.
+        Largest number of Gauss-Newton steps.
+    tolerance_px : float
+        A step that moves no pixel farther than this is the last.
     expected, stiffness : numpy.ndarray
         (4,) float64: what is known of the warp beforehand, and its inverse variance; zero leaves a parameter free.
     correlated_px : float
@@ -246,16 +265,17 @@ def align(
     """
     normal = np.empty((_UNKNOWNS, _UNKNOWNS))
     right = np.empty(_UNKNOWNS)
+    tone = np.array([1.0, 0.0])  # gain and offset of the image against the template
     ncc, count = 0.0, 0.0
     information[:] = 0.0
     for _ in range(steps):
-        count, template_sum, image_sum, both = accumulate(
-            template, image, first, last, middle, warp, row_step, normal, right
+        count, template_sum, image_sum, both, noise = accumulate(
+            template, image, first, last, middle, warp, tone, row_step, normal, right
         )
         ncc = _correlation(count, template_sum, image_sum, both)
         if ncc == 0.0:
             return 0.0, count
-        noise = max(image_sum - both * both / template_sum, 1e-6 * image_sum) / count * correlated_px
+        noise = max(noise, 1e-6 * image_sum / count) * correlated_px
         for i in range(PARAMETERS):
             normal[i, i] += stiffness[i] * noise
             right[i] += stiffness[i] * noise * (warp[i] - expected[i])
@@ -269,10 +289,13 @@ def align(
         warp[1] -= a * db
         warp[3] -= dd + s * db
         warp[0], warp[2] = a, s
+        tone += right[PARAMETERS:]
         # what is known of the warp once gain and offset are eliminated: the Schur complement, left by the elimination
         for i in range(PARAMETERS):
             for k in range(PARAMETERS):
                 information[i, k] = normal[i, k] / noise
+        if abs(db) + abs(dd) + (abs(da) + abs(ds)) * 0.5 * len(first) < tolerance_px:
+            break
     return ncc, count
 
 
@@ -303,4 +326,8 @@ def solve(normal: NDArray[np.float64], right: NDArray[np.float64]) -> bool:
         for k in range(i + 1, PARAMETERS):
             right[i] -= rest[i, k] * right[k]
         right[i] /= rest[i, i]
+    for i in range(PARAMETERS, size):
+        for k in range(i):
+            right[i] -= normal[i, k] * right[k]
+        right[i] /= normal[i, i]
     return True

@@ -184,7 +184,7 @@ class Registrar:
         expected = warp.copy()
         rigid = np.array([1e12, 0.0, 1e12, 0.0])
         scores = (0.0, 0.0)
-        for level, steps, row_step, stiff in _SCHEDULE:
+        for level, steps, tolerance_px, row_step, stiff in _SCHEDULE:
             scale = 2.0**level
             unit = np.array([1.0, scale, 1.0, scale])
             scaled = warp / unit
@@ -197,6 +197,7 @@ class Registrar:
                 self._middles[level],
                 row_step,
                 steps,
+                tolerance_px,
                 expected / unit,
                 rigid if stiff else stiffness,
                 _CORRELATED_PX / row_step / scale**2 if level == 0 else _CORRELATED_PX / scale**2,
@@ -219,7 +220,8 @@ class Registrar:
             last,
             self._middles[1],
             1,
-            4,
+            8,
+            0.1,
             scaled.copy(),
             stiffness,
             1.0,
@@ -269,8 +271,8 @@ class Registrar:
 
 
 _ROW_STEP: Final = 2
-_SCHEDULE: Final = ((2, 3, 1, True), (1, 2, 1, False), (0, 2, _ROW_STEP, False))
-"""Level of the pyramid, steps, every how many rows, whether only the translation is free."""
+_SCHEDULE: Final = ((2, 12, 0.2, 1, True), (1, 10, 0.1, 1, False), (0, 6, 0.02, _ROW_STEP, False))
+"""Level of the pyramid, steps, tolerance, every how many rows, whether only the translation is free."""
 
 
 def _support(ncc: NDArray[np.float64], cells: NDArray[np.float64]) -> NDArray[np.float64]:

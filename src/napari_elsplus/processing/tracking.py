@@ -109,8 +109,7 @@ class Tracker:
         self._segment = 0
         self._frames = 0
         self._missed = 0
-        self._score = nan
-        self._place: tuple[float, float] = (0.0, 0.0)
+        self.links: list[tuple[int, int, Displacement, Link]] = []
 
     def slot(self) -> NDArray[np.float32]:
         """Return the array into which the next image is to be written before :meth:`add` is called."""
@@ -229,6 +228,7 @@ class Tracker:
                 after = Velocity(earlier.row + shift.row - previous.row, earlier.col + shift.col - previous.col)
         moved = shutter.displacement(link.warp, after)
         here.row, here.col, here.velocity = earlier.row + moved.row, earlier.col + moved.col, after
+        self.links.append((earlier.index, here.index, moved, link))
 
     def _point(self, here: _Placed, link: Link, state: State) -> Pose:
         sigma = float(np.sqrt(np.linalg.eigvalsh(link.covariance)[-1]))
