@@ -10,6 +10,7 @@ import numpy as np
 from scipy import sparse, spatial
 
 from napari_elsplus.calibration import Calibration
+from napari_elsplus.processing.calibrate import measure_flat
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -101,6 +102,8 @@ def record(
         "frame": {"shape": shape},
     }
     calibration = Calibration.parse(content).model_copy(update={"background": np.full(shape, 4.0, np.float32)})
+    even = rng.poisson(4 + 100 * (spread[0] + spread[1]) @ transmission).reshape(1, *shape).astype(np.float32)
+    calibration = calibration.model_copy(update={"flat": measure_flat(even, calibration)})
     return Truth(frames, calibration, starts[:-1] + middle * np.diff(starts, axis=0), starts, scene)
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.frontend import Grid
 
 LEVELS: Final = 3
-RING_PX: Final = 4.0
+RIVAL_PX: Final = 4.0
 RING_THRESHOLD: Final = 0.3
 """Evidence that a link needs against every shift on the ring, in nats per pixel."""
 LEAST_OVERLAP: Final = 0.15
@@ -37,7 +37,6 @@ _CORRELATED_PX: Final = 20.0
 """Pixels that share one noise value: the front end smooths, and the core pattern is correlated."""
 _CANDIDATES: Final = 6
 _HIGH_PASS_CELLS: Final = 4.0
-_RING: Final = np.array([(np.sin(t), np.cos(t)) for t in np.arange(8) * np.pi / 4])
 
 
 @dataclass(slots=True)
@@ -144,7 +143,7 @@ class Registrar:
         information = np.empty((4, 4))
         stiffness = np.array([spread[0] ** -2, 0.0, spread[1] ** -2, 0.0])
         scores = self._descend(earlier, later, warp, stiffness, information)
-        ring = self._ring(earlier, later, warp)
+        ring = self._evidence(earlier, later, warp, information)
         return Link(Warp(*warp.tolist()), information, scores[0], scores[1] / self._pixels[0] * _ROW_STEP, ring)
 
     def search(
@@ -231,9 +230,14 @@ class Registrar:
         warp[:] = scaled * np.array([1.0, 2.0, 1.0, 2.0])
         return score
 
-    def _ring(self, earlier: View, later: View, warp: NDArray[np.float64]) -> float:
+    def _evidence(
+        self, earlier: View, later: View, warp: NDArray[np.float64], information: NDArray[np.float64]
+    ) -> float:
         first, last = self._spans[1]
-        return ring_evidence(earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, RING_PX, _RING)
+        rivals = _rivals(information)
+        if rivals is None:
+            return 0.0
+        return rival_evidence(earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, rivals)
 
     def _peaks(self, earlier: View, later: View, expected: Warp, reach_px: float) -> NDArray[np.float64]:
         """Shifts (b, d) in full-resolution pixels at the best peaks of the masked correlation, best first."""
@@ -275,6 +279,24 @@ _SCHEDULE: Final = ((2, 12, 0.2, 1, True), (1, 10, 0.1, 1, False), (0, 6, 0.02, 
 """Level of the pyramid, steps, tolerance, every how many rows, whether only the translation is free."""
 
 
+def _rivals(information: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Warps that explain the frames next best, as differences (k, 4), if they hide a shift anywhere.
+
+    They lie to both sides along the direction of the shift that is known least, the other parameters following as the
+    covariance says (a straight fibre slides along itself, and a little turned), and along the direction known best.
+    """
+    try:
+        covariance = np.linalg.inv(information)
+    except np.linalg.LinAlgError:
+        return None
+    variances, directions = np.linalg.eigh(covariance[np.ix_((1, 3), (1, 3))])
+    if not variances[0] > 0:
+        return None
+    follow = covariance[:, (1, 3)] @ directions / variances
+    weak, strong = follow[:, 1], follow[:, 0]
+    return RIVAL_PX * np.stack([weak, -weak, 2 * weak, -2 * weak, strong, -strong])
+
+
 def _support(ncc: NDArray[np.float64], cells: NDArray[np.float64]) -> NDArray[np.float64]:
     """Log-likelihood of a shift, from its correlation over so many cells of quarter resolution."""
     result: NDArray[np.float64] = -0.05 * cells * np.log1p(-(np.clip(ncc, 0, 0.999) ** 2))
@@ -292,27 +314,26 @@ def halve(fine: NDArray[np.float32], coarse: NDArray[np.float32]) -> None:
 
 
 @kernel
-def ring_evidence(
+def rival_evidence(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
     first: NDArray[np.int32],
     last: NDArray[np.int32],
     middle: float,
     warp: NDArray[np.float64],
-    radius_px: float,
-    directions: NDArray[np.float64],
+    rivals: NDArray[np.float64],
 ) -> float:
-    """Smallest evidence for a warp against the same warp shifted, on images of half resolution, nats per pixel."""
-    at = np.array([warp[0], 0.5 * warp[1], warp[2], 0.5 * warp[3]])
-    rho, count = correlation(template, image, first, last, middle, at, 1)
+    """Smallest evidence for a warp against its rivals, on images of half resolution, nats per pixel.
+
+    `rivals` (k, 4) are added to `warp`; both are in pixels of full resolution.
+    """
+    half = np.array([1.0, 0.5, 1.0, 0.5])
+    rho, count = correlation(template, image, first, last, middle, warp * half, 1)
     if count == 0:
         return 0.0
     found = 1 - min(max(rho, 0.0), 0.999) ** 2
     smallest = np.inf
-    moved = at.copy()
-    for k in range(len(directions)):
-        moved[1] = at[1] + 0.5 * radius_px * directions[k, 0]
-        moved[3] = at[3] + 0.5 * radius_px * directions[k, 1]
-        rho, count = correlation(template, image, first, last, middle, moved, 1)
+    for k in range(len(rivals)):
+        rho, count = correlation(template, image, first, last, middle, (warp + rivals[k]) * half, 1)
         smallest = min(smallest, 0.5 * np.log((1 - min(max(rho, 0.0), 0.999) ** 2) / found))
     return float(smallest)
