@@ -1,8 +1,8 @@
 """The warp between two frames, with the evidence for it: correlation, covariance, and whether another would do as well.
 
 Three stages: from the predicted warp, or else from the best few peaks of a masked correlation over all shifts, down a
-pyramid of Lucas-Kanade steps to full resolution; then the ring test asks whether a shift a few pixels away explains the
-frames as well, as it does along a straight fibre or where there is nothing to see.
+pyramid of Lucas-Kanade steps to full resolution; then the link's rivals are tried, to see whether a shift a few pixels
+away explains the frames as well, as it does along a straight fibre or where there is nothing to see.
 
 References
 ----------
@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 
 LEVELS: Final = 3
 RIVAL_PX: Final = 4.0
-RING_THRESHOLD: Final = 0.3
-"""Evidence that a link needs against every shift on the ring, in nats per pixel."""
+"""Distance of the nearest rivals of a shift."""
+LEAST_EVIDENCE: Final = 0.2
+"""Evidence that a link needs against each of its rivals, in nats per pixel."""
 LEAST_OVERLAP: Final = 0.15
 """Part of the disc that two frames must share."""
 _CORRELATED_PX: Final = 20.0
@@ -68,20 +69,20 @@ class Link(NamedTuple):
         Zero-mean normalised correlation of the overlap.
     overlap : float
         Part of the disc that both frames show.
-    ring : float
-        Evidence against the best of eight shifts around the one found, nats per pixel.
+    evidence : float
+        For this warp and against the best of its rivals, nats per pixel.
     """
 
     warp: Warp
     information: NDArray[np.float64]
     correlation: float
     overlap: float
-    ring: float
+    evidence: float
 
     @property
     def observed(self) -> bool:
         """Whether the frames themselves say that this is the shift, and no other near it."""
-        return self.ring >= RING_THRESHOLD and self.overlap >= LEAST_OVERLAP
+        return self.evidence >= LEAST_EVIDENCE and self.overlap >= LEAST_OVERLAP
 
     @property
     def covariance(self) -> NDArray[np.float64]:
@@ -143,8 +144,8 @@ class Registrar:
         information = np.empty((4, 4))
         stiffness = np.array([spread[0] ** -2, 0.0, spread[1] ** -2, 0.0])
         scores = self._descend(earlier, later, warp, stiffness, information)
-        ring = self._evidence(earlier, later, warp, information)
-        return Link(Warp(*warp.tolist()), information, scores[0], scores[1] / self._pixels[0] * _ROW_STEP, ring)
+        evidence = self._evidence(earlier, later, warp, information)
+        return Link(Warp(*warp.tolist()), information, scores[0], scores[1] / self._pixels[0] * _ROW_STEP, evidence)
 
     def search(
         self, earlier: View, later: View, expected: Warp, spread: tuple[float, float], reach_px: float

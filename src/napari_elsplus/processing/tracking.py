@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from math import hypot, nan
+from math import hypot, isfinite, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from napari_elsplus.processing.motion import Displacement, Velocity
+from napari_elsplus.processing.prediction import AT_REST, Motion
 from napari_elsplus.processing.registration import Link, Registrar, View
 
 if TYPE_CHECKING:
@@ -70,7 +71,13 @@ class Pose(NamedTuple):
     state: State
 
 
-_AT_REST: Final = Velocity(0.0, 0.0)
+SURE_CORRELATION: Final = 0.9
+"""Correlation below which a predicted link is compared with all other shifts."""
+FALL_OF_CORRELATION: Final = 0.08
+"""How far a link's correlation may lie below what was usual so far."""
+_MEMORY: Final = 0.2
+_REACH_PX: Final = 8.0
+_FIRST_REACH: Final = 0.3
 
 
 @dataclass(slots=True)
@@ -81,7 +88,7 @@ class _Placed:
     index: int = -1
     row: float = 0.0
     col: float = 0.0
-    velocity: Velocity = _AT_REST
+    velocity: Velocity = AT_REST
 
 
 class Tracker:
@@ -95,21 +102,21 @@ class Tracker:
     Attributes
     ----------
     links : list of tuple
-        (earlier frame, later frame, displacement, covariance) of every accepted link.
+        (earlier frame, later frame, displacement, link) of every accepted link.
     """
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         self.registrar = Registrar(grid)
+        self.links: list[tuple[int, int, Displacement, Link]] = []
         self._slots = [self.registrar.view() for _ in range(4)]
+        self._motion = Motion(grid.shutter)
         self._key: _Placed | None = None
+        self._last: _Placed | None = None
         self._previous: _Placed | None = None
-        self._velocity = Velocity(0.0, 0.0)
-        self._moving = False
+        self._usual = nan
         self._segment = 0
         self._frames = 0
-        self._missed = 0
-        self.links: list[tuple[int, int, Displacement, Link]] = []
 
     def slot(self) -> NDArray[np.float32]:
         """Return the array into which the next image is to be written before :meth:`add` is called."""
@@ -117,119 +124,119 @@ class Tracker:
 
     def add(self) -> Pose:
         """Track the image in the current slot."""
-        view = self.registrar.prepare(self._free())
-        index = self._frames
+        here = _Placed(self.registrar.prepare(self._free()), self._frames)
         self._frames += 1
-        here = _Placed(view, index)
         if self._key is None:
-            point = self._begin(here)
+            self._key = self._last = here
+            pose = Pose(self._segment, 0.0, 0.0, AT_REST, nan, nan, State.TRACKED)
         else:
-            point = self._continue(here) or self._restart(here) or self._coast(here)
+            pose = self._continue(here) or self._restart(here) or self._coast(here)
         self._previous = here
-        return point
+        return pose
 
     def _free(self) -> View:
-        taken = [placed.view for placed in (self._key, self._previous) if placed is not None]
+        taken = [placed.view for placed in (self._key, self._last, self._previous) if placed is not None]
         return next(view for view in self._slots if not any(view is other for other in taken))
 
-    def _begin(self, here: _Placed) -> Pose:
-        self._key, self._missed = here, 0
-        return Pose(self._segment, 0.0, 0.0, here.velocity, nan, nan, State.TRACKED)
-
     def _continue(self, here: _Placed) -> Pose | None:
-        """Link a frame to the key frame of the segment."""
-        key, previous = self._key, self._previous
+        """Link a frame to the key frame of the segment, or to the last frame that was."""
+        key, last = self._key, self._last
         assert key is not None
-        assert previous is not None
-        if self._missed == 0 and key is not previous:
-            step = self.grid.shutter.step(self._velocity, self._velocity)
-            ahead = hypot(previous.row + step.row - key.row, previous.col + step.col - key.col)
-            if ahead > KEY_FRAME_REACH * self.grid.diameter:
-                key = self._key = previous
+        assert last is not None
+        if hypot(*self._expected(key, here.index)) > KEY_FRAME_REACH * self.grid.diameter:
+            key = self._key = last
         if hypot(*self._expected(key, here.index)) > FARTHEST * self.grid.diameter:
             return None
         link = self._link(key, here)
         if link is None:
             return None
-        self._place_by(key, here, link)
-        if self._missed:
-            self._key = here
-        self._missed = 0
-        self._moving = True
-        self._velocity = here.velocity
-        return self._point(here, link, State.TRACKED)
+        self._place(key, here, link)
+        return self._track(here, link)
 
     def _restart(self, here: _Placed) -> Pose | None:
         """Start a new segment from the frame before, which itself has no place, if the two can be linked."""
-        previous = self._previous
+        previous, last = self._previous, self._last
         assert previous is not None
-        if self._missed == 0:
+        if previous is last:
             return None
+        before = self._motion, self._usual
+        self._motion, self._usual = Motion(self.grid.shutter), nan
         origin = _Placed(previous.view, previous.index)
-        link = self._link(origin, here, blind=True)
+        link = self._link(origin, here)
         if link is None:
+            self._motion, self._usual = before
             return None
-        self._place_by(origin, here, link)
+        self._place(origin, here, link)
         here.row = here.col = 0.0
-        self._key, self._missed, self._moving = here, 0, True
+        self._key = here
         self._segment += 1
-        self._velocity = here.velocity
-        return self._point(here, link, State.TRACKED)
+        return self._track(here, link)
 
     def _coast(self, here: _Placed) -> Pose:
         """Predict a frame that cannot be linked, or give the track up."""
-        self._missed += 1
-        key = self._key
+        key, last = self._key, self._last
         assert key is not None
-        ahead = self._expected(key, here.index)
-        here.velocity = self._velocity
-        here.row, here.col = key.row + ahead.row, key.col + ahead.col
-        if self._missed > PATIENCE_FRAMES or hypot(*ahead) > FARTHEST * self.grid.diameter:
+        assert last is not None
+        ahead = self._expected(last, here.index)
+        if here.index - last.index > PATIENCE_FRAMES or hypot(*ahead) > FARTHEST * self.grid.diameter:
             return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, State.LOST)
-        return Pose(self._segment, here.row, here.col, here.velocity, nan, nan, State.PREDICTED)
+        velocity = self._motion.next_velocity
+        return Pose(self._segment, last.row + ahead.row, last.col + ahead.col, velocity, nan, nan, State.PREDICTED)
 
-    def _expected(self, key: _Placed, index: int) -> Displacement:
-        """Displacement from the key frame that a steady motion since the last tracked frame suggests."""
-        v = self._velocity
-        if self._missed == 0 and self._previous is not None:
-            return Displacement(self._previous.row - key.row + v.row, self._previous.col - key.col + v.col)
-        apart = index - key.index
-        return Displacement(apart * v.row, apart * v.col)
+    def _expected(self, earlier: _Placed, index: int) -> Displacement:
+        """Displacement from a placed frame that the motion so far suggests."""
+        last = self._last
+        assert last is not None
+        if not self._motion.known:
+            return Displacement(0.0, 0.0)
+        ahead = self._motion.ahead(index - last.index)
+        return Displacement(last.row - earlier.row + ahead.row, last.col - earlier.col + ahead.col)
 
-    def _link(self, earlier: _Placed, here: _Placed, *, blind: bool = False) -> Link | None:
+    def _link(self, earlier: _Placed, here: _Placed) -> Link | None:
         """Link two frames, first where the motion suggests it, else anywhere; None if the frames do not say where."""
-        shutter = self.grid.shutter
-        velocity = Velocity(0.0, 0.0) if blind else self._velocity
-        before = velocity if blind else earlier.velocity
-        ahead = Displacement(0.0, 0.0) if blind else self._expected(earlier, here.index)
-        expected = shutter.warp(before, velocity, ahead)
-        change = 3.0 + 0.1 * hypot(*velocity)
-        spread = (change / shutter.rows_per_frame + 1e-9,) * 2
-        if self._moving and not blind:
+        shutter, motion = self.grid.shutter, self._motion
+        expected = shutter.warp(earlier.velocity, motion.next_velocity, self._expected(earlier, here.index))
+        spread = (motion.spread / shutter.rows_per_frame + 1e-9,) * 2
+        last = self._last
+        assert last is not None
+        reach = _FIRST_REACH * self.grid.diameter
+        if motion.known:
             link = self.registrar.link(earlier.view, here.view, expected, spread)
-            if link.observed and link.correlation > 0.9:
+            if link.correlation > SURE_CORRELATION and self._accepted(link):
                 return link
-        reach = 0.3 * self.grid.diameter if blind or not self._moving else 8.0 * (1 + self._missed)
+            reach = _REACH_PX * (here.index - last.index)
         found = self.registrar.search(earlier.view, here.view, expected, spread, reach)
-        return found if found is not None and found.observed else None
+        return found if found is not None and self._accepted(found) else None
 
-    def _place_by(self, earlier: _Placed, here: _Placed, link: Link) -> None:
-        shutter = self.grid.shutter
+    def _accepted(self, link: Link) -> bool:
+        """Whether the frames single out this shift, and agree about as well as frames did so far."""
+        usual = not link.correlation < self._usual - FALL_OF_CORRELATION
+        return link.observed and usual
+
+    def _place(self, earlier: _Placed, here: _Placed, link: Link) -> None:
+        """Give a frame its position and velocity."""
+        shutter, last = self.grid.shutter, self._last
+        assert last is not None
         apart = here.index - earlier.index
         if apart == 1:
             before, after = shutter.velocities(link.warp)
-            if not self._moving:
+            if not self._motion.known:
                 earlier.velocity = before
+        elif here.index - last.index == 1:
+            moved = shutter.displacement(link.warp, self._motion.next_velocity)
+            after = Velocity(earlier.row + moved.row - last.row, earlier.col + moved.col - last.col)
         else:
             after = shutter.steady(link.warp, apart)
-            previous = self._previous
-            if self._missed == 0 and previous is not None:
-                shift = shutter.displacement(link.warp, self._velocity)
-                after = Velocity(earlier.row + shift.row - previous.row, earlier.col + shift.col - previous.col)
         moved = shutter.displacement(link.warp, after)
         here.row, here.col, here.velocity = earlier.row + moved.row, earlier.col + moved.col, after
         self.links.append((earlier.index, here.index, moved, link))
 
-    def _point(self, here: _Placed, link: Link, state: State) -> Pose:
+    def _track(self, here: _Placed, link: Link) -> Pose:
+        last = self._last
+        assert last is not None
+        self._motion.follow(here.velocity, successive=here.index - last.index == 1)
+        self._last = here
+        known = isfinite(self._usual)
+        self._usual = self._usual + _MEMORY * (link.correlation - self._usual) if known else link.correlation
         sigma = float(np.sqrt(np.linalg.eigvalsh(link.covariance)[-1]))
-        return Pose(self._segment, here.row, here.col, here.velocity, link.correlation, sigma, state)
+        return Pose(self._segment, here.row, here.col, here.velocity, link.correlation, sigma, State.TRACKED)
