@@ -248,7 +248,7 @@ def align(
     tolerance_px : float
         A step that moves no pixel farther than this is the last.
     expected, stiffness : numpy.ndarray
-        (4,) float64: what is known of the warp beforehand, and its inverse variance; zero leaves a parameter free.
+        (4,) and (4, 4) float64: what is known of the warp beforehand, and its information; zero leaves a parameter free.
     correlated_px : float
         Number of pixels that share one independent noise value: scales the information.
     warp : numpy.ndarray
@@ -277,8 +277,9 @@ def align(
             return 0.0, count
         noise = max(noise, 1e-6 * image_sum / count) * correlated_px
         for i in range(PARAMETERS):
-            normal[i, i] += stiffness[i] * noise
-            right[i] += stiffness[i] * noise * (warp[i] - expected[i])
+            for k in range(PARAMETERS):
+                normal[i, k] += stiffness[i, k] * noise
+                right[i] += stiffness[i, k] * noise * (warp[k] - expected[k])
         if not solve(normal, right):
             return 0.0, count
         da, db, ds, dd = right[0], right[1], right[2], right[3]

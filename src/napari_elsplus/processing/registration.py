@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 LEVELS: Final = 3
 RIVAL_PX: Final = 4.0
 """Distance of the nearest rivals of a shift."""
-LEAST_EVIDENCE: Final = 0.2
+LEAST_EVIDENCE: Final = 0.15
 """Evidence that a link needs against each of its rivals, in nats per pixel."""
 LEAST_OVERLAP: Final = 0.15
 """Part of the disc that two frames must share."""
@@ -142,9 +142,9 @@ class Registrar:
         """
         warp = np.array(expected, float)
         information = np.empty((4, 4))
-        stiffness = np.array([spread[0] ** -2, 0.0, spread[1] ** -2, 0.0])
+        stiffness = np.diag([spread[0] ** -2, 0.0, spread[1] ** -2, 0.0])
         scores = self._descend(earlier, later, warp, stiffness, information)
-        evidence = self._evidence(earlier, later, warp, information)
+        evidence = self._evidence(earlier, later, warp, information, stiffness)
         return Link(Warp(*warp.tolist()), information, scores[0], scores[1] / self._pixels[0] * _ROW_STEP, evidence)
 
     def search(
@@ -182,7 +182,6 @@ class Registrar:
         information: NDArray[np.float64],
     ) -> tuple[float, float]:
         expected = warp.copy()
-        rigid = np.array([1e12, 0.0, 1e12, 0.0])
         scores = (0.0, 0.0)
         for level, steps, tolerance_px, row_step, stiff in _SCHEDULE:
             scale = 2.0**level
@@ -199,7 +198,7 @@ class Registrar:
                 steps,
                 tolerance_px,
                 expected / unit,
-                rigid if stiff else stiffness,
+                _RIGID if stiff else stiffness * np.outer(unit, unit),
                 _CORRELATED_PX / row_step / scale**2 if level == 0 else _CORRELATED_PX / scale**2,
                 scaled,
                 information,
@@ -212,7 +211,6 @@ class Registrar:
     def _half_resolution(self, earlier: View, later: View, warp: NDArray[np.float64]) -> tuple[float, float]:
         first, last = self._spans[1]
         scaled = warp / np.array([1.0, 2.0, 1.0, 2.0])
-        stiffness = np.array([1e12, 0.0, 1e12, 0.0])
         score = align(
             earlier.levels[1],
             later.levels[1],
@@ -223,7 +221,7 @@ class Registrar:
             8,
             0.1,
             scaled.copy(),
-            stiffness,
+            _RIGID,
             1.0,
             scaled,
             np.empty((4, 4)),
@@ -232,13 +230,26 @@ class Registrar:
         return score
 
     def _evidence(
-        self, earlier: View, later: View, warp: NDArray[np.float64], information: NDArray[np.float64]
+        self,
+        earlier: View,
+        later: View,
+        warp: NDArray[np.float64],
+        information: NDArray[np.float64],
+        stiffness: NDArray[np.float64],
     ) -> float:
-        first, last = self._spans[1]
-        rivals = _rivals(information)
-        if rivals is None:
+        """Evidence for a warp against the rivals that explain the frames next best but for a shift."""
+        try:
+            covariance = np.linalg.inv(information)
+        except np.linalg.LinAlgError:
             return 0.0
-        return rival_evidence(earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, rivals)
+        variances, directions = np.linalg.eigh(covariance[np.ix_((1, 3), (1, 3))])
+        if not variances[0] > 0:
+            return 0.0
+        first, last = self._spans[1]
+        return rival_evidence(
+            earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, covariance, stiffness, directions,
+            variances, RIVAL_PX, _CORRELATED_PX / 4,
+        )  # fmt: skip
 
     def _peaks(self, earlier: View, later: View, expected: Warp, reach_px: float) -> NDArray[np.float64]:
         """Shifts (b, d) in full-resolution pixels at the best peaks of the masked correlation, best first."""
@@ -276,26 +287,10 @@ class Registrar:
 
 
 _ROW_STEP: Final = 2
+_HELD: Final = 1e8
+_RIGID: Final = np.diag([1e12, 0.0, 1e12, 0.0])
 _SCHEDULE: Final = ((2, 12, 0.2, 1, True), (1, 10, 0.1, 1, False), (0, 6, 0.02, _ROW_STEP, False))
 """Level of the pyramid, steps, tolerance, every how many rows, whether only the translation is free."""
-
-
-def _rivals(information: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Warps that explain the frames next best, as differences (k, 4), if they hide a shift anywhere.
-
-    They lie to both sides along the direction of the shift that is known least, the other parameters following as the
-    covariance says (a straight fibre slides along itself, and a little turned), and along the direction known best.
-    """
-    try:
-        covariance = np.linalg.inv(information)
-    except np.linalg.LinAlgError:
-        return None
-    variances, directions = np.linalg.eigh(covariance[np.ix_((1, 3), (1, 3))])
-    if not variances[0] > 0:
-        return None
-    follow = covariance[:, (1, 3)] @ directions / variances
-    weak, strong = follow[:, 1], follow[:, 0]
-    return RIVAL_PX * np.stack([weak, -weak, 2 * weak, -2 * weak, strong, -strong])
 
 
 def _support(ncc: NDArray[np.float64], cells: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -322,19 +317,43 @@ def rival_evidence(
     last: NDArray[np.int32],
     middle: float,
     warp: NDArray[np.float64],
-    rivals: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+    stiffness: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    variances: NDArray[np.float64],
+    distance_px: float,
+    correlated_px: float,
 ) -> float:
     """Smallest evidence for a warp against its rivals, on images of half resolution, nats per pixel.
 
-    `rivals` (k, 4) are added to `warp`; both are in pixels of full resolution.
+    A rival is displaced along the direction of the shift that is known least, or best; it is then fitted to the frames
+    itself, but for the shift along that direction. A straight fibre slides along itself, and turned a little, unnoticed.
     """
-    half = np.array([1.0, 0.5, 1.0, 0.5])
-    rho, count = correlation(template, image, first, last, middle, warp * half, 1)
+    unit = np.array([1.0, 2.0, 1.0, 2.0])
+    information = np.empty((4, 4))
+    rho, count = correlation(template, image, first, last, middle, warp / unit, 1)
     if count == 0:
         return 0.0
     found = 1 - min(max(rho, 0.0), 0.999) ** 2
     smallest = np.inf
-    for k in range(len(rivals)):
-        rho, count = correlation(template, image, first, last, middle, (warp + rivals[k]) * half, 1)
+    for k in range(6):
+        axis, steps = (1, 1.0 + k // 2) if k < 4 else (0, 1.0)
+        shift = (1 - 2 * (k % 2)) * steps * distance_px
+        across, along = directions[0, axis], directions[1, axis]
+        rival = warp.copy()
+        for i in range(4):
+            rival[i] += shift * (covariance[i, 1] * across + covariance[i, 3] * along) / variances[axis]
+        rival /= unit
+        held = stiffness.copy()
+        held[1, 1] += _HELD * across * across
+        held[1, 3] += _HELD * across * along
+        held[3, 1] += _HELD * across * along
+        held[3, 3] += _HELD * along * along
+        for i in range(4):
+            for j in range(4):
+                held[i, j] *= unit[i] * unit[j]
+        rho, count = align(
+            template, image, first, last, middle, 1, 3, 0.02, rival.copy(), held, correlated_px, rival, information
+        )
         smallest = min(smallest, 0.5 * np.log((1 - min(max(rho, 0.0), 0.999) ** 2) / found))
     return float(smallest)
