@@ -12,16 +12,18 @@ from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.frontend import FrontEnd
 from napari_elsplus.processing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.paper_mosaic import PaperTracker
+from napari_elsplus.processing.refinement import refine
 from napari_elsplus.processing.sectioning import Mode, Sectioner
 from napari_elsplus.processing.tracking import Pose, State, Tracker
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from napari_elsplus.calibration import Calibration
-    from napari_elsplus.processing.frontend import Grid
+    from napari_elsplus.processing.grid import Grid
+    from napari_elsplus.processing.registration import View
     from napari_elsplus.processing.sectioning import Frames
 
 
@@ -34,14 +36,20 @@ class Method(StrEnum):
     """Whole-pixel template matching from frame to frame, as Thrapp and Hughes describe it: the baseline."""
 
 
-class _Method(Protocol):
-    """What a method does with one raw frame."""
+class _Tracking(Protocol):
+    """What a method does with raw frames; `raw_residual` is the frame that the residual is taken from."""
 
     grid: Grid
     scale: float
 
-    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> Pose: ...
-    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]: ...
+    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
+        """Return where a frame lies, and its image, which is good until the next call."""
+
+    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
+        """Return a frame's image, which is good until the next call."""
+
+    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
+        """Return better poses, once all frames are there."""
 
 
 class _Ours:
@@ -52,13 +60,25 @@ class _Ours:
         self._tracker = Tracker(self.grid)
         self._image = np.zeros((self.grid.side, self.grid.side), np.float32)
 
-    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> Pose:
-        self._front_end.image(raw, self._image, raw_residual)
-        self._tracker.slot()[:] = self._image
-        return self._tracker.add()
+    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
+        image = self._front_end.image(raw, self._tracker.slot(), raw_residual)
+        return self._tracker.add(), image
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
         return self._front_end.image(raw, self._image, raw_residual)
+
+    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
+        registrar = self._tracker.registrar
+        views: dict[int, View] = {}
+
+        def view(index: int) -> View:
+            if index not in views:
+                fresh = registrar.view()
+                fresh.image[:] = image(index)
+                views[index] = registrar.prepare(fresh)
+            return views[index]
+
+        return refine(poses, self._tracker.links, registrar, view)
 
 
 class _Papers:
@@ -67,11 +87,16 @@ class _Papers:
         self._tracker = PaperTracker(self._sectioner.diameter_px, self._sectioner.side)
         self.grid, self.scale = self._tracker.grid, self._tracker.scale
 
-    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> Pose:
-        return self._tracker.add(self.image(raw, raw_residual))
+    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
+        image = self.image(raw, raw_residual)
+        return self._tracker.add(image), image
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        return self._tracker.prepare(self._sectioner.image([raw, raw_residual], 0, self._mode))
+        frames = [raw] if self._mode is not Mode.ELSA else [raw, raw_residual]
+        return self._tracker.prepare(self._sectioner.image(frames, 0, self._mode))
+
+    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
+        return poses
 
 
 class Pipeline:
@@ -114,14 +139,15 @@ class Pipeline:
         method: Method | str = Method.ELSPLUS,
         insertion: Insertion | str = Insertion.DEAD_LEAF,
     ) -> None:
-        make: Callable[..., _Method] = _Ours if Method(method) is Method.ELSPLUS else _Papers
-        self._method = make(calibration, frame_shape, Mode(mode))
+        ours = Method(method) is Method.ELSPLUS
+        make: Callable[..., _Tracking] = _Ours if ours else _Papers
+        self._tracking = make(calibration, frame_shape, Mode(mode))
         self._um_per_px = np.nan
         if calibration.optics is not None and calibration.optics.um_per_px is not None:
             self._um_per_px = calibration.optics.um_per_px
         self._insertion = Insertion(insertion)
         self._weights = np.ones((self.grid.side,) * 2, np.float32)
-        if Method(method) is Method.ELSPLUS:
+        if ours:
             subtracts = Mode(mode) in (Mode.ELS, Mode.ELSA) and calibration.offset is not None
             away = calibration.offset.rows / self.grid.binning if subtracts and calibration.offset else 0.0
             self._weights = rim_weights(self.grid, away)
@@ -132,12 +158,12 @@ class Pipeline:
     @property
     def grid(self) -> Grid:
         """The grid of the tracked images and of the mosaics."""
-        return self._method.grid
+        return self._tracking.grid
 
     @property
     def camera_px_per_pixel(self) -> float:
         """Camera pixels per pixel of the mosaics."""
-        return self._method.scale
+        return self._tracking.scale
 
     def add(
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
@@ -155,27 +181,57 @@ class Pipeline:
         raw_residual : numpy.ndarray, optional
             The frame that the residual is taken from (ELSA); the same one by default.
         """
-        pose = self._method.track(raw, raw if raw_residual is None else raw_residual)
-        row = self._row(pose, frame, time_s)
-        self.poses.append(pose)
-        self.rows.append(row)
-        if pose.state is State.TRACKED:
-            self.lay(self._method.image(raw, raw if raw_residual is None else raw_residual), pose)
-        return row
+        pose, image = self._tracking.track(raw, raw if raw_residual is None else raw_residual)
+        self._note(pose, frame, time_s)
+        self._lay(image, pose)
+        return self.rows[-1]
 
-    def lay(self, image: NDArray[np.float32], pose: Pose) -> None:
-        """Lay an image into the mosaic of its segment."""
+    def track(
+        self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
+    ) -> TrackPoint:
+        """Do what :meth:`add` does, but leave the mosaics to :meth:`finish`."""
+        pose, _ = self._tracking.track(raw, raw if raw_residual is None else raw_residual)
+        self._note(pose, frame, time_s)
+        return self.rows[-1]
+
+    def finish(
+        self,
+        raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
+        watch: Callable[[Sequence[int]], Iterable[int]] = iter,
+    ) -> None:
+        """Close loops, join segments, solve for all positions at once, and lay all frames down anew.
+
+        Parameters
+        ----------
+        raw_pair : callable
+            Returns by its index, in the order in which frames were added, a raw frame and the one that its residual is
+            taken from.
+        watch : callable
+            Goes through the indices of the frames that are laid down; a progress bar, for instance.
+        """
+        self.poses = self._tracking.refine(self.poses, lambda index: self._tracking.image(*raw_pair(index)))
+        self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
+        self.mosaics = {}
+        for index in watch([k for k, pose in enumerate(self.poses) if pose.state is State.TRACKED]):
+            self._lay(self._tracking.image(*raw_pair(index)), self.poses[index])
+
+    def _note(self, pose: Pose, frame: int, time_s: float) -> None:
+        self.poses.append(pose)
+        self.rows.append(self._row(pose, frame, time_s))
+
+    def _lay(self, image: NDArray[np.float32], pose: Pose) -> None:
+        if pose.state is not State.TRACKED:
+            return
         mosaic = self.mosaics.get(pose.segment)
         if mosaic is None:
             mosaic = self.mosaics[pose.segment] = Mosaic(self.grid, self._insertion, weights=self._weights)
         mosaic.insert(image, pose.row, pose.col, pose.velocity)
 
     def _row(self, pose: Pose, frame: int, time_s: float) -> TrackPoint:
-        row_px, col_px = pose.row * self._method.scale, pose.col * self._method.scale
-        um = self._um_per_px
-        sigma = pose.sigma * self._method.scale
+        scale, um = self._tracking.scale, self._um_per_px
+        row, col = pose.row * scale, pose.col * scale
         return TrackPoint(
-            frame, time_s, pose.segment, row_px, col_px, row_px * um, col_px * um, pose.score, sigma, pose.state.value
+            frame, time_s, pose.segment, row, col, row * um, col * um, pose.score, pose.sigma * scale, pose.state.value
         )
 
 
@@ -211,9 +267,36 @@ def picture(mosaics: list[Mosaic], gap_px: int = 16) -> NDArray[np.float32]:
     return canvas
 
 
-def raw_pairs(frames: Frames, mode: Mode) -> Iterator[tuple[int, NDArray[Any], NDArray[Any]]]:
-    """Go through a recording: number of the raw frame, the frame, and the one that the residual is taken from."""
-    step = 2 if mode is Mode.ELSA else 1
-    for first in range(0, len(frames) - step + 1, step):
-        raw = frames[first]
-        yield first, raw, raw if step == 1 else frames[first + 1]
+class RawPairs:
+    """A recording as pairs of raw frames: the one that the confocal view is taken from, and the residual's.
+
+    Parameters
+    ----------
+    frames : Frames
+        Raw frames.
+    mode : Mode or str
+        ELSA takes the residual from the following frame, and every second frame only; the others take both from one.
+
+    Raises
+    ------
+    InputError
+        If the recording is too short for a single pair.
+    """
+
+    def __init__(self, frames: Frames, mode: Mode | str) -> None:
+        self._frames = frames
+        self._step = 2 if Mode(mode) is Mode.ELSA else 1
+        if len(self) == 0:
+            raise InputError(f"the recording has {len(frames)} frames", f"{Mode(mode).value} needs {self._step}")
+
+    def __len__(self) -> int:
+        return len(self._frames) // self._step
+
+    def frame(self, index: int) -> int:
+        """Index of the confocal view's frame in the recording."""
+        return self._step * index
+
+    def __call__(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the frames of the confocal and of the residual view."""
+        raw = self._frames[self.frame(index)]
+        return raw, raw if self._step == 1 else self._frames[self.frame(index) + 1]

@@ -7,7 +7,8 @@ import pytest
 
 from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.processing.frontend import FrontEnd, Grid
+from napari_elsplus.processing.frontend import FrontEnd
+from napari_elsplus.processing.grid import Grid
 from napari_elsplus.processing.sectioning import Mode
 
 SHAPE = (524, 1328)

@@ -11,7 +11,7 @@ from napari_elsplus.cli.options import FILE, calibration_option, force_option, o
 from napari_elsplus.io import open_recording, read_calibration, refuse_existing, write_mosaic, write_track
 from napari_elsplus.processing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.tracking_pipeline import Method, Pipeline, picture, raw_pairs
+from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs, picture
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,10 +45,12 @@ def command(
     with open_recording(raw) as recording:
         rows, cols = recording.shape[1:]
         pipeline = Pipeline(record, (rows, cols), mode, method=method, insertion=insertion)
-        times = recording.times_s
-        pairs = raw_pairs(recording, Mode(mode))
-        for index, frame, after in progress(pairs, describe="Tracking", total=len(recording)):
-            pipeline.add(frame, index, np.nan if times is None else float(times[index]), after)
+        pairs, times = RawPairs(recording, mode), recording.times_s
+        for index in progress(range(len(pairs)), describe="Tracking"):
+            frame = pairs.frame(index)
+            confocal, residual = pairs(index)
+            pipeline.track(confocal, frame, np.nan if times is None else float(times[frame]), residual)
+        pipeline.finish(pairs, lambda frames: progress(frames, describe="Mosaic"))
     image = picture(list(pipeline.mosaics.values()))
     um = None if record.optics is None else record.optics.um_per_px
     scale = None if um is None else um * pipeline.camera_px_per_pixel

@@ -248,7 +248,8 @@ def align(
     tolerance_px : float
         A step that moves no pixel farther than this is the last.
     expected, stiffness : numpy.ndarray
-        (4,) and (4, 4) float64: what is known of the warp beforehand, and its information; zero leaves a parameter free.
+        (4,) and (4, 4) float64: what is known of the warp beforehand, and its information; zero leaves a parameter
+        free.
     correlated_px : float
         Number of pixels that share one independent noise value: scales the information.
     warp : numpy.ndarray

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.compiled import kernel
-from napari_elsplus.processing.frontend import FIELD
+from napari_elsplus.processing.grid import FIELD
 from napari_elsplus.processing.motion import Velocity
 from napari_elsplus.processing.tiles import HeapTiles, Rectangle, TileStore, tile_rectangle
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.frontend import Grid
+    from napari_elsplus.processing.grid import Grid
 
 _RAMP: Final = 0.25
 """Part of the radius over which the weight of a frame falls off towards its rim."""

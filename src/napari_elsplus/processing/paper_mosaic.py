@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
-from napari_elsplus.processing.frontend import FIELD, Grid
+from napari_elsplus.processing.grid import FIELD, Grid
 from napari_elsplus.processing.motion import RollingShutter, Velocity
 from napari_elsplus.processing.tracking import Pose, State
 

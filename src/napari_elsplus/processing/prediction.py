@@ -1,7 +1,7 @@
 """What the motion so far suggests of the next frame, and how much that has been worth.
 
-A hand keeps its velocity, and for a moment some of its acceleration; how far the next velocity may be from that is learnt
-from how far the last ones were.
+A hand keeps its velocity, and for a moment some of its acceleration; how far the next velocity may be from that is
+learnt from how far the last ones were.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from napari_elsplus.processing.registration import Link, Registrar, View
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.frontend import Grid
+    from napari_elsplus.processing.grid import Grid
 
 KEY_FRAME_REACH: Final = 0.1
 """Displacement from the key frame, in bundle diameters, at which it is renewed."""
@@ -178,7 +178,8 @@ class Tracker:
         assert key is not None
         assert last is not None
         ahead = self._expected(last, here.index)
-        if here.index - last.index > PATIENCE_FRAMES or hypot(*ahead) > FARTHEST * self.grid.diameter:
+        gone = here.index - last.index > PATIENCE_FRAMES or hypot(*ahead) > FARTHEST * self.grid.diameter
+        if gone or not self._motion.known:
             return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, State.LOST)
         velocity = self._motion.next_velocity
         return Pose(self._segment, last.row + ahead.row, last.col + ahead.col, velocity, nan, nan, State.PREDICTED)

@@ -1,0 +1,111 @@
+"""A finished track made better: loops closed, segments joined, errors shared out, nothing left that was guessed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.processing.graph import Edge, least_squares_positions
+from napari_elsplus.processing.loops import LoopCloser, edge_covariance
+from napari_elsplus.processing.motion import Velocity
+from napari_elsplus.processing.tracking import Pose, State
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from napari_elsplus.processing.motion import Displacement
+    from napari_elsplus.processing.registration import Link, Registrar, View
+
+_NOWHERE: Final = Velocity(np.nan, np.nan)
+_LINK_STRETCH_PX: Final = 0.2
+"""What the velocity of the later frame of a link is trusted to, pixels per frame period."""
+
+
+def refine(
+    poses: Sequence[Pose],
+    links: Sequence[tuple[int, int, Displacement, Link]],
+    registrar: Registrar,
+    view: Callable[[int], View],
+) -> list[Pose]:
+    """Close loops, join segments and solve for all positions at once.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        What the tracker made of every frame.
+    links : sequence of tuple
+        The tracker's links.
+    registrar : Registrar
+        Of the same grid.
+    view : callable
+        Returns the prepared view of a frame by its index.
+
+    Returns
+    -------
+    list of Pose
+        One for every frame. Segments that were recognised as one carry the earlier one's number; predicted frames lie
+        between tracked ones, and those after the last of a segment are lost.
+    """
+    settled = settle(poses)
+    tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is State.TRACKED}
+    stretch = _LINK_STRETCH_PX / registrar.grid.shutter.rows_per_frame
+    edges = [
+        Edge(a, b, (moved.row, moved.col), edge_covariance(link, stretch))
+        for a, b, moved, link in links
+        if tracked.get(a, -1) == tracked.get(b, -2)
+    ]
+    closer = LoopCloser(registrar, view, settled)
+    segments = sorted(set(tracked.values()))
+    belongs = {segment: segment for segment in segments}
+    for n, segment in enumerate(segments):
+        edges += closer.close(segment)
+        for earlier in segments[:n]:
+            bridge = closer.join(earlier, segment)
+            if bridge:
+                edges += bridge
+                belongs[segment] = belongs[earlier]
+                break
+    positions: dict[int, tuple[float, float]] = {}
+    for group in set(belongs.values()):
+        first = min(k for k, segment in tracked.items() if belongs[segment] == group)
+        positions |= least_squares_positions(edges, first)
+    number = {group: n for n, group in enumerate(sorted(set(belongs.values())))}
+    moved = [_moved(pose, positions.get(k), number, belongs) for k, pose in enumerate(settled)]
+    return interpolate(moved)
+
+
+def settle(poses: Sequence[Pose]) -> list[Pose]:
+    """Call lost what was predicted and never linked to a later frame of its segment."""
+    last = {pose.segment: k for k, pose in enumerate(poses) if pose.state is State.TRACKED}
+    return [
+        pose._replace(row=np.nan, col=np.nan, velocity=_NOWHERE, state=State.LOST)
+        if pose.state is State.PREDICTED and k > last.get(pose.segment, -1)
+        else pose
+        for k, pose in enumerate(poses)
+    ]
+
+
+def interpolate(poses: Sequence[Pose]) -> list[Pose]:
+    """Put predicted frames onto the line between the tracked frames around them."""
+    result = list(poses)
+    known = np.array([k for k, pose in enumerate(poses) if pose.state is State.TRACKED])
+    for k, pose in enumerate(poses):
+        if pose.state is not State.PREDICTED:
+            continue
+        n = int(np.searchsorted(known, k))
+        a, b = int(known[n - 1]), int(known[n])
+        part = (k - a) / (b - a)
+        row = poses[a].row + part * (poses[b].row - poses[a].row)
+        col = poses[a].col + part * (poses[b].col - poses[a].col)
+        velocity = Velocity((poses[b].row - poses[a].row) / (b - a), (poses[b].col - poses[a].col) / (b - a))
+        result[k] = pose._replace(row=row, col=col, velocity=velocity)
+    return result
+
+
+def _moved(pose: Pose, position: tuple[float, float] | None, number: dict[int, int], belongs: dict[int, int]) -> Pose:
+    group = belongs.get(pose.segment)
+    segment = pose.segment if group is None else number[group]
+    if position is None:
+        return pose._replace(segment=segment)
+    return pose._replace(segment=segment, row=position[0], col=position[1])

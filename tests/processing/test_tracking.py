@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.tracking import State
+from napari_elsplus.tracking_pipeline import Pipeline, RawPairs
+from recordings import Truth, fibres, record, smooth_path, texture
+
+
+def track(truth: Truth, *, finish: bool = True) -> Pipeline:
+    pipeline = Pipeline(truth.calibration, truth.frames.shape[1:])
+    pairs = RawPairs(truth.frames, Mode.ELS)
+    for index in range(len(pairs)):
+        pipeline.track(pairs(index)[0], index)
+    if finish:
+        pipeline.finish(pairs)
+    return pipeline
+
+
+def errors(pipeline: Pipeline, truth: Truth) -> tuple[np.ndarray, float]:
+    """Pair errors of tracked links, px, and the drift of the segments in percent of their path."""
+    rows = pipeline.rows
+    place = np.array([(row.row_px, row.col_px) for row in rows])
+    good = np.array([row.state == "tracked" for row in rows])
+    segment = np.array([row.segment for row in rows])
+    same = good[1:] & good[:-1] & (segment[1:] == segment[:-1])
+    pair = np.hypot(*(np.diff(place, axis=0) - np.diff(truth.positions, axis=0)).T)[same]
+    step = np.hypot(*np.diff(truth.positions, axis=0).T)
+    drift = path = 0.0
+    for number in np.unique(segment[good]):
+        at = np.flatnonzero(good & (segment == number))
+        ends = [place[at[-1]] - place[at[0]], truth.positions[at[-1]] - truth.positions[at[0]]]
+        drift += float(np.hypot(*(ends[0] - ends[1])))
+        path += float(step[at[0] : at[-1]].sum())
+    return pair, 100 * drift / path
+
+
+@pytest.mark.parametrize(
+    ("speed", "options", "pair_px", "drift_percent"),
+    [
+        (33.0, {}, 0.03, 0.02),
+        (33.0, {"right": (126.4, 355.2), "gain": 0.93, "turn_deg": 0.3}, 0.03, 0.02),
+        (33.0, {"photons": 150.0}, 0.05, 0.04),
+        (0.5, {}, 0.03, 0.2),
+    ],
+    ids=["fast", "offset of the other sign, right view turned and darker", "dim", "slow"],
+)
+def test_textured_scenes(speed: float, options: dict[str, float], pair_px: float, drift_percent: float) -> None:
+    truth = record(fibres(1200, 300, 2), smooth_path(50, speed, 1200, 3), **options)  # type: ignore[arg-type]
+    pipeline = track(truth)
+    pair, drift = errors(pipeline, truth)
+    assert {row.state for row in pipeline.rows} == {"tracked"}
+    assert np.median(pair) < pair_px
+    assert drift < drift_percent
+
+
+def test_sparse_fibres_are_tracked_where_they_can_be_and_nowhere_else() -> None:
+    truth = record(fibres(1200, 45, 3, half_length_px=(80, 250)), smooth_path(60, 28.0, 1200, 5), seed=3)
+    pipeline = track(truth)
+    pair, drift = errors(pipeline, truth)
+    assert (pair > 3).sum() == 0
+    assert len(pair) > 0.6 * 59
+    assert np.median(pair) < 0.3
+    assert drift < 0.5
+
+
+def blinded(truth: Truth, first: int, last: int, level: int = 4) -> Truth:
+    frames = truth.frames.copy()
+    frames[first:last] = level
+    return Truth(frames, truth.calibration, truth.positions, truth.starts, truth.scene)
+
+
+def test_a_short_blackout_is_bridged_and_said() -> None:
+    truth = record(texture(1000, 4), smooth_path(20, 12.0, 1000, 4))
+    pipeline = track(blinded(truth, 8, 10))
+    states = [row.state for row in pipeline.rows]
+    assert states == ["tracked"] * 8 + ["predicted"] * 2 + ["tracked"] * 10
+    place = np.array([(row.row_px, row.col_px) for row in pipeline.rows])
+    assert np.abs(place - (truth.positions - truth.positions[0])).max() < 1.0
+
+
+def test_a_long_blackout_splits_the_track_and_a_known_place_joins_it_again() -> None:
+    """The probe runs along a line and back: the second segment shows what the first one saw."""
+    there = np.linspace((500.0, 350.0), (500.0, 650.0), 17)
+    truth = record(texture(1000, 5), np.concatenate([there, there[::-1]]))
+    dark = blinded(truth, 14, 23)
+    live = track(dark, finish=False)
+    assert [row.segment for row in live.rows if row.state == "tracked"] == [0] * 14 + [1] * (33 - 24)
+    pipeline = track(dark)
+    assert [row.state for row in pipeline.rows[14:24]] == ["lost"] * 10
+    assert {row.segment for row in pipeline.rows} == {0}
+    place = np.array([(row.row_px, row.col_px) for row in pipeline.rows])[24:]
+    assert np.abs(place - (truth.positions - truth.positions[0])[24:]).max() < 0.3
+
+
+@pytest.mark.parametrize("level", [0, 4, 255])
+def test_a_recording_without_structure_is_lost_after_its_first_frame(level: int) -> None:
+    truth = record(texture(600, 6), np.full((8, 2), 300.0))
+    pipeline = track(blinded(truth, 0, 7, level))
+    assert [row.state for row in pipeline.rows] == ["tracked"] + ["lost"] * 6
+    assert all(np.isnan(row.row_px) for row in pipeline.rows[1:])
+
+
+def test_one_frame_is_a_track_of_one() -> None:
+    truth = record(texture(600, 7), np.full((2, 2), 300.0))
+    pipeline = track(truth)
+    assert [(row.state, row.row_px, row.col_px) for row in pipeline.rows] == [(State.TRACKED, 0.0, 0.0)]
+    assert len(pipeline.mosaics) == 1
