@@ -6,6 +6,10 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("untimed", deadline=None)  # how fast a test is says more about the machine than about us
+settings.load_profile("untimed")
 
 
 @pytest.fixture(scope="session")
