@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.simulation import calibration_scenes as scenes
-from napari_elsplus.simulation.axial_scan import axial_scan as scan_of_plate
-from napari_elsplus.simulation.axial_scan import lit_for_plate, scan_depths_um
+from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import distal_light, empty, scene
@@ -69,11 +68,8 @@ def axial_scan() -> list[tuple[Any, ...]]:
     """Simulate a stained plate that moves away from the probe, as sectioning is measured: raw, LS, residual, ELS+."""
     instrument = lit_for_plate(Instrument.of("120hz"))
     depth_um = scan_depths_um()
-
-    def at_depth(index: int) -> NDArray[Any]:
-        return next(scan_of_plate(instrument, depth_um[index : index + 1], seed=SEED + index))
-
-    planes = _planes(instrument, len(depth_um), at_depth)
+    scan = AxialScan(instrument, depth_um, seed=SEED)
+    planes = _planes(instrument, len(scan), scan.__getitem__)
     stack = Stack("plate", planes, {"um_per_px": instrument.optics.um_per_px}, depth_um=depth_um)
     calibration = true_calibration(instrument, scenes.background(instrument, seed=SEED))
     raw = raw_layer(stack, calibration)

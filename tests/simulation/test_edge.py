@@ -20,9 +20,8 @@ def residual(offset_um: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Brightness of the residual view's cores over that in the centre, and their rows and columns (um)."""
     instrument = replace(Instrument.of("120hz", slit_um=8.8, offset_um=offset_um), autofluorescence=0.0)
     renderer = Renderer(instrument, PAPER, noise=False)
-    renderer.render(0)
     cores = instrument.bundle.cores()
-    values = renderer._values[1] / cores.transmission
+    values = renderer.core_values(0)[1] / cores.transmission
     centre = np.hypot(cores.rows_um, cores.cols_um) < 50
     return values / values[centre].mean(), cores.rows_um, cores.cols_um
 

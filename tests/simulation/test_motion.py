@@ -31,12 +31,9 @@ def errors(um_per_frame: float, rate_hz: float) -> tuple[float, float]:
     lag_s = instrument.offset_rows * instrument.optics.line_period_s
     moving = Renderer(instrument, scene("fibres"), path, noise=False)
     at_confocal_time = Renderer(instrument, scene("fibres"), Later(path, lag_s), noise=False)
-    at_confocal_time.render(0)
-    truth = at_confocal_time._values[1].copy()
-    moving.render(0)
-    simultaneous = moving._values[1].copy()
-    moving.render(1)
-    sequential = moving._values[1].copy()
+    truth = at_confocal_time.core_values(0)[1].copy()
+    simultaneous = moving.core_values(0)[1].copy()
+    sequential = moving.core_values(1)[1].copy()
     rms = np.sqrt((truth**2).mean())
     return tuple(float(np.sqrt(((seen - truth) ** 2).mean()) / rms) for seen in (sequential, simultaneous))  # type: ignore[return-value]
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @click.option("-c", "--calibration", type=FILE, help="Calibration; by default the one in or beside the scan.")
 @click.option("--depths", type=FILE, help="CSV with header `depth_um`, a line per frame; by default beside the scan.")
 @output_option
-@click.option("--plot", type=FILE, help="Also draw the curves, as PNG.")
+@click.option("--plot", type=FILE, help="Also draw the curves.")
 @force_option
 def command(
     scan: Path, calibration: Path | None, depths: Path | None, output: Path, plot: Path | None, force: bool
@@ -52,9 +52,9 @@ def command(
         path.write_text(json.dumps(response.content(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     if plot is not None:
         from napari_elsplus.figures.axial import draw_axial_response
+        from napari_elsplus.figures.files import save_figure
 
-        with replacing(plot, force=force) as path:
-            draw_axial_response(response, path)
+        save_figure(draw_axial_response(response), plot, force=force)
     for line in _summary(response):
         click.echo(line)
     click.echo(f"wrote {output}")

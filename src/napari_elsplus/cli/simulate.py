@@ -17,7 +17,7 @@ from napari_elsplus.io import beside, refuse_existing, replacing, write_calibrat
 from napari_elsplus.optics import PRESETS
 from napari_elsplus.simulation import calibration_scenes, truth
 from napari_elsplus.simulation.axial_response import LINE_MODELS
-from napari_elsplus.simulation.axial_scan import axial_scan, lit_for_plate, scan_depths_um
+from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import SCENES, Scene, picture, scene
@@ -105,7 +105,7 @@ def axial(slit_um: float, offset_um: float, state: str, seed: int, output: Path,
     depths_um = scan_depths_um()
     depths = beside(output, ".depths.csv")
     refuse_existing(depths, force=force)
-    scan = progress(axial_scan(instrument, depths_um, seed=seed), describe="depths", total=len(depths_um))
+    scan = progress(AxialScan(instrument, depths_um, seed=seed), describe="depths", total=len(depths_um))
     _write(output, scan, instrument, {"seed": seed, "state": state}, force=force, axes="ZYX")
     write_column(depths, "depth_um", depths_um, force=force)
 

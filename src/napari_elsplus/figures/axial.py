@@ -7,44 +7,53 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from napari_elsplus.figures.comparison import COLOURS
+from napari_elsplus.processing.sectioning import Mode
+
 if TYPE_CHECKING:
-    from pathlib import Path
+    from matplotlib.axes import Axes
 
     from napari_elsplus.processing.axial import AxialResponse
 
+RESIDUAL_COLOUR = "0.45"
 
-def draw_axial_response(response: AxialResponse, path: Path) -> None:
+
+def draw_axial_response(response: AxialResponse) -> Figure:
     """Draw an axial response like the paper's representative profile.
 
     Parameters
     ----------
     response : AxialResponse
         What `processing.axial.axial_response` found.
-    path : pathlib.Path
-        PNG file to write.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
     """
     figure = Figure(figsize=(7, 4.5), layout="constrained")
-    axes = figure.add_subplot()
+    plot_axial_response(figure.add_subplot(), response)
+    return figure
+
+
+def plot_axial_response(axes: Axes, response: AxialResponse) -> None:
+    """Plot an axial response onto axes."""
     distance_um = response.depth_um - response.contact_um
-    for curve, name, style in (
-        (response.ls, "LS", "C0-"),
-        (response.residual, "residual (scale of LS)", "C2--"),
-        (response.els, "ELS+", "C3-"),
-    ):
-        axes.plot(distance_um, curve, style, label=name, lw=1.5)
-    for drop, level, colour in (
-        (response.ls_3db, 0.5, "C0"),
-        (response.ls_10db, 0.1, "C0"),
-        (response.els_3db, 0.5, "C3"),
-        (response.els_10db, 0.1, "C3"),
+    axes.plot(distance_um, response.ls, color=COLOURS[Mode.LS], label="LS")
+    axes.plot(distance_um, response.residual, "--", color=RESIDUAL_COLOUR, label="residual, on the scale of LS")
+    axes.plot(distance_um, response.els, color=COLOURS[Mode.ELS], label="ELS+")
+    for drop, level, mode in (
+        (response.ls_3db, 0.5, Mode.LS),
+        (response.ls_10db, 0.1, Mode.LS),
+        (response.els_3db, 0.5, Mode.ELS),
+        (response.els_10db, 0.1, Mode.ELS),
     ):
         if np.isfinite(drop.um):
-            axes.plot(drop.um, level, "o", color=colour)
-            axes.annotate(f"{drop.um:.0f} um", (drop.um, level), (4, 5), textcoords="offset points", color=colour)
+            axes.plot(drop.um, level, "o", color=COLOURS[mode])
+            axes.annotate(f"{drop.um:.0f} um", (drop.um, level), (5, 5), textcoords="offset points")
     for level, name in ((0.5, "3 dB"), (0.1, "10 dB")):
-        axes.axhline(level, color="0.7", lw=0.8, zorder=0)
+        axes.axhline(level, color="0.8", lw=0.8, zorder=0)
         axes.text(distance_um[-1], level, name, ha="right", va="bottom", color="0.4")
-    axes.set(xlabel="distance from contact (um)", ylabel="signal, normalised in contact", ylim=(-0.05, 1.05))
-    axes.set_title(f"Axial response; signal kept {100 * response.signal_kept:.1f} %")
-    axes.legend()
-    figure.savefig(path, dpi=120, format="png")
+    axes.set(xlabel="distance from contact (um)", ylabel="signal over signal in contact", ylim=(-0.05, 1.08))
+    axes.set_title(f"Signal kept in contact: {100 * response.signal_kept:.0f} %")
+    axes.legend(frameon=False)

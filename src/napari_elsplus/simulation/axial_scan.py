@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.simulation.axial_response import line_response
-from napari_elsplus.simulation.instrument import REFERENCE_SLIT_ROWS
+from napari_elsplus.simulation.instrument import REFERENCE_SLIT_ROWS, Instrument
 from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import plate
 
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
-
-    from napari_elsplus.simulation.instrument import Instrument
 
 CONTACT_DN = 100.0
 """Mean grey level of the plate in contact, to which the light is set: single cores then stay below saturation."""
@@ -37,8 +35,8 @@ def lit_for_plate(instrument: Instrument) -> Instrument:
     return replace(instrument, light_dn=CONTACT_DN / share)
 
 
-def axial_scan(instrument: Instrument, depths_um: NDArray[np.float64], *, seed: int = 0) -> Iterator[NDArray[np.uint8]]:
-    """Raw frames of a stained plate, one at each depth.
+class AxialScan:
+    """Raw frames of a stained plate, one at each depth, rendered when they are asked for.
 
     Parameters
     ----------
@@ -49,11 +47,25 @@ def axial_scan(instrument: Instrument, depths_um: NDArray[np.float64], *, seed: 
     seed : int
         Seed of the camera's noise.
 
-    Yields
-    ------
-    numpy.ndarray
-        Raw frame (rows, cols), uint8.
+    Examples
+    --------
+    >>> scan = AxialScan(lit_for_plate(Instrument.of("120hz")), scan_depths_um())
+    >>> len(scan), bool(scan[0].mean() > 5 * scan[-1].mean())
+    (137, True)
     """
-    for k, depth_um in enumerate(depths_um):
-        scene = plate(float(depth_um) + instrument.line.gap_um)
-        yield Renderer(instrument, scene, seed=seed).render(k)
+
+    def __init__(self, instrument: Instrument, depths_um: NDArray[np.float64], *, seed: int = 0) -> None:
+        self.instrument, self.depths_um = instrument, depths_um
+        self._seed = seed
+
+    def __len__(self) -> int:
+        return len(self.depths_um)
+
+    def __getitem__(self, index: int) -> NDArray[np.uint8]:
+        """Render the frame at a depth (rows, cols)."""
+        index = range(len(self))[index]
+        scene = plate(float(self.depths_um[index]) + self.instrument.line.gap_um)
+        return Renderer(self.instrument, scene, seed=self._seed).render(index)
+
+    def __iter__(self) -> Iterator[NDArray[np.uint8]]:
+        return (self[index] for index in range(len(self)))

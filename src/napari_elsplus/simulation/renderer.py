@@ -114,6 +114,32 @@ class Renderer:
             out = np.empty(self.frame_shape, np.uint8)
         elif out.shape != self.frame_shape or out.dtype != np.uint8:
             raise InputError(f"a frame buffer {out.shape} {out.dtype}", f"give {self.frame_shape} uint8")
+        core_dn = self.core_values(frame_index, line_rows=line_rows)
+        camera = self.instrument
+        left, right = (view.spots for view in self._views)
+        expose(
+            out,
+            left.first, left.column, left.cores, left.weights, core_dn[0] * np.float32(left.scale),
+            right.first, right.column, right.cores, right.weights, core_dn[1] * np.float32(right.scale),
+            self._row_signal,
+            camera.black_dn, camera.electrons_per_dn, camera.read_noise_e, _noise_key(self._seed, frame_index),
+        )  # fmt: skip
+        return out
+
+    def core_values(self, frame_index: int, *, line_rows: NDArray[np.float64] | None = None) -> NDArray[np.float32]:
+        """Work out what each core shows in the left and right view, before pixels, background and noise.
+
+        Parameters
+        ----------
+        frame_index, line_rows
+            See :meth:`render`.
+
+        Returns
+        -------
+        numpy.ndarray
+            (2, cores) mean grey levels, cores in the order of ``instrument.bundle.cores()``; overwritten by the next
+            call.
+        """
         self._follow_line(line_rows)
         positions_um = self.row_positions_um(frame_index)
         self._refuse_outside(frame_index, positions_um)
@@ -124,16 +150,7 @@ class Renderer:
                 place_cores(self._places, view.rows_px, self._cores.rows_um, self._cores.cols_um, positions_um)
             for layer, scale, shift_um in zip(self._layers, light.scale, light.shift_um, strict=True):
                 gather(values, layer.window, 1 / layer.step_um, self._places, shift_um, scale)
-        camera = self.instrument
-        left, right = (view.spots for view in self._views)
-        expose(
-            out,
-            left.first, left.column, left.cores, left.weights, self._values[0] * np.float32(left.scale),
-            right.first, right.column, right.cores, right.weights, self._values[1] * np.float32(right.scale),
-            self._row_signal,
-            camera.black_dn, camera.electrons_per_dn, camera.read_noise_e, _noise_key(self._seed, frame_index),
-        )  # fmt: skip
-        return out
+        return self._values
 
     def row_positions_um(self, frame_index: int) -> NDArray[np.float64]:
         """Position of the probe over the scene when each camera row of a frame is read, (rows, 2) row and column."""
