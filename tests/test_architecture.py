@@ -42,7 +42,7 @@ ROOMS = (
 
 NAPARI_DOORS = {"_reader", "_writer", "_sample_data", "_screen", "_window"}
 GUI_PACKAGES = {"napari", "qtpy", "magicgui", "PyQt5", "PyQt6", "PySide2", "PySide6", "superqt", "pyqtgraph", "vispy"}
-HEAVY = ("napari", "qtpy", "cv2", "numba")
+HEAVY = ("napari", "qtpy", "PyQt6", "PySide6", "cv2", "numba")
 
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
