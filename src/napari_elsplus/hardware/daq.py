@@ -93,11 +93,16 @@ class Output:
         """Put one voltage out, now."""
         from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
-        with told_by_the_card(self.card.device):
-            if self._still is None:
+        try:
+            with told_by_the_card(self.card.device):
+                if self._still is None:
+                    self.clear()
+                    self._still, _ = self._voltage_task()
+                AnalogSingleChannelWriter(self._still.out_stream, auto_start=True).write_one_sample(volts)
+        except DeviceError:
+            with contextlib.suppress(DeviceError):  # what is raised says more
                 self.clear()
-                self._still, _ = self._voltage_task()
-            AnalogSingleChannelWriter(self._still.out_stream, auto_start=True).write_one_sample(volts)
+            raise
 
     def repeat(self, waveform: Waveform) -> None:
         """Put a burst of the waveform out after each strobe, from the card's memory."""

@@ -139,8 +139,8 @@ def _real_rig(name: str, settings: RigSettings, held: ExitStack) -> Rig:
     from napari_elsplus.hardware.u3v.discovery import choose_camera
 
     limits = settings.limits()
-    scanner = held.enter_context(DaqScanner(settings.card_settings(), limits))
     camera = held.enter_context(U3vCamera(choose_camera(settings.camera.serial), settings.camera.features()))
+    scanner = held.enter_context(DaqScanner(settings.card_settings(), limits))  # last in, first out: it parks first
     return Rig(name, camera, scanner, limits, settings.camera.strobe, park_order(scanner))
 
 

@@ -32,8 +32,8 @@ MIN_SAMPLE_RATE_HZ: Final = 20_000.0
 REARM_S: Final = 16e-6
 """The counter is deaf for so long before the next strobe; the last sample is held."""
 BRIDGE_SAMPLES: Final = 24
-TURN_S: Final = 1.5e-3
-LEAD_IN_S: Final = 0.6e-3
+TURN_S: Final = 0.9e-3
+LEAD_IN_S: Final = 0.5e-3
 """With time to spare the mirror turns, rests above the image and runs up again, instead of flying through."""
 
 
@@ -252,7 +252,9 @@ def ramp_waveform(
     natural = 2 * pi * limits.natural_hz if limits.natural_hz else None
     carried = 2 * limits.damping / natural if natural else 0.0  # the lag that the resonance itself causes
     begin, end = timing.time_s(rows[0] - 0.5 * timing.slit_rows), timing.time_s(rows[1] + 0.5 * timing.slit_rows)
-    path = _Path(begin, end, timing, shifts_rows)
+    spare = period - (end - begin) - TURN_S - LEAD_IN_S
+    guard = min(max(galvo.lag_s, 0.0), max(spare, 0.0) / 5)  # the ramp goes on while the mirror forgets the flyback
+    path = _Path(begin - 4 * guard, end + guard, timing, shifts_rows)
     fine = ceil(period * rate)  # samples of a card that were never deaf
     middles = (np.arange(fine) + 0.5) / rate  # a sample's value stands for its middle
     times = (np.arange(count)[:, None] * period + middles).ravel() + galvo.lag_s - carried

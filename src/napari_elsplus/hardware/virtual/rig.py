@@ -54,9 +54,9 @@ def simulated_rig(simulation: Simulation | None, held: ExitStack) -> Rig:
     galvo = simulation.galvo
     limits = MirrorLimits(natural_hz=galvo.natural_hz, damping=galvo.damping)
     settings = CardSettings(park_v, address=address)
-    scanner = held.enter_context(DaqScanner(settings, limits, now_s=clock.now_s))
     device = choose_camera(SERIAL, VirtualBus(plug))
     camera = held.enter_context(U3vCamera(device, Flea3, wait_for_reader=not simulation.real_time))
+    scanner = held.enter_context(DaqScanner(settings, limits, now_s=clock.now_s))  # last in, first out: it parks first
     bench = VirtualBench(optics, card, plug)
     return Rig(SIMULATED, camera, scanner, limits, StrobePhase.EXPOSURE, park_order(scanner), bench)
 
