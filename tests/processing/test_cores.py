@@ -104,3 +104,18 @@ def test_filters_leave_their_input_alone(kind: CoreFilter) -> None:
 def test_pitch_of_a_real_bundle(data_folder: Path) -> None:
     crop = tifffile.imread(data_folder / "real" / "bundle1.tif")[280:680, 430:830].astype(np.float32)
     assert core_pitch_px(crop, np.ones(crop.shape, bool)) == pytest.approx(5.2, rel=0.03)
+
+
+def test_a_bundle_of_more_cores_than_opencv_maps_at_once_is_read() -> None:
+    side = 700
+    pitch_px = 3.3
+    row, col = np.mgrid[0:side, 0:side]
+    lattice_px = 2 * np.pi / (pitch_px * np.sqrt(3) / 2)
+    waves = [np.cos(lattice_px * (row * np.sin(a) + col * np.cos(a))) for a in np.radians([0, 60, 120])]
+    flat = (1 + 0.3 * sum(waves)).astype(np.float32)
+    inside = disc(side, 690)
+    scene = (10 + row / 10 + col / 20).astype(np.float32)
+    assert len(find_cores(flat, inside)) > 32_767
+    filtered = CoreFilter.INTERPOLATE.prepared(flat, inside)(flat * scene)
+    middle = disc(side, 600)
+    assert np.abs(filtered / scene - 1)[middle].mean() < 0.02

@@ -21,6 +21,7 @@ COMMANDS: tuple[str, ...] = (
     "compare",
     "axial",
     "simulate",
+    "bench",
     "doctor",
 )
 """Names of the commands; each is the ``command`` of the module of that name in this package."""

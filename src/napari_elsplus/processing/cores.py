@@ -231,8 +231,17 @@ class CoreInterpolation:
         return out
 
 
-def _read_at(image: cv2.typing.MatLike, row: NDArray[np.float32], col: NDArray[np.float32]) -> NDArray[np.float32]:
-    values: NDArray[np.float32] = cv2.remap(image, col[:, None], row[:, None], cv2.INTER_LINEAR)[:, 0]
+@kernel
+def _read_at(image: NDArray[np.float32], row: NDArray[np.float32], col: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Bilinear values at points inside of an image, any number of them: cv2.remap takes no more than 32,766."""
+    rows, cols = image.shape
+    values = np.empty(len(row), np.float32)
+    for k in range(len(row)):
+        r, c = min(int(row[k]), rows - 2), min(int(col[k]), cols - 2)
+        down, across = row[k] - np.float32(r), col[k] - np.float32(c)
+        above = image[r, c] + across * (image[r, c + 1] - image[r, c])
+        below = image[r + 1, c] + across * (image[r + 1, c + 1] - image[r + 1, c])
+        values[k] = above + down * (below - above)
     return values
 
 

@@ -1,0 +1,88 @@
+"""``bench``: speed against accuracy, for every choice that the software makes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from napari_elsplus.cli.options import FILE
+from napari_elsplus.evaluation.harness import Chart, verdict
+from napari_elsplus.evaluation.peers import PACKAGES, environment, install
+from napari_elsplus.evaluation.registry import MODULES, benchmark
+from napari_elsplus.evaluation.table import header, lines, write_csv
+from napari_elsplus.figures.benchmark import draw_benchmark
+from napari_elsplus.figures.files import save_figure
+from napari_elsplus.io import refuse_existing
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from napari_elsplus.evaluation.harness import Result
+
+
+class _Benchmarks(click.Group):
+    """``list``, ``peers``, ``docs``, and a command for each benchmark."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [*super().list_commands(ctx), *MODULES]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        return super().get_command(ctx, cmd_name) or (_measuring(cmd_name) if cmd_name in MODULES else None)
+
+
+@click.command(cls=_Benchmarks, short_help="Speed against accuracy: table, CSV and chart.")
+def command() -> None:
+    """Measure cost and error of everything that the software could have chosen: table, CSV, chart."""
+
+
+@command.command(name="list")
+def list_benchmarks() -> None:
+    """List the benchmarks."""
+    for name in MODULES:
+        click.echo(f"{name:14} {benchmark(name).question}")
+
+
+@command.command()
+def peers() -> None:
+    """Install the peers, each into an environment of its own."""
+    for name in PACKAGES:
+        click.echo(f"{name} {install(name)} in {environment(name)}")
+
+
+def _measuring(name: str) -> click.Command:
+    def measure(out: Path, quick: bool, force: bool) -> None:
+        out.mkdir(parents=True, exist_ok=True)
+        for suffix in (".csv", ".png"):
+            refuse_existing(out / f"{name}{suffix}", force=force)
+        console = Console(stderr=True)
+        with console.status(name) as status:
+            result = benchmark(name).run(quick=quick, tell=status.update)
+        write_csv(result, out / f"{name}.csv", force=force)
+        save_figure(draw_benchmark(result), out / f"{name}.png", force=force)
+        _show(result)
+
+    question = benchmark(name).question
+    options = [
+        click.Option(["--out"], type=FILE, required=True, help="Folder for NAME.csv and NAME.png."),
+        click.Option(["--quick"], is_flag=True, help="Small cases, a single round: whether it runs, not how fast."),
+        click.Option(["--force"], is_flag=True, help="Overwrite existing output files."),
+    ]
+    return click.Command(name, callback=measure, params=list(options), help=f"{question}.", short_help=question)
+
+
+def _show(result: Result) -> None:
+    console = Console(width=None if Console().is_terminal else 180)
+    table = Table(title=result.benchmark.question, caption=result.machine)
+    for title in header(result):
+        table.add_column(title)
+    for line in lines(result):
+        table.add_row(*line)
+    console.print(table)
+    if result.benchmark.chart is Chart.PARETO:
+        for case in result.cases:
+            click.echo(f"{case}: {verdict(result, case)}")
+    for name, why in result.absent.items():
+        click.echo(f"absent: {name}: {why}")

@@ -1,0 +1,131 @@
+"""Where the laser line stands: one tilted Gaussian for all columns against a profile, a mean, a centroid, a maximum.
+
+Frames are those of rigs drawn at random (:mod:`napari_elsplus.evaluation.rigs`), which share nothing with the
+estimators: cores of unequal brightness, a halo, tilts up to 2 degrees.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.optimize import curve_fit
+
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role
+from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.processing.line import locate_line
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+WRONG_ROWS = 1.0
+"""A slit of three rows that is a row off the line loses a good part of the light."""
+
+
+class Frame(NamedTuple):
+    """The confocal view of a standing line above the dark level, and the true row at the bundle's centre column."""
+
+    view: NDArray[np.float32]
+    column: int
+    row: float
+
+
+def frame(rig: Rig, row: float = 1.3) -> Frame:
+    """One frame of a rig, the line standing that far from the centre."""
+    split = round((rig.left[1] + rig.right[1]) / 2)
+    view = rig.line(1, row)[0][:, :split].astype(np.float32)
+    return Frame(view - np.float32(rig.black_dn), round(rig.left[1]), rig.left[0] + row)
+
+
+def _cases(quick: bool) -> list[Case]:
+    seeds = range(2 if quick else 16)
+    lights = (
+        {"bright, 1000 electrons": 1000.0} if quick else {"bright, 1000 electrons": 1000.0, "dim, 30 electrons": 30.0}
+    )
+    return [
+        Case(name, [frame(Rig.draw(seed).with_photons(photons)) for seed in seeds]) for name, photons in lights.items()
+    ]
+
+
+def judge(item: Frame, answer: float) -> Judgement:
+    """Distance in rows at the centre's column."""
+    error = abs(answer - item.row)
+    return Judgement(error, failed=not error <= WRONG_ROWS)
+
+
+def tilted_gaussian(item: Frame) -> float:
+    """Ours."""
+    return locate_line(item.view).row_at(item.column)
+
+
+def brightest_pixel(item: Frame) -> float:
+    """Take the brightest pixel of one profile, as the paper does for the galvo map."""
+    return float(item.view[:, item.column].argmax())
+
+
+def gaussian_of_profile(item: Frame) -> float:
+    """Threshold one profile and fit a Gaussian to it, as the paper does for the offset."""
+    return _gaussian(item.view[:, item.column])
+
+
+def gaussian_of_mean(item: Frame) -> float:
+    """Fit a Gaussian to the mean of the middle columns."""
+    return _gaussian(_middle(item).mean(axis=1))
+
+
+def centroid_of_mean(item: Frame) -> float:
+    """Centre of mass above half the maximum of the mean of the middle columns."""
+    profile = _middle(item).mean(axis=1)
+    above = np.clip(profile - 0.5 * profile.max(), 0, None)
+    return float((above * np.arange(len(above))).sum() / above.sum())
+
+
+def _middle(item: Frame) -> NDArray[np.float32]:
+    half = item.view.shape[1] // 8
+    return item.view[:, item.column - half : item.column + half + 1]
+
+
+def _gaussian(profile: NDArray[np.float32]) -> float:
+    rows = np.arange(len(profile), dtype=float)
+    peak = int(profile.argmax())
+    bright = np.where(profile > 0.2 * profile[peak], profile, 0.0)
+    try:
+        (_, centre, _), _ = curve_fit(_bell, rows, bright, p0=(profile[peak], peak, 2.0), maxfev=400)
+    except RuntimeError:
+        raise MeasurementError("no Gaussian fits the profile", "more light") from None
+    return float(centre)
+
+
+def _bell(rows: Floats, height: float, centre: float, width: float) -> Floats:
+    return np.asarray(height * np.exp(-((rows - centre) ** 2) / (2 * width**2)), np.float64)
+
+
+def _plain(function: Callable[[Frame], float]) -> Callable[[Case], Callable[[Frame], float]]:
+    return lambda _: function
+
+
+METHODS = (
+    Method("tilted Gaussian, all columns", Role.DEFAULT, _plain(tilted_gaussian), 6),
+    Method("Gaussian, one profile", Role.PAPER, _plain(gaussian_of_profile), 3),
+    Method("brightest pixel", Role.PAPER, _plain(brightest_pixel), 1),
+    Method("Gaussian, mean of columns", Role.OPTION, _plain(gaussian_of_mean), 3),
+    Method("centroid, mean of columns", Role.OPTION, _plain(centroid_of_mean), 1),
+)
+
+BENCHMARK = Benchmark(
+    name="line",
+    question="Where the laser line stands",
+    error_label="error / rows",
+    cases=_cases,
+    methods=METHODS,
+    judge=judge,
+    remarks=(
+        "The fit also gives tilt and uncertainty, and refuses what is no line; the others do not. It runs while "
+        "calibrating, where a few milliseconds a frame cost nothing."
+    ),
+)

@@ -1,0 +1,36 @@
+"""Every benchmark by name; its module is loaded when it is asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from napari_elsplus.evaluation.harness import Benchmark
+
+MODULES: dict[str, str] = {
+    "registration": "registration",
+    "line": "line",
+    "cores": "cores",
+}
+
+
+def benchmark(name: str) -> Benchmark:
+    """Return the benchmark of that name.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+
+    Examples
+    --------
+    >>> benchmark("cores").question
+    'How to be rid of the core pattern'
+    """
+    if name not in MODULES:
+        raise InputError(f"there is no benchmark {name!r}", f"choose one of {', '.join(MODULES)}")
+    found: Benchmark = import_module(f"napari_elsplus.evaluation.choices.{MODULES[name]}").BENCHMARK
+    return found

@@ -1,0 +1,101 @@
+"""The simulated rig that benchmarks look through: calibrated as a user would, with the truth known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from napari_elsplus.processing.calibrate import measure_flat
+from napari_elsplus.processing.frontend import FrontEnd
+from napari_elsplus.simulation.calibration_scenes import background, transmission
+from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.renderer import Renderer
+from napari_elsplus.simulation.scenes import Plane, Scene, scene
+from napari_elsplus.simulation.textures import Mottle
+from napari_elsplus.simulation.truth import true_calibration
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.simulation.trajectories import Trajectory
+
+    Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SimulatedRig:
+    """An instrument, and the calibration with background and flat field that was measured on it."""
+
+    instrument: Instrument
+    calibration: Calibration
+
+    @property
+    def um_per_px(self) -> float:
+        """Micrometres per camera pixel."""
+        return self.instrument.optics.um_per_px
+
+    def recording(
+        self, looked_at: Scene, path: Trajectory | None, frames: int, *, seed: int = 0, noise: bool = True
+    ) -> NDArray[np.uint8]:
+        """Raw frames (T, rows, cols)."""
+        renderer = Renderer(self.instrument, looked_at, path, seed=seed, noise=noise)
+        return np.stack([renderer.render(k) for k in range(frames)])
+
+    def positions_px(self, path: Trajectory, frames: int) -> NDArray[np.float64]:
+        """Where the probe was, in camera pixels (T, 2), when the bundle's middle row was read."""
+        optics = self.instrument.optics
+        periods = np.arange(frames, dtype=np.float64) + self.instrument.left_centre[0] / optics.rows_per_frame
+        return np.asarray(
+            path.positions_um(np.asarray(periods * optics.frame_period_s, np.float64)) / optics.um_per_px, np.float64
+        )
+
+    def tracking_images(self, raw: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> list[Image]:
+        """Images of the front end, one for each raw frame."""
+        front_end = FrontEnd(self.calibration, self.instrument.frame_shape)
+        side = front_end.grid.side
+        return [front_end.image(frame, np.zeros((side, side), np.float32)) for frame in raw]
+
+
+@cache
+def simulated_rig(preset: str = "240hz", offset_um: float = -29.0, rate_hz: float | None = None) -> SimulatedRig:
+    """Return a calibrated rig; the geometry is the true one, background and flat field are measured."""
+    instrument = Instrument.of(preset, offset_um=offset_um, rate_hz=rate_hz)
+    known = true_calibration(instrument, background(instrument))
+    flat = measure_flat(list(transmission(instrument, seed=2)), known)
+    return SimulatedRig(instrument, known.model_copy(update={"flat": flat}))
+
+
+@dataclass(frozen=True)
+class StopAndGo:
+    """The probe rests during each frame and jumps between frames: shifts without a rolling shutter."""
+
+    positions: NDArray[np.float64]
+    frame_period_s: float
+
+    def positions_um(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Row and column at each time."""
+        frame = np.floor(times_s / self.frame_period_s + 1e-6).astype(int)
+        return np.asarray(self.positions[np.clip(frame, 0, len(self.positions) - 1)], np.float64)
+
+
+def jumps(count: int, px: float, rig: SimulatedRig, binning: int, seed: int = 0) -> StopAndGo:
+    """Pairs of resting places, that many tracking pixels apart in a random direction; pairs are far from each other."""
+    random = np.random.default_rng(seed)
+    angle = random.uniform(0, 2 * np.pi, count)
+    step = px * binning * rig.um_per_px * np.column_stack([np.sin(angle), np.cos(angle)])
+    start = random.uniform(-4000, 4000, (count, 2))
+    places = np.stack([start, start + step], axis=1).reshape(-1, 2)
+    return StopAndGo(places, rig.instrument.optics.frame_period_s)
+
+
+def tissue(name: str, seed: int = 0) -> Scene:
+    """Return a scene of the simulator by name, or `smooth`: soft mottle, in which there is hardly anything to see."""
+    if name == "smooth":
+        return Scene((Plane(Mottle(scale_um=120, seed=seed)),))
+    return scene(name, seed)

@@ -1,0 +1,138 @@
+"""Charts of benchmarks: cost against error with the Pareto front, failure maps, error against parameters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from napari_elsplus.evaluation.harness import Chart, Role, pareto
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from napari_elsplus.evaluation.harness import Result, Row
+
+COLOURS: Final = {Role.DEFAULT: "#d55e00", Role.OPTION: "#0072b2", Role.PAPER: "#000000", Role.PEER: "#009e73"}
+MARKERS: Final = {Role.DEFAULT: "*", Role.OPTION: "o", Role.PAPER: "s", Role.PEER: "^"}
+_OFTEN: Final = 0.05
+"""Methods that fail on more of the inputs than this are drawn hollow."""
+_FIELD_IN: Final = 4.6
+
+
+def draw_benchmark(result: Result) -> Figure:
+    """Draw a benchmark's result as it asks to be drawn.
+
+    Parameters
+    ----------
+    result : Result
+        What was measured.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        To be saved; it belongs to no screen.
+    """
+    match result.benchmark.chart:
+        case Chart.PARETO:
+            figure = _pareto(result)
+        case Chart.FAILURES:
+            figure = _failures(result)
+        case Chart.PARSIMONY:
+            figure = _parsimony(result)
+    figure.suptitle(result.benchmark.question)
+    absent = f"   absent: {', '.join(result.absent)}" if result.absent else ""
+    figure.supxlabel(result.machine + absent, fontsize=7, color="0.4")
+    return figure
+
+
+def _panels(count: int, height: float = 4.2) -> tuple[Figure, list[Axes]]:
+    columns = min(count, 3)
+    rows = -(-count // columns)
+    figure = Figure(figsize=(max(_FIELD_IN * columns, 7.5), height * rows + 0.8), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for unused in axes[count:]:
+        unused.set_axis_off()
+    return figure, list(axes[:count])
+
+
+def _pareto(result: Result) -> Figure:
+    figure, panels = _panels(len(result.cases))
+    for axes, case in zip(panels, result.cases, strict=True):
+        rows = [row for row in result.of_case(case) if np.isfinite(row.error)]
+        front = pareto(rows)
+        axes.plot(
+            [r.cost_us for r in front], [_shown(r.error) for r in front], color="0.6", drawstyle="steps-post", zorder=1
+        )
+        for row in rows:
+            _draw_point(axes, row)
+        lost = [row.method for row in result.of_case(case) if not np.isfinite(row.error)]
+        axes.set_title(case + (f"\nno answer: {', '.join(lost)}" if lost else ""), fontsize=10)
+        axes.set_xscale("log")
+        if all(row.error > 0 for row in rows):
+            axes.set_yscale("log")
+        axes.set_xlabel("time for each / \N{MICRO SIGN}s")
+        axes.set_ylabel(result.benchmark.error_label)
+        axes.margins(x=0.25, y=0.15)
+        axes.grid(visible=True, which="major", color="0.92")
+    return figure
+
+
+def _draw_point(axes: Axes, row: Row) -> None:
+    colour, often = COLOURS[row.role], row.failed > _OFTEN * row.items
+    axes.errorbar(row.cost_us, row.error, xerr=row.cost_spread_us, color=colour, linewidth=0.8, zorder=2)
+    axes.plot(
+        row.cost_us, row.error, MARKERS[row.role], color=colour, markerfacecolor="white" if often else colour,
+        markersize=13 if row.role is Role.DEFAULT else 7, zorder=3,
+    )  # fmt: skip
+    label = row.method + (f" ({100 * row.failed / row.items:.0f} % fail)" if row.failed else "")
+    axes.annotate(label, (row.cost_us, row.error), (5, 4), textcoords="offset points", fontsize=7, color=colour)
+
+
+def _shown(error: float) -> float:
+    return max(error, 1e-12)
+
+
+def _failures(result: Result) -> Figure:
+    """For each stress, methods down and levels across: failures, and how many of them nobody noticed."""
+    groups = list(dict.fromkeys(row.group for row in result.rows))
+    methods = list(dict.fromkeys(row.method for row in result.rows))
+    figure, panels = _panels(len(groups), 0.42 * len(methods) + 1.3)
+    for axes, group in zip(panels, groups, strict=True):
+        rows = [row for row in result.rows if row.group == group]
+        levels = list(dict.fromkeys(row.level for row in rows))
+        shares = np.full((len(methods), len(levels)), np.nan)
+        for row in rows:
+            at = methods.index(row.method), levels.index(row.level)
+            shares[at] = row.failed / row.items
+            if row.failed:
+                silent = f"\n{100 * row.silent / row.items:.0f} silent" if row.silent else "\nnoticed"
+                axes.text(
+                    at[1], at[0], f"{100 * row.failed / row.items:.0f}{silent}", ha="center", va="center", fontsize=6.5
+                )
+        axes.imshow(shares, cmap="Reds", vmin=0, vmax=1.3, aspect="auto")
+        axes.set_title(group, fontsize=10)
+        axes.set_xticks(range(len(levels)), [f"{level:g}" for level in levels], fontsize=8)
+        axes.set_yticks(range(len(methods)), methods, fontsize=7)
+    return figure
+
+
+def _parsimony(result: Result) -> Figure:
+    figure, panels = _panels(len(result.cases))
+    for axes, case in zip(panels, result.cases, strict=True):
+        rows = sorted(result.of_case(case), key=lambda row: row.parameters or 0)
+        count = {row.method: row.parameters or 0 for row in rows}
+        axes.plot(list(count.values()), [row.error for row in rows], color="0.75", zorder=1)
+        for row in rows:
+            axes.plot(count[row.method], row.error, MARKERS[row.role], color=COLOURS[row.role],
+                      markersize=13 if row.role is Role.DEFAULT else 7, zorder=3)  # fmt: skip
+            axes.annotate(row.method, (count[row.method], row.error), (5, 4), textcoords="offset points", fontsize=7)
+        axes.set_title(case, fontsize=10)
+        axes.set_xlabel("parameters")
+        axes.set_ylabel(result.benchmark.error_label)
+        if all(0 < row.error < np.inf for row in rows):
+            axes.set_yscale("log")
+        axes.margins(x=0.3, y=0.2)
+        axes.grid(visible=True, which="major", color="0.92")
+    return figure

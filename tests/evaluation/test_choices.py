@@ -1,0 +1,38 @@
+"""Every benchmark runs in its small size, whatever this machine's speed, and its default finds the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from napari_elsplus.evaluation.harness import Chart, Role
+from napari_elsplus.evaluation.registry import MODULES, benchmark
+from napari_elsplus.figures.benchmark import draw_benchmark
+from napari_elsplus.figures.files import save_figure
+
+
+@pytest.fixture(autouse=True)
+def no_peers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A peer that happens to be installed here must not decide whether the tests pass."""
+    monkeypatch.setenv("ELSPLUS_PEERS", str(tmp_path))
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_small_run_gives_every_default_a_finite_error(name: str, tmp_path: Path) -> None:
+    chosen = benchmark(name)
+    assert chosen.name == name
+    result = chosen.run(quick=True)
+    defaults = [row for row in result.rows if row.role is Role.DEFAULT]
+    assert defaults
+    if chosen.chart is not Chart.FAILURES:
+        assert all(np.isfinite(row.error) for row in defaults)
+    assert all("PyFibreBundle" in name for name in result.absent)
+    save_figure(draw_benchmark(result), tmp_path / "chart.png")
+    assert (tmp_path / "chart.png").stat().st_size > 5000
+
+
+def test_the_default_registration_is_nearer_than_whole_pixels() -> None:
+    rows = {row.method: row for row in benchmark("registration").run(quick=True).rows}
+    assert rows["link, predicted"].error < 0.1 < rows["template"].error
