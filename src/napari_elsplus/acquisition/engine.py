@@ -99,6 +99,7 @@ class Engine:
         self._run: Run | None = None
         self._shown: Shown | None = None
         self._display: tuple[str, Layout] | None = None
+        self._retired: list[Ring] = []
         self._live = self._scanning = False
         self._settling = 0
         self._configured = False
@@ -130,7 +131,7 @@ class Engine:
             )
             self._settings, self._configured = settings, True
             self._settling = SETTLING_FRAMES
-            self._shown = None
+            self._renew_images()
             if again:
                 self.start()
 
@@ -197,8 +198,6 @@ class Engine:
                 raise InputError("the camera has no settings", "configure the engine first")
             self._faults.clear()
             self._finish_run()
-            if self._shown is None:
-                self._renew_images()
             assert self._shown is not None
             camera = self._rig.camera
             run = Run(
@@ -343,6 +342,9 @@ class Engine:
                 self._finish_run()
             finally:
                 self._rig.close()
+                for ring in (*self._retired, *([self._shown.ring] if self._shown is not None else ())):
+                    ring.close()
+                self._shown, self._display = None, None
 
     def __enter__(self) -> Self:
         return self
@@ -360,6 +362,8 @@ class Engine:
         if self._shown is not None and self._display is not None and self._display[1] == images.layout:
             ring = self._shown.ring
         else:
+            if self._shown is not None:
+                self._retired.append(self._shown.ring)
             name, ring = self._make_ring(images.layout)
             self._display = (name, images.layout)
         self._shown = Shown(images, ring)
@@ -384,6 +388,8 @@ class Engine:
         self._park()
         assert self._run is not None
         self._run.stop()
+        while self._retired:
+            self._retired.pop().close()
 
     def _park(self) -> None:
         try:

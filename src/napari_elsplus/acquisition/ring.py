@@ -195,6 +195,11 @@ class Ring:
                 return stamp
         return None
 
+    def close(self) -> None:
+        """Let go of the memory; the ring cannot be used any more."""
+        del self._headers, self._states
+        self._arrays.clear()
+
 
 def _aligned(size: int) -> int:
     return -(-size // _ALIGNMENT) * _ALIGNMENT

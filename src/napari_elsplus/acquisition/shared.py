@@ -1,4 +1,4 @@
-"""Shared memory with one owner: readers attach without owning it, and what a killed owner left is swept up."""
+"""Rings in shared memory: readers attach without owning it, and what a killed owner left is swept up."""
 
 from __future__ import annotations
 
@@ -9,7 +9,12 @@ from multiprocessing import resource_tracker
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from secrets import token_hex
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+from napari_elsplus.acquisition.ring import Ring
+
+if TYPE_CHECKING:
+    from napari_elsplus.acquisition.ring import Layout
 
 _PREFIX: Final = "elsplus"
 _FOLDER: Final = Path("/dev/shm")  # only Linux shows its segments; elsewhere there is nothing to list
@@ -34,6 +39,52 @@ def attach(name: str) -> SharedMemory:
     if os.name == "posix":  # before 3.13 an attacher's exit deletes the segment, unless the tracker forgets it
         resource_tracker.unregister(f"/{segment.name}", "shared_memory")
     return segment
+
+
+class SharedRing(Ring):
+    """A ring in shared memory: made by its owner, attached to by readers in other processes.
+
+    Parameters
+    ----------
+    segment : SharedMemory
+        Where it lies; closed with the ring.
+    layout : Layout
+        The same on every side.
+    owned : bool
+        Whether the segment is deleted with the ring.
+    """
+
+    def __init__(self, segment: SharedMemory, layout: Layout, *, owned: bool) -> None:
+        super().__init__(segment.buf, layout)
+        self._segment, self._owned = segment, owned
+
+    @classmethod
+    def create(cls, layout: Layout) -> SharedRing:
+        """Make a ring that belongs to this process."""
+        return cls(create(layout.nbytes), layout, owned=True)
+
+    @classmethod
+    def attach(cls, name: str, layout: Layout) -> SharedRing:
+        """Look into another process's ring.
+
+        Raises
+        ------
+        FileNotFoundError
+            If it is gone.
+        """
+        return cls(attach(name), layout, owned=False)
+
+    @property
+    def name(self) -> str:
+        """By which others attach."""
+        return self._segment.name
+
+    def close(self) -> None:
+        """Let go of the memory; the owner deletes it."""
+        super().close()
+        self._segment.close()
+        if self._owned:
+            self._segment.unlink()
 
 
 def sweep() -> list[str]:

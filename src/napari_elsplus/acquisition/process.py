@@ -1,0 +1,200 @@
+"""The engine in a process of its own: ``python -m napari_elsplus.acquisition.process``.
+
+A frozen or killed napari then neither loses frames nor leaves the mirror moving. The process is told a key on its
+standard input, says on its standard output where it listens, and then takes commands over one connection: the name of a
+method of :class:`Server` or of the engine, and its arguments. Ten times a second it says its status. When the
+connection ends, so does the process, in order: mirror parked, recording finished, memory given back.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, Listener
+from threading import Event, Lock, Thread
+from typing import TYPE_CHECKING, Any, Final
+
+from napari_elsplus.acquisition import shared
+from napari_elsplus.acquisition.engine import Engine, Rig
+from napari_elsplus.acquisition.shared import SharedRing
+from napari_elsplus.acquisition.status import Status
+from napari_elsplus.errors import DeviceError, ElsPlusError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+
+    from napari_elsplus.acquisition.ring import Layout, Ring
+
+STATUS_PERIOD_S: Final = 0.1
+COMMANDS: Final = frozenset(
+    {
+        "configure", "use", "show", "start", "stop", "hold", "park", "scan", "record", "stop_recording",
+        "finish_recording", "fresh_frames",
+    }
+)  # fmt: skip
+"""Methods of the engine that may be called over the connection."""
+QUIT: Final = "quit"
+"""Asks the process to end; hanging up does, too."""
+_SWITCH_INTERVAL_S: Final = 5e-4
+_THREADS: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """Call a method."""
+
+    number: int
+    name: str
+    arguments: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What a command returned or raised."""
+
+    number: int
+    result: Any = None
+    error: BaseException | None = None
+
+
+class Server:
+    """Executes commands on an engine until the other side is gone.
+
+    Parameters
+    ----------
+    connection : Connection
+        To the client.
+    open_rig : callable
+        Opens a rig by its name.
+    """
+
+    def __init__(self, connection: Connection, open_rig: Callable[[str], Rig]) -> None:
+        self._connection, self._open_rig = connection, open_rig
+        self._sending = Lock()
+        self._ended = Event()
+        self._engine: Engine | None = None
+
+    def serve(self) -> None:
+        """Take commands until the connection ends; then close the engine."""
+        teller = Thread(target=self._tell, name="status", daemon=True)
+        teller.start()
+        try:
+            with ThreadPoolExecutor(_THREADS, "command") as pool:
+                while True:
+                    try:
+                        command = self._connection.recv()
+                    except (EOFError, OSError):
+                        break
+                    if command.name == QUIT:
+                        break
+                    pool.submit(self._execute, command)
+                self.close()
+        finally:
+            self._ended.set()
+            teller.join()
+            self.close()
+
+    def open(self, rig: str) -> None:
+        """Open a rig; one that is open is closed first.
+
+        Raises
+        ------
+        DeviceError
+            If it cannot be opened.
+        """
+        self.close()
+        self._engine = Engine(self._open_rig(rig), make_ring=_shared_ring)
+        gc.collect()
+        gc.freeze()  # what exists now lives as long as the process: do not look through it again while frames stream
+
+    def close(self) -> None:
+        """Close the rig."""
+        engine, self._engine = self._engine, None
+        if engine is not None:
+            engine.close()
+
+    def _execute(self, command: Command) -> None:
+        try:
+            reply = Reply(command.number, self._method(command.name)(*command.arguments))
+        except (ElsPlusError, OSError) as error:
+            reply = Reply(command.number, error=error)
+        except Exception as error:  # noqa: BLE001 a defect of ours: the other side shall hear of it, not wait for ever
+            sys.excepthook(type(error), error, error.__traceback__)
+            reply = Reply(command.number, error=RuntimeError(f"{type(error).__name__} in {command.name}: {error}"))
+        self._send(reply)
+
+    def _method(self, name: str) -> Callable[..., Any]:
+        if name == "open":
+            return self.open
+        if name == "close":
+            return self.close
+        if name not in COMMANDS:
+            raise ValueError(f"there is no command {name!r}")
+        if self._engine is None:
+            raise DeviceError("no rig is open", "connect to a rig first")
+        method: Callable[..., Any] = getattr(self._engine, name)
+        return method
+
+    def _tell(self) -> None:
+        while not self._ended.wait(STATUS_PERIOD_S):
+            engine = self._engine
+            self._send(Status() if engine is None else engine.status())
+
+    def _send(self, message: object) -> None:
+        try:
+            with self._sending:
+                self._connection.send(message)
+        except OSError:  # the other side is gone; `serve` notices by itself
+            self._ended.set()
+
+
+def _shared_ring(layout: Layout) -> tuple[str, Ring]:
+    ring = SharedRing.create(layout)
+    return ring.name, ring
+
+
+def run(open_rig: Callable[[str], Rig]) -> None:
+    """Be the engine's process: meet the client, serve it, leave nothing behind.
+
+    Parameters
+    ----------
+    open_rig : callable
+        Opens a rig by its name.
+    """
+    shared.sweep()
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the client, who then hangs up
+    key = bytes.fromhex(sys.stdin.readline())
+    met = Event()
+    Thread(target=_leave_with_the_client, args=(met,), name="orphan-watch", daemon=True).start()
+    with Listener(authkey=key) as listener:
+        sys.stdout.write(f"{listener.address!r}\n")
+        sys.stdout.flush()
+        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever prints from now on must not fill the pipe
+        connection = listener.accept()
+    met.set()
+
+    def hang_up(_signal: int, _frame: FrameType | None) -> None:
+        connection.close()
+
+    signal.signal(signal.SIGTERM, hang_up)
+    with connection:
+        Server(connection, open_rig).serve()
+
+
+def _leave_with_the_client(met: Event) -> None:
+    """End this process if the client dies before it has come."""
+    sys.stdin.read()
+    if not met.is_set():
+        os._exit(1)
+
+
+if __name__ == "__main__":
+    from napari_elsplus.hardware.rigs import open_rig
+
+    run(open_rig)
