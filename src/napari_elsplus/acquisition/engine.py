@@ -236,19 +236,22 @@ class Engine:
             self._scanning = False
             self._rig.scanner.park()
 
-    def scan(self) -> None:
-        """Scan as the calibration says.
+    def scan(self, by: Calibration | None = None) -> None:
+        """Scan as a calibration says; as the one in force if none is given.
 
         Raises
         ------
         CalibrationError
             If galvo or bundle was not measured.
+        InputError
+            If there is no calibration, or the ramp does not fit.
         """
         with self._lock:
-            if self._calibration is None:
+            calibration = by or self._calibration
+            if calibration is None:
                 raise InputError("there is no calibration to scan by", "calibrate, or load a calibration")
-            self._calibration.require("galvo", "bundle")
-            self._scan()
+            calibration.require("galvo", "bundle")
+            self._scan(calibration)
 
     # recording
 
@@ -294,6 +297,21 @@ class Engine:
     def display(self) -> Ring | None:
         """The ring in which images are shown."""
         return self._shown.ring if self._shown is not None else None
+
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """Rows and columns of a raw frame."""
+        return self._rig.camera.frame_shape
+
+    @property
+    def line_period_s(self) -> float:
+        """Seconds from the readout of one row to that of the next."""
+        return self._rig.camera.line_period_s
+
+    @property
+    def frame_period_s(self) -> float:
+        """Seconds from one frame to the next."""
+        return self._rig.camera.rows_per_frame * self._rig.camera.line_period_s
 
     @property
     def calibration(self) -> Calibration | None:
@@ -370,9 +388,9 @@ class Engine:
         if self._run is not None:
             self._run.processing.shown = self._shown
 
-    def _scan(self) -> None:
+    def _scan(self, by: Calibration | None = None) -> None:
         """Put the mirror into step with the camera, as far as the calibration knows how."""
-        calibration, camera = self._calibration, self._rig.camera
+        calibration, camera = by or self._calibration, self._rig.camera
         self._scanning = False
         if calibration is None or calibration.galvo is None or calibration.bundle is None:
             return

@@ -1,0 +1,206 @@
+"""The calibration's steps on a live rig: move the mirror, wait until it stands, take frames, measure.
+
+Each step streams if nothing streams yet, and leaves the mirror parked whatever happens. The measuring itself is that of
+:mod:`napari_elsplus.processing.calibrate`.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.processing.calibrate import (
+    Background,
+    Pair,
+    SlitOffset,
+    locate_pair,
+    map_galvo,
+    mean_frame,
+    measure_background,
+    measure_offset,
+)
+from napari_elsplus.processing.lag import ScanLag, fit_lag
+from napari_elsplus.processing.sectioning import Sectioner, disc
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.acquisition.engine import Engine
+    from napari_elsplus.processing.galvo import GalvoMap
+
+    Watch = Callable[[Iterable[int]], Iterable[int]]
+
+BACKGROUND_FRAMES: Final = 50
+"""As the paper takes them."""
+LINE_FRAMES: Final = 10
+BUNDLE_FRAMES: Final = 20
+LAG_FRAMES: Final = 4
+SETTLED_S: Final = 2e-3
+"""A galvo of 1 kHz stands still by then."""
+_FRAMES_IN_FLIGHT: Final = 2
+_COARSE_STEP_ROWS: Final = 5.0
+_FINE_STEP_ROWS: Final = 1.5
+_FINE_STEPS: Final = 8
+LONGEST_LAG_S: Final = 0.8e-3
+
+
+def take_standing(engine: Engine, volts: float, count: int) -> NDArray[np.uint8]:
+    """Take frames, (count, rows, cols), of the line standing at a voltage."""
+    engine.hold(volts)
+    return engine.fresh_frames(count, _exposed_after(engine, time.perf_counter() + SETTLED_S))
+
+
+def take_sweep(engine: Engine, volts: NDArray[np.floating], watch: Watch = iter) -> NDArray[np.uint8]:
+    """Take one frame, (voltages, rows, cols), of the line standing at each voltage.
+
+    Parameters
+    ----------
+    engine : Engine
+        Streaming or not.
+    volts : numpy.ndarray
+        Voltages, shape (voltages,).
+    watch : callable
+        Wraps the numbers of the voltages, to show how far it is, or to give up.
+    """
+    with _streaming(engine):
+        rows, cols = engine.frame_shape
+        frames = np.empty((len(volts), rows, cols), np.uint8)
+        for number in watch(range(len(volts))):
+            frames[number] = take_standing(engine, float(volts[number]), 1)[0]
+    return frames
+
+
+def take_line(engine: Engine, volts: float, count: int = LINE_FRAMES) -> NDArray[np.uint8]:
+    """Take frames, (count, rows, cols), of the line standing near the middle of the bundle."""
+    with _streaming(engine):
+        return take_standing(engine, volts, count)
+
+
+def take_parked(engine: Engine, count: int) -> NDArray[np.uint8]:
+    """Take frames, (count, rows, cols), without the laser line: the bundle lit from its far end."""
+    with _streaming(engine):
+        engine.park()
+        return engine.fresh_frames(count, _exposed_after(engine, time.perf_counter() + SETTLED_S))
+
+
+def take_scanned(engine: Engine, count: int) -> NDArray[np.uint8]:
+    """Take frames, (count, rows, cols), while the mirror scans."""
+    with _streaming(engine):
+        engine.scan()
+        return engine.fresh_frames(count, _exposed_after(engine, time.perf_counter() + SETTLED_S))
+
+
+def offset(
+    engine: Engine, volts: float, background: NDArray[np.float32] | None = None, pair: Pair | None = None
+) -> SlitOffset:
+    """Step (i) live: the line held at a voltage; see :func:`napari_elsplus.processing.calibrate.measure_offset`."""
+    return measure_offset(take_line(engine, volts), background, pair)
+
+
+def sweep(
+    engine: Engine,
+    volts: NDArray[np.floating],
+    background: NDArray[np.float32] | None = None,
+    pair: Pair | None = None,
+    watch: Watch = iter,
+) -> GalvoMap:
+    """Step (ii) live: a sweep of voltages; see :func:`napari_elsplus.processing.calibrate.map_galvo`."""
+    return map_galvo(take_sweep(engine, volts, watch), volts, background, pair)
+
+
+def bundle(engine: Engine) -> Pair:
+    """Step (iii) live, lit from the far end; see :func:`napari_elsplus.processing.calibrate.locate_pair`."""
+    return locate_pair(take_parked(engine, BUNDLE_FRAMES))
+
+
+def background(engine: Engine) -> Background:
+    """Background live, in the dark tube; see :func:`napari_elsplus.processing.calibrate.measure_background`."""
+    return measure_background(take_scanned(engine, BACKGROUND_FRAMES))
+
+
+def lag(engine: Engine, watch: Watch = iter) -> ScanLag:
+    """Scan at full speed with one lead after the other, and find the lead that puts most light through the slit.
+
+    Parameters
+    ----------
+    engine : Engine
+        With a calibration that knows galvo and bundle; the probe on something that fluoresces.
+    watch : callable
+        Wraps the numbers of the leads, to show how far it is, or to give up.
+
+    Returns
+    -------
+    ScanLag
+        The lag with its uncertainty, and what was measured.
+
+    Raises
+    ------
+    MeasurementError
+        If the signal has no maximum.
+    """
+    calibration = engine.calibration
+    if calibration is not None:
+        calibration.require("galvo", "bundle")
+    with _streaming(engine):
+        measured = _LagScan(engine)
+        line_s = measured.line_period_s
+        coarse = np.arange(0.0, LONGEST_LAG_S, _COARSE_STEP_ROWS * line_s)
+        fine = np.arange(-_FINE_STEPS, _FINE_STEPS + 1) * _FINE_STEP_ROWS * line_s
+        best = 0.0
+        for number in watch(range(len(coarse) + len(fine))):
+            if number < len(coarse):
+                measured.add(coarse[number])
+                best = measured.best_s
+            else:
+                measured.add(best + fine[number - len(coarse)])
+    return fit_lag(np.array(measured.leads_s), np.array(measured.signal), line_s)
+
+
+class _LagScan:
+    """Signal against lead."""
+
+    def __init__(self, engine: Engine) -> None:
+        engine.scan()
+        calibration = engine.calibration
+        assert calibration is not None
+        assert calibration.galvo is not None
+        self._engine, self._calibration, self._galvo = engine, calibration, calibration.galvo
+        self._sectioner = Sectioner(calibration, engine.frame_shape)
+        self._inside = disc(self._sectioner.side, 0.9 * self._sectioner.diameter_px)
+        self.line_period_s = engine.line_period_s
+        self.leads_s: list[float] = []
+        self.signal: list[float] = []
+
+    @property
+    def best_s(self) -> float:
+        return self.leads_s[int(np.argmax(self.signal))]
+
+    def add(self, lead_s: float) -> None:
+        galvo = self._galvo.model_copy(update={"lag_s": float(lead_s)})
+        self._engine.scan(self._calibration.model_copy(update={"galvo": galvo}))
+        frames = self._engine.fresh_frames(LAG_FRAMES, _exposed_after(self._engine, time.perf_counter() + SETTLED_S))
+        self.leads_s.append(float(lead_s))
+        self.signal.append(float(self._sectioner.ls(mean_frame(frames))[self._inside].mean()))
+
+
+def _exposed_after(engine: Engine, time_s: float) -> float:
+    """When the last byte of a frame has come that began after a moment, frames on their way included."""
+    return time_s + (1 + _FRAMES_IN_FLIGHT) * engine.frame_period_s
+
+
+@contextmanager
+def _streaming(engine: Engine) -> Iterator[None]:
+    was_live = engine.status().live
+    if not was_live:
+        engine.start()
+    try:
+        yield
+    finally:
+        engine.park()
+        if not was_live:
+            engine.stop()

@@ -1,0 +1,102 @@
+"""The scan's lag: what a static sweep cannot see, fitted from the signal at full speed.
+
+The mirror answers late and the trigger has a delay, so a scan must run ahead of the slit by a lead. The light that
+passes the slit is largest where the lead equals the lag; against the lead it falls off as the line's profile does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import curve_fit
+
+from napari_elsplus.errors import MeasurementError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+_REACH_ROWS = 13.0
+"""Leads that are farther than this from the best one show the halo of the line, not the line."""
+_LEAST_POINTS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class ScanLag:
+    """How much the line is late.
+
+    Parameters
+    ----------
+    lag_s, uncertainty_s : float
+        The lag and its standard deviation.
+    leads_s, signal : numpy.ndarray
+        What was measured: mean confocal grey level at each lead.
+    """
+
+    lag_s: float
+    uncertainty_s: float
+    leads_s: Floats
+    signal: Floats
+
+
+def fit_lag(leads_s: Floats, signal: Floats, line_period_s: float) -> ScanLag:
+    """Find the lead at which the signal is largest.
+
+    Parameters
+    ----------
+    leads_s : numpy.ndarray
+        Leads that were tried, shape (n,).
+    signal : numpy.ndarray
+        Mean confocal grey level at each, shape (n,).
+    line_period_s : float
+        Seconds from one row to the next.
+
+    Returns
+    -------
+    ScanLag
+        The maximum of a Gaussian on a pedestal, fitted to the leads near the best one.
+
+    Raises
+    ------
+    MeasurementError
+        If the signal has no maximum within the leads.
+
+    Examples
+    --------
+    >>> leads = np.linspace(0, 400e-6, 41)
+    >>> found = fit_lag(leads, 20 + 60 * np.exp(-0.5 * ((leads - 215e-6) / 40e-6) ** 2), 7.648e-6)
+    >>> round(1e6 * found.lag_s, 1)
+    215.0
+    """
+    rows = leads_s / line_period_s
+    best = rows[int(np.argmax(signal))]
+    near = np.abs(rows - best) <= _REACH_ROWS
+    x, y = rows[near], signal[near]
+    span = float(y.max() - y.min())
+    if len(x) < _LEAST_POINTS or span <= 0 or not x.min() < best < x.max():
+        raise MeasurementError(
+            f"the signal has no maximum at leads of {1e6 * leads_s.min():.0f} to {1e6 * leads_s.max():.0f} us",
+            "put the probe onto something that fluoresces evenly, and check the galvo map",
+        )
+    start = (best, 5.0, span, float(y.min()))
+    try:
+        found, covariance = curve_fit(
+            _gaussian, x, y, p0=start, bounds=((x.min(), 1.0, 0, -np.inf), (x.max(), 60.0, np.inf, np.inf))
+        )
+    except RuntimeError:
+        found, covariance = np.array(start), np.full((4, 4), np.inf)
+    uncertainty = float(np.sqrt(covariance[0, 0]))
+    if not uncertainty < 0.5 * _REACH_ROWS or found[2] < 0.05 * abs(y.max()):
+        raise MeasurementError(
+            f"the signal hardly depends on the lead ({100 * span / max(abs(float(y.max())), 1e-9):.1f} %)",
+            "put the probe onto something that fluoresces evenly, and raise the light",
+        )
+    return ScanLag(float(found[0]) * line_period_s, uncertainty * line_period_s, leads_s, signal)
+
+
+def _gaussian(x: Floats, middle: float, sigma: float, height: float, floor: float) -> Floats:
+    result: Floats = floor + height * np.exp(-0.5 * ((x - middle) / sigma) ** 2)
+    return result
