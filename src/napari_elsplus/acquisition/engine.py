@@ -304,6 +304,16 @@ class Engine:
         return self._rig.camera.frame_shape
 
     @property
+    def sensor_origin(self) -> tuple[int, int]:
+        """Row and column of the sensor at which frames begin."""
+        return preset(self._settings.preset).sensor_origin
+
+    @property
+    def limits(self) -> MirrorLimits:
+        """What the mirror may be asked for."""
+        return self._rig.limits
+
+    @property
     def line_period_s(self) -> float:
         """Seconds from the readout of one row to that of the next."""
         return self._rig.camera.line_period_s
@@ -312,6 +322,18 @@ class Engine:
     def frame_period_s(self) -> float:
         """Seconds from one frame to the next."""
         return self._rig.camera.rows_per_frame * self._rig.camera.line_period_s
+
+    @property
+    def acquired_with(self) -> AcquiredWith:
+        """The rig's settings, as a calibration keeps them."""
+        chosen = preset(self._settings.preset)
+        return AcquiredWith(
+            rig=self._rig.name,
+            objective=chosen.objective,
+            slit_rows=self._settings.slit_rows,
+            frame_rate_hz=self._settings.frame_rate_hz or chosen.optics.frame_rate_hz,
+            gain_db=self._settings.gain_db,
+        )
 
     @property
     def calibration(self) -> Calibration | None:
@@ -438,21 +460,11 @@ class Engine:
                         )
                     self._end_run()
 
-    def _acquired_with(self) -> AcquiredWith:
-        chosen = preset(self._settings.preset)
-        return AcquiredWith(
-            rig=self._rig.name,
-            objective=chosen.objective,
-            slit_rows=self._settings.slit_rows,
-            frame_rate_hz=self._settings.frame_rate_hz or chosen.optics.frame_rate_hz,
-            gain_db=self._settings.gain_db,
-        )
-
     def _described(self) -> dict[str, Any]:
         """Return the rig's settings as they are kept in a recording."""
         camera = self._rig.camera
         return {
-            **self._acquired_with().model_dump(),
+            **self.acquired_with.model_dump(),
             "preset": self._settings.preset,
             "line_period_s": camera.line_period_s,
             "rows_per_frame": camera.rows_per_frame,
@@ -463,4 +475,4 @@ class Engine:
             return {}
         chosen = preset(self._settings.preset)
         frame = FrameSection(shape=chosen.frame_shape, sensor_origin=chosen.sensor_origin)
-        return self._calibration.stale_sections(self._acquired_with(), frame)
+        return self._calibration.stale_sections(self.acquired_with, frame)

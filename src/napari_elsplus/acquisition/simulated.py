@@ -1,0 +1,50 @@
+"""What a user does at a real rig's tip, done for the simulated one: targets for its calibration, tissue afterwards."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from napari_elsplus.acquisition.calibrating import Target, calibrate_rig
+from napari_elsplus.errors import InputError
+from napari_elsplus.simulation.scenes import distal_light, empty, fibres, uniform
+from napari_elsplus.simulation.trajectories import HandHeld
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from napari_elsplus.acquisition.engine import Engine
+    from napari_elsplus.acquisition.procedures import Watch
+    from napari_elsplus.hardware.rigs import Rig
+    from napari_elsplus.processing.calibrate import Findings
+    from napari_elsplus.processing.lag import ScanLag
+
+QUICK_VOLTAGES: Final = 60
+"""Steps of the sweep: enough for 0.05 rows, and over in seconds."""
+
+
+def calibrate_simulated(
+    rig: Rig, engine: Engine, *, watch: Callable[[str], Watch] = lambda _: iter
+) -> tuple[Findings, ScanLag]:
+    """Calibrate the simulated rig by itself, and put the probe onto moving lens tissue.
+
+    Raises
+    ------
+    InputError
+        If the rig is a real one.
+    """
+    bench = rig.bench
+    if bench is None:
+        raise InputError(f"the rig {rig.name} cannot calibrate itself", "give a calibration with -c")
+
+    def prepare(target: Target) -> None:
+        match target:
+            case Target.FAR_END_LIT:
+                bench.optics.show(distal_light())
+            case Target.FLUORESCENT:
+                bench.optics.show(uniform())
+            case Target.DARK_TUBE:
+                bench.optics.show(empty())
+
+    found = calibrate_rig(engine, prepare, voltages=QUICK_VOLTAGES, watch=watch)
+    bench.optics.show(fibres(), HandHeld())
+    return found

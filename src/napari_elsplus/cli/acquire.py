@@ -1,0 +1,132 @@
+"""``acquire``: the live engine without a screen."""
+
+from __future__ import annotations
+
+import json
+import time
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from napari_elsplus.acquisition.engine import Engine
+from napari_elsplus.acquisition.recorder import RecordingPlan
+from napari_elsplus.acquisition.simulated import calibrate_simulated
+from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.tracking import LiveTrack
+from napari_elsplus.cli.options import FILE, force_option, progress
+from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.rigs import SIMULATED, Rig, open_rig
+from napari_elsplus.io import read_calibration, refuse_existing, replacing, write_mosaic, write_track
+from napari_elsplus.optics import PRESETS
+from napari_elsplus.tracking_pipeline import Pipeline, picture
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from napari_elsplus.acquisition.status import Status
+
+_STEP_S = 0.1
+ALL_OF_IT_S = 3600.0
+
+
+@click.command(short_help="Acquire live, without a screen.")
+@click.option("--rig", "rig_name", default=SIMULATED, show_default=True, help="Which rig; `doctor` lists them.")
+@click.option("-c", "--calibration", type=FILE, help="The rig's calibration; the simulated rig calibrates itself.")
+@click.option("--preset", type=click.Choice(list(PRESETS)), default="240hz", show_default=True, help="Camera region.")
+@click.option("--slit-rows", type=click.IntRange(1), default=3, show_default=True, help="Width of the rolling slit.")
+@click.option("--rate-hz", type=click.FloatRange(0, min_open=True), help="Frames per second; the preset's by default.")
+@click.option("--seconds", type=click.FloatRange(0, min_open=True), required=True, help="How long.")
+@click.option("--record", type=FILE, help="Record the raw frames to this OME-TIFF.")
+@click.option("--mosaic", type=FILE, help="Write the mosaic to this OME-TIFF.")
+@click.option("--track", type=FILE, help="Write the probe's track to this CSV file.")
+@click.option("--report", type=FILE, required=True, help="Write what happened to this JSON file.")
+@force_option
+def command(
+    rig_name: str,
+    calibration: Path | None,
+    preset: str,
+    slit_rows: int,
+    rate_hz: float | None,
+    seconds: float,
+    record: Path | None,
+    mosaic: Path | None,
+    track: Path | None,
+    report: Path,
+    force: bool,
+) -> None:
+    """Run the live engine for some seconds: section every frame, record, track, lay the mosaic, report."""
+    for target in (record, mosaic, track, report):
+        if target is not None:
+            refuse_existing(target, force=force)
+    given = None if calibration is None else read_calibration(calibration)
+    with ExitStack() as held:
+        rig = held.enter_context(open_rig(rig_name))
+        engine = held.enter_context(Engine(rig))
+        engine.configure(Settings(preset, slit_rows, rate_hz))
+        if given is not None:
+            engine.use(given)
+        else:
+            _calibrate(rig, engine)
+        assert engine.calibration is not None
+        pipeline = None
+        if mosaic is not None or track is not None:
+            pipeline = Pipeline(engine.calibration, engine.frame_shape)
+            engine.track(LiveTrack(pipeline))
+        try:
+            _stream(
+                engine, seconds, None if record is None else RecordingPlan(record, earlier_s=ALL_OF_IT_S, force=force)
+            )
+        finally:
+            engine.stop()
+            engine.finish_recording()
+            status = engine.status()
+            with replacing(report, force=force) as beside:
+                beside.write_text(json.dumps(status.report(), indent=1) + "\n", encoding="utf-8")
+        if pipeline is not None:
+            _write(pipeline, engine, mosaic, track, force)
+    click.echo(summary(status))
+    if status.faults:
+        raise InputError(status.faults[0].problem, status.faults[0].remedy)
+
+
+def _calibrate(rig: Rig, engine: Engine) -> None:
+    def watch(step: str) -> Any:
+        return lambda numbers: progress(numbers, describe=f"Calibrating: {step}")
+
+    calibrate_simulated(rig, engine, watch=watch)
+
+
+def _stream(engine: Engine, seconds: float, plan: RecordingPlan | None) -> None:
+    """Stream for some seconds, counted from the first frame."""
+    engine.start()
+    if plan is not None:
+        engine.record(plan)
+    end_s = time.monotonic() + seconds
+    steps = max(1, round(seconds / _STEP_S))
+    for step in progress(range(steps), describe="Acquiring", total=steps):
+        time.sleep(max(0.0, end_s - (steps - step - 1) * seconds / steps - time.monotonic()))
+        if not engine.status().live:
+            break
+
+
+def _write(pipeline: Pipeline, engine: Engine, mosaic: Path | None, track: Path | None, force: bool) -> None:
+    calibration = engine.calibration
+    assert calibration is not None
+    if track is not None:
+        write_track(track, pipeline.rows, force=force)
+    if mosaic is not None:
+        um = None if calibration.optics is None else calibration.optics.um_per_px
+        scale = None if um is None else um * pipeline.camera_px_per_pixel
+        write_mosaic(mosaic, picture(list(pipeline.mosaics.values())), scale, calibration=calibration, force=force)
+
+
+def summary(status: Status) -> str:
+    """Say in one line what happened."""
+    dropped = ", ".join(f"{count} {cause}" for cause, count in status.dropped.items()) or "none"
+    latency = status.latency_ms
+    return (
+        f"{status.acquired} frames at {status.mean_hz:.1f} Hz, "
+        f"{status.processed} processed, {status.recorded} recorded; "
+        f"lost: {dropped}; latency {latency.p50:.1f} ms median, {latency.p99:.1f} ms p99, {latency.max:.1f} ms at most"
+    )
