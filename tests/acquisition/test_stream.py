@@ -2,8 +2,6 @@ from __future__ import annotations
 
 from threading import Thread
 
-import numpy as np
-
 from napari_elsplus.acquisition.stream import Stream
 
 SHAPE = (4, 6)
@@ -14,7 +12,7 @@ def put(stream: Stream, count: int) -> None:
     for _ in range(count):
         slot = stream.acquire()
         slot.arrays["raw"][...] = slot.sequence
-        stream.finalize(slot, frame_number=slot.sequence, time_s=slot.sequence / 240)
+        stream.finalize(slot, frame_number=slot.sequence, time_s=slot.sequence / 240, exposed_s=0.0)
 
 
 def numbers(stream: Stream, cursor: object) -> list[int]:
@@ -103,7 +101,7 @@ def test_stamps_carry_the_camera_s_number_and_time() -> None:
     stream = Stream(SHAPE, 4)
     cursor = stream.join()
     slot = stream.acquire()
-    stream.finalize(slot, frame_number=71, time_s=3.5)
+    stream.finalize(slot, frame_number=71, time_s=3.5, exposed_s=1.5)
     _, stamp = cursor.take(0)  # type: ignore[misc]
     assert (stamp.sequence, stamp.frame_number, stamp.time_s) == (0, 71, 3.5)
-    assert np.isclose(stamp.ready_s, 3.5)
+    assert stamp.exposed_s == 1.5

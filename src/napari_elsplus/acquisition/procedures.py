@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import time
 from contextlib import contextmanager
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.errors import DeviceError
 from napari_elsplus.processing.calibrate import (
     Background,
     Pair,
@@ -42,7 +44,9 @@ BUNDLE_FRAMES: Final = 20
 LAG_FRAMES: Final = 4
 SETTLED_S: Final = 2e-3
 """A galvo of 1 kHz stands still by then."""
-_FRAMES_IN_FLIGHT: Final = 2
+_ROUND: Final = 32
+_ROUNDS: Final = 30
+_STEADY_S: Final = 0.3e-3
 _COARSE_STEP_ROWS: Final = 5.0
 _FINE_STEP_ROWS: Final = 1.5
 _FINE_STEPS: Final = 8
@@ -52,7 +56,7 @@ LONGEST_LAG_S: Final = 0.8e-3
 def take_standing(engine: Engine, volts: float, count: int) -> NDArray[np.uint8]:
     """Take frames, (count, rows, cols), of the line standing at a voltage."""
     engine.hold(volts)
-    return engine.fresh_frames(count, _exposed_after(engine, time.perf_counter() + SETTLED_S))
+    return engine.fresh_frames(count, time.perf_counter() + SETTLED_S)
 
 
 def take_sweep(engine: Engine, volts: NDArray[np.floating], watch: Watch = iter) -> NDArray[np.uint8]:
@@ -85,14 +89,14 @@ def take_parked(engine: Engine, count: int) -> NDArray[np.uint8]:
     """Take frames, (count, rows, cols), without the laser line: the bundle lit from its far end."""
     with _streaming(engine):
         engine.park()
-        return engine.fresh_frames(count, _exposed_after(engine, time.perf_counter() + SETTLED_S))
+        return engine.fresh_frames(count, time.perf_counter() + SETTLED_S)
 
 
 def take_scanned(engine: Engine, count: int) -> NDArray[np.uint8]:
     """Take frames, (count, rows, cols), while the mirror scans."""
     with _streaming(engine):
         engine.scan()
-        return engine.fresh_frames(count, _exposed_after(engine, time.perf_counter() + SETTLED_S))
+        return engine.fresh_frames(count, time.perf_counter() + SETTLED_S)
 
 
 def offset(
@@ -183,22 +187,32 @@ class _LagScan:
     def add(self, lead_s: float) -> None:
         galvo = self._galvo.model_copy(update={"lag_s": float(lead_s)})
         self._engine.scan(self._calibration.model_copy(update={"galvo": galvo}))
-        frames = self._engine.fresh_frames(LAG_FRAMES, _exposed_after(self._engine, time.perf_counter() + SETTLED_S))
+        frames = self._engine.fresh_frames(LAG_FRAMES, time.perf_counter() + SETTLED_S)
         self.leads_s.append(float(lead_s))
         self.signal.append(float(self._sectioner.ls(mean_frame(frames))[self._inside].mean()))
 
 
-def _exposed_after(engine: Engine, time_s: float) -> float:
-    """When the last byte of a frame has come that began after a moment, frames on their way included."""
-    return time_s + (1 + _FRAMES_IN_FLIGHT) * engine.frame_period_s
+def _until_steady(engine: Engine) -> None:
+    """Wait until frames come without delay: only then is it known which ones were exposed after a moment."""
+    before_s = inf
+    for _ in range(_ROUNDS):
+        engine.fresh_frames(_ROUND)
+        delay_s = engine.least_delay_s
+        if before_s - delay_s < _STEADY_S:
+            return
+        before_s = delay_s
+    raise DeviceError(
+        f"frames come later and later, {1e3 * delay_s:.0f} ms by now", "close other programs, or lower the frame rate"
+    )
 
 
 @contextmanager
 def _streaming(engine: Engine) -> Iterator[None]:
     was_live = engine.status().live
-    if not was_live:
-        engine.start()
     try:
+        if not was_live:
+            engine.start()
+            _until_steady(engine)
         yield
     finally:
         engine.park()

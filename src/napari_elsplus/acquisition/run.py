@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.hardware.protocols import Camera
 
+_LONGEST_FRAME: Final = 1.1
+"""Frame periods from the first exposed row to the last byte, with a margin."""
 SHALLOWEST: Final = 64
 """Frames that the stream holds at least."""
 
@@ -77,6 +79,11 @@ class Run:
             self._stream.end()
             raise
         self._taking.start()
+
+    @property
+    def least_delay_s(self) -> float:
+        """Smallest difference so far between a frame's arrival and the camera's own time of it."""
+        return self._taking.least_delay_s
 
     @property
     def broken(self) -> bool:
@@ -133,7 +140,7 @@ class Run:
         return RecordingState(str(self._recorder.plan.path), self._recorder.frames, self._recorder.is_alive())
 
     def fresh_frames(self, count: int, after_s: float, timeout_s: float) -> NDArray[np.uint8]:
-        """Copy the next frames whose last byte came after a moment.
+        """Copy the next frames whose exposure began after a moment, however long they were on their way.
 
         Parameters
         ----------
@@ -162,7 +169,8 @@ class Run:
                 taken = cursor.take(timeout_s)
                 if taken is None:
                     raise DeviceError(f"{got} of {count} frames came", "check the camera, then start again")
-                if taken[1].time_s >= after_s:
+                readout_done_s = taken[1].exposed_s + self.least_delay_s
+                if readout_done_s > after_s + _LONGEST_FRAME / self.frame_rate_hz:
                     frames[got] = taken[0]
                     got += 1
         finally:

@@ -28,4 +28,4 @@ class LiveTrack:
     def add(self, raw: NDArray[np.uint8], stamp: Stamp) -> None:
         """Track a frame and lay it into the mosaic."""
         self._first = self._first or stamp
-        self.pipeline.add(raw, stamp.frame_number - self._first.frame_number, stamp.time_s - self._first.time_s)
+        self.pipeline.add(raw, stamp.frame_number - self._first.frame_number, stamp.exposed_s - self._first.exposed_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from math import inf
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
@@ -58,13 +59,15 @@ class CameraWorker(Thread):
 
     Attributes
     ----------
-    last_frame_s : float
-        When the newest frame came, on the clock of ``time.perf_counter``.
+    least_delay_s : float
+        Smallest difference so far between the arrival of a frame and the camera's time of its first row: what lies
+        between the two clocks, and the readout, without any waiting.
     """
 
     def __init__(self, camera: Camera, stream: Stream, tally: Tally, faults: FaultLog, settling: int) -> None:
         super().__init__(name="camera", daemon=True)
         self._camera, self._stream, self._tally, self._faults = camera, stream, tally, faults
+        self.least_delay_s = inf
         self._settling = settling
         self._stop_asked = Event()
 
@@ -108,7 +111,8 @@ class CameraWorker(Thread):
             expected = info.frame_number + 1
             known = {cause: count - before.get(cause, 0) for cause, count in camera.dropped.items()}
             tally.lost_by_camera(known, missing)
-            stream.finalize(slot, frame_number=info.frame_number, time_s=info.time_s)
+            self.least_delay_s = min(self.least_delay_s, info.time_s - info.exposed_s)
+            stream.finalize(slot, frame_number=info.frame_number, time_s=info.time_s, exposed_s=info.exposed_s)
             tally.arrived(info.time_s)
 
 
@@ -177,4 +181,4 @@ class ProcessingWorker(Thread):
     def _show(self, shown: Shown, raw: NDArray[np.uint8], stamp: Stamp) -> None:
         slot = shown.ring.acquire()
         self.measures = shown.images.fill(raw, slot.arrays)
-        shown.ring.finalize(slot, frame_number=stamp.frame_number, time_s=stamp.time_s, ready_s=time.perf_counter())
+        shown.ring.finalize(slot, frame_number=stamp.frame_number, time_s=stamp.time_s, exposed_s=stamp.exposed_s)
