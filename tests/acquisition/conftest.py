@@ -93,7 +93,7 @@ class RememberingScanner:
     calls: list[str] = field(default_factory=list)
     volts: float = PARK_V
     fault: DeviceError | None = None
-    ramps_done: int = 0
+    ramps_begun: int = 0
 
     def hold(self, volts: float) -> None:
         self.calls.append("hold")

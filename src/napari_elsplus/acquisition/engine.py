@@ -6,7 +6,6 @@ The same engine runs inside a script and, for napari, in a process of its own
 
 from __future__ import annotations
 
-from math import inf
 from threading import Event, RLock, Thread
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
@@ -293,11 +292,6 @@ class Engine:
         if run is None or not self._live:
             raise DeviceError("no frames stream", "start the stream first")
         return run.fresh_frames(count, after_s, _FRAME_TIMEOUT_S)
-
-    @property
-    def least_delay_s(self) -> float:
-        """Smallest difference of this run between a frame's arrival and the camera's own time of it."""
-        return self._run.least_delay_s if self._run is not None else inf
 
     @property
     def display(self) -> Ring | None:

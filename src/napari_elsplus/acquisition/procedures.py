@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import time
 from contextlib import contextmanager
-from math import inf
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.errors import DeviceError
 from napari_elsplus.processing.calibrate import (
     Background,
     Pair,
@@ -44,9 +42,6 @@ BUNDLE_FRAMES: Final = 20
 LAG_FRAMES: Final = 4
 SETTLED_S: Final = 2e-3
 """A galvo of 1 kHz stands still by then."""
-_ROUND: Final = 32
-_ROUNDS: Final = 30
-_STEADY_S: Final = 0.3e-3
 _COARSE_STEP_ROWS: Final = 5.0
 _FINE_STEP_ROWS: Final = 1.5
 _FINE_STEPS: Final = 8
@@ -192,27 +187,12 @@ class _LagScan:
         self.signal.append(float(self._sectioner.ls(mean_frame(frames))[self._inside].mean()))
 
 
-def _until_steady(engine: Engine) -> None:
-    """Wait until frames come without delay: only then is it known which ones were exposed after a moment."""
-    before_s = inf
-    for _ in range(_ROUNDS):
-        engine.fresh_frames(_ROUND)
-        delay_s = engine.least_delay_s
-        if before_s - delay_s < _STEADY_S:
-            return
-        before_s = delay_s
-    raise DeviceError(
-        f"frames come later and later, {1e3 * delay_s:.0f} ms by now", "close other programs, or lower the frame rate"
-    )
-
-
 @contextmanager
 def _streaming(engine: Engine) -> Iterator[None]:
     was_live = engine.status().live
     try:
         if not was_live:
             engine.start()
-            _until_steady(engine)
         yield
     finally:
         engine.park()

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.hardware.protocols import Camera
 
-_LONGEST_FRAME: Final = 1.1
-"""Frame periods from the first exposed row to the last byte, with a margin."""
 SHALLOWEST: Final = 64
 """Frames that the stream holds at least."""
 
@@ -79,11 +77,6 @@ class Run:
             self._stream.end()
             raise
         self._taking.start()
-
-    @property
-    def least_delay_s(self) -> float:
-        """Smallest difference so far between a frame's arrival and the camera's own time of it."""
-        return self._taking.least_delay_s
 
     @property
     def broken(self) -> bool:
@@ -169,8 +162,7 @@ class Run:
                 taken = cursor.take(timeout_s)
                 if taken is None:
                     raise DeviceError(f"{got} of {count} frames came", "check the camera, then start again")
-                readout_done_s = taken[1].exposed_s + self.least_delay_s
-                if readout_done_s > after_s + _LONGEST_FRAME / self.frame_rate_hz:
+                if taken[1].exposed_s + self._taking.camera_clock_s >= after_s:
                     frames[got] = taken[0]
                     got += 1
         finally:

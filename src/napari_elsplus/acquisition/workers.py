@@ -24,6 +24,8 @@ DISPLAY_HZ: Final = 60.0
 PROCESSING_LIMIT: Final = 120
 """Frames that processing may be behind before it skips: half a second at 240 Hz."""
 _PATIENCE_S: Final = 0.1
+_START_TAKES_S: Final = 5e-3
+"""A camera may be exposing for so long when it answers that it was started."""
 _SILENCE_S: Final = 3.0
 
 
@@ -59,15 +61,16 @@ class CameraWorker(Thread):
 
     Attributes
     ----------
-    least_delay_s : float
-        Smallest difference so far between the arrival of a frame and the camera's time of its first row: what lies
-        between the two clocks, and the readout, without any waiting.
+    camera_clock_s : float
+        Earliest moment, on the clock of ``time.perf_counter``, at which the camera's own clock can have stood at zero:
+        its first frame was not exposed before it was started. However late a frame comes, it is known by this not to be
+        older than it says.
     """
 
     def __init__(self, camera: Camera, stream: Stream, tally: Tally, faults: FaultLog, settling: int) -> None:
         super().__init__(name="camera", daemon=True)
         self._camera, self._stream, self._tally, self._faults = camera, stream, tally, faults
-        self.least_delay_s = inf
+        self.camera_clock_s = -inf
         self._settling = settling
         self._stop_asked = Event()
 
@@ -86,7 +89,8 @@ class CameraWorker(Thread):
 
     def _read(self) -> None:
         camera, stream, tally = self._camera, self._stream, self._tally
-        heard_s = time.perf_counter()
+        started_s = heard_s = time.perf_counter()
+        frame_period_s = camera.rows_per_frame * camera.line_period_s
         to_settle = self._settling
         before: dict[str, int] = {}
         expected: int | None = None
@@ -102,6 +106,9 @@ class CameraWorker(Thread):
                     ) from None
                 continue
             heard_s = info.time_s
+            if self.camera_clock_s == -inf:
+                first_exposed_s = info.exposed_s - info.frame_number * frame_period_s
+                self.camera_clock_s = started_s - _START_TAKES_S - first_exposed_s
             if to_settle:
                 to_settle -= 1
                 before = dict(camera.dropped)
@@ -111,7 +118,6 @@ class CameraWorker(Thread):
             expected = info.frame_number + 1
             known = {cause: count - before.get(cause, 0) for cause, count in camera.dropped.items()}
             tally.lost_by_camera(known, missing)
-            self.least_delay_s = min(self.least_delay_s, info.time_s - info.exposed_s)
             stream.finalize(slot, frame_number=info.frame_number, time_s=info.time_s, exposed_s=info.exposed_s)
             tally.arrived(info.time_s)
 

@@ -15,6 +15,7 @@ from napari_elsplus.errors import ElsPlusError
 
 COMMANDS: tuple[str, ...] = (
     "demo",
+    "acquire",
     "calibrate",
     "process",
     "mosaic",
