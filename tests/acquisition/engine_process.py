@@ -9,7 +9,6 @@ from pathlib import Path
 from napari_elsplus.acquisition.process import run
 
 small = runpy.run_path(str(Path(__file__).with_name("conftest.py")))
-log = Path(sys.argv[1])
 
 
 def open_rig(name: str) -> object:
@@ -18,7 +17,7 @@ def open_rig(name: str) -> object:
     rig = small["SmallRig"]()
 
     def note(what: str) -> None:
-        with log.open("a") as file:
+        with Path(sys.argv[1]).open("a") as file:
             file.write(what + "\n")
 
     park, scan = rig.scanner.park, rig.scanner.scan
@@ -27,4 +26,5 @@ def open_rig(name: str) -> object:
     return rig
 
 
-run(open_rig)  # type: ignore[arg-type]
+if __name__ == "__main__":
+    run(open_rig)  # type: ignore[arg-type]
