@@ -110,6 +110,7 @@ class VirtualCamera:
         self._train: StrobeTrain | None = None
         self._frame = 0
         self._pixels = np.zeros(0, np.uint8)
+        self._sent_empty = False
         self._sent = -1  # bytes of the current frame's payload that were sent; -1: its leader was not
         self._settle()
 
@@ -182,7 +183,10 @@ class VirtualCamera:
         size = shot.region[2] * shot.region[3]
         if self._sent < size:
             return self._send_payload(shot, buffer, timeout_s)
-        self._frame, self._sent = self._frame + 1, -1
+        if self.faults.empty_packets and not self._sent_empty:
+            self._sent_empty = True
+            return 0
+        self._frame, self._sent, self._sent_empty = self._frame + 1, -1, False
         return _put(buffer, self._trailer(shot))
 
     def close(self) -> None:
