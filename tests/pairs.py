@@ -31,13 +31,13 @@ FRAME_PERIOD_S = 4e-3
 
 
 def frames(count: int = 6) -> np.ndarray:
-    """Haze of 60 in both views, a bar 100 brighter in the confocal one at row 20 + k."""
+    """Haze of 60 + 2 k in both views, a bar 100 brighter in the confocal one at row 20 + 3 k."""
     rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
     left = np.hypot(rows - 32, cols - 31) < DIAMETER / 2
     right = np.hypot(rows - 30, cols - 95) < DIAMETER / 2
     stack = np.empty((count, *SHAPE), np.uint8)
     for k, frame in enumerate(stack):
-        frame[:] = 60 * (left | right) + 100 * (left & (np.abs(rows - (20 + 3 * k)) < 2))
+        frame[:] = (60 + 2 * k) * (left | right) + 100 * (left & (np.abs(rows - (20 + 3 * k)) < 2))
     return stack
 
 

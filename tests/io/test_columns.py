@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import read_depths_um, read_volts, write_column
+from napari_elsplus.io import read_depths_um, read_volts, write_column, write_table
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=9))
@@ -49,3 +49,10 @@ def test_missing_and_foreign_files(tmp_path):
     for name in ("b.csv", "absent.csv", "."):
         with pytest.raises(InputError):
             read_volts(tmp_path / name)
+
+
+def test_curves_of_different_lengths_share_a_table(tmp_path):
+    write_table(tmp_path / "t.csv", {"position_um": [0.0, 0.1, 0.30000000000000004], "ls": np.array([1, 2])})
+    assert (tmp_path / "t.csv").read_text() == "position_um,ls\n0.0,1.0\n0.1,2.0\n0.30000000000000004,\n"
+    with pytest.raises(InputError, match="exists"):
+        write_table(tmp_path / "t.csv", {})

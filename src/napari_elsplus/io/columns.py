@@ -1,7 +1,8 @@
-"""CSV files of one column: the depths of an axial scan, the voltages of a sweep."""
+"""CSV files: one column for the depths of an axial scan or the voltages of a sweep, several for curves."""
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -13,7 +14,7 @@ from napari_elsplus.io.atomic import replacing
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -73,6 +74,31 @@ def write_column(
         beside.write_text(
             "".join(f"{line}\n" for line in (header, *(float(value) for value in values))), encoding="ascii"
         )
+
+
+def write_table(
+    path: str | os.PathLike[str], columns: Mapping[str, Sequence[float] | NDArray[np.floating]], force: bool = False
+) -> None:
+    """Write curves to a CSV file: a header, then a line per value, every digit kept; shorter columns end empty.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    columns : mapping
+        Name, with its unit, to values.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    InputError
+        If the file exists and `force` is not given.
+    """
+    cells = [[repr(float(value)) for value in values] for values in columns.values()]
+    lines = [",".join(row) for row in zip_longest(*cells, fillvalue="")]
+    with replacing(path, force=force) as beside:
+        beside.write_text("".join(f"{line}\n" for line in (",".join(columns), *lines)), encoding="utf-8")
 
 
 def _lines(path: Path) -> list[str]:

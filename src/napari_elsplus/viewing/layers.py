@@ -79,9 +79,9 @@ def open_layers(path: str | os.PathLike[str], in_force: Path | None = None) -> O
         if source is not None and source == in_force:
             notes.append(f"{stack.file_name} is shown with the calibration in force, {source.name}")
     except ElsPlusError as error:
-        calibration, layers = None, []
+        calibration, source, layers = None, None, []
         notes.append(f"{stack.file_name} is shown as raw frames only. {error}")
-    raw = raw_layer(stack, calibration)
+    raw = raw_layer(stack, calibration, source)
     raw[1]["visible"] = not layers
     return Opened([raw, *layers], notes)
 
@@ -102,11 +102,11 @@ def calibration_for(recording: Recording, in_force: Path | None = None) -> tuple
     return read_calibration(in_force), in_force
 
 
-def raw_layer(stack: Stack, calibration: Calibration | None = None) -> Layer:
+def raw_layer(stack: Stack, calibration: Calibration | None = None, source: Path | None = None) -> Layer:
     """Raw frames as a layer."""
     words = attributes(stack, "raw", calibration)
     words["contrast_limits"] = _limits(float(stack.planes[0].max()))
-    words["metadata"] = provenance(stack, "raw", calibration, None)
+    words["metadata"] = provenance(stack, "raw", calibration, source)
     return stack.planes.dask(), words, "image"
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.io import Recording
-    from napari_elsplus.processing.sectioning import Mode
+    from napari_elsplus.processing.sectioning import Frames, Mode
 
 CACHE_BYTES: Final = 64 << 20
 """Planes that each array keeps in memory."""
@@ -87,7 +87,7 @@ def raw_planes(recording: Recording) -> LazyPlanes:
 
 
 def image_planes(
-    raw: LazyPlanes,
+    raw: Frames,
     calibration: Calibration,
     mode: Mode | str,
     *,

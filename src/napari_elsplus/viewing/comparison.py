@@ -1,0 +1,287 @@
+"""LS, ELSA and ELS+ of the same moments, scaled, profiled and put into numbers as the paper compares them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from skimage.measure import profile_line
+
+from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.processing.cores import CoreFilter
+from napari_elsplus.processing.quality import USED_DIAMETER, contrast, white_level
+from napari_elsplus.processing.sectioning import Mode, disc
+from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.processing.sectioning import Frames
+    from napari_elsplus.viewing.stack import Stack
+
+    Image = NDArray[np.float32]
+    Point = tuple[float, float]
+
+MODES: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
+"""From left to right."""
+PROFILE_WIDTH_PX: Final = 5
+
+
+class Scaling(StrEnum):
+    """What grey level is shown as white."""
+
+    PAPER = "as the paper"
+    """LS and ELS+ each to 0.01 % saturation, ELSA by ELS+'s factor."""
+    SHARED = "shared"
+    """One level for all: the brightest image's."""
+    OWN = "each its own"
+    """Each to 0.01 % saturation."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The modes of one recording, image k of each made of raw frame k.
+
+    Attributes
+    ----------
+    images : dict
+        Mode to lazy planes (T, n, n) float32, signed grey levels. ELSA takes its residual from the frame after (at the
+        end, before) it, and is absent from a recording of one frame.
+    inside : numpy.ndarray
+        (n, n) bool: the 90 % disc, in which images are judged.
+    um_per_px : float or None
+        Scale.
+    """
+
+    images: dict[Mode, LazyPlanes]
+    inside: NDArray[np.bool_]
+    um_per_px: float | None
+
+    @property
+    def side(self) -> int:
+        """Rows and columns of an image."""
+        return len(self.inside)
+
+    def at(self, index: int) -> dict[Mode, Image]:
+        """Return the images of one moment."""
+        return {mode: planes[index] for mode, planes in self.images.items()}
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """Grey levels along a line.
+
+    Attributes
+    ----------
+    position : numpy.ndarray
+        (m,), from the line's start, in `unit`.
+    values : dict
+        Mode to (m,) grey levels, the mean over five pixels across the line.
+    unit : str
+        ``"um"`` or ``"px"``.
+    """
+
+    position: NDArray[np.float64]
+    values: dict[Mode, NDArray[np.float64]]
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """How an image does in numbers.
+
+    Attributes
+    ----------
+    contrast : float
+        (structure - background) / (structure + background), from the deciles of the 90 % disc.
+    background : float
+        Lowest decile, grey levels.
+    background_left : float
+        The same as a share of the LS image's.
+    """
+
+    contrast: float
+    background: float
+    background_left: float
+
+
+def compare_stack(stack: Stack, calibration: Calibration, cores: CoreFilter | str = CoreFilter.NONE) -> Comparison:
+    """Prepare LS, ELSA and ELS+ of a recording; nothing is computed but the first images.
+
+    Parameters
+    ----------
+    stack : Stack
+        Raw frames.
+    calibration : Calibration
+        Of the rig that made them.
+    cores : CoreFilter or str
+        How the core pattern is suppressed, in all of them alike.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration does not fit the frames, or has no flat field where the filter needs one.
+    """
+    calibration.require("bundle")
+    assert calibration.bundle is not None
+    raw = stack.planes
+    images = {
+        mode: image_planes(_Successive(raw) if mode is Mode.ELSA else raw, calibration, mode, cores=cores)
+        for mode in MODES
+        if mode is not Mode.ELSA or len(raw) > 1
+    }
+    side = images[Mode.LS].shape[1]
+    known = stack.metadata.get("um_per_px")
+    if known is None and calibration.optics is not None:
+        known = calibration.optics.um_per_px
+    return Comparison(images, disc(side, USED_DIAMETER * calibration.bundle.diameter_px), known)
+
+
+def white_levels(images: Mapping[Mode, Image], inside: NDArray[np.bool_], scaling: Scaling | str) -> dict[Mode, float]:
+    """Grey level that is shown as white, for each image.
+
+    Parameters
+    ----------
+    images : mapping
+        Mode to (n, n) grey levels.
+    inside : numpy.ndarray
+        (n, n) bool, the pixels that count.
+    scaling : Scaling or str
+        How.
+
+    Returns
+    -------
+    dict
+        Mode to grey level.
+    """
+    own = {mode: white_level(image, inside) for mode, image in images.items()}
+    match Scaling(scaling):
+        case Scaling.OWN:
+            return own
+        case Scaling.SHARED:
+            return dict.fromkeys(own, max(own.values()))
+        case Scaling.PAPER:
+            return {mode: own[Mode.ELS] if mode is Mode.ELSA else white for mode, white in own.items()}
+
+
+def figures(images: Mapping[Mode, Image], inside: NDArray[np.bool_]) -> dict[Mode, Figures]:
+    """Contrast and background of each image, and how much of the LS background is left in it.
+
+    Examples
+    --------
+    >>> haze, bars = np.full((8, 8), 60, np.float32), np.tile(np.float32([0, 100]), (8, 4))
+    >>> found = figures({Mode.LS: haze + bars, Mode.ELS: bars + 6}, np.ones((8, 8), bool))
+    >>> round(found[Mode.ELS].background_left, 3), found[Mode.LS].background
+    (0.1, 60.0)
+    """
+    levels = {mode: contrast(image, inside) for mode, image in images.items()}
+    whole = levels[Mode.LS].background
+    return {
+        mode: Figures(level.michelson, level.background, level.background / whole if whole > 0 else float("nan"))
+        for mode, level in levels.items()
+    }
+
+
+def line_profiles(images: Mapping[Mode, Image], start: Point, end: Point, um_per_px: float | None = None) -> Profiles:
+    """Profiles of several images along one line.
+
+    Parameters
+    ----------
+    images : mapping
+        Mode to (n, n) grey levels.
+    start, end : tuple of float
+        Ends of the line, (row, col) in pixels of the images.
+    um_per_px : float, optional
+        Scale of the positions; pixels if unknown.
+
+    Returns
+    -------
+    Profiles
+        One value per pixel of the line's length.
+
+    Raises
+    ------
+    InputError
+        If the line is shorter than a pixel, or misses the images.
+    """
+    length_px = float(np.hypot(*np.subtract(end, start)))
+    if not length_px >= 1:
+        raise InputError(f"the line is {length_px:.1f} px long", "draw a longer one")
+    side = len(next(iter(images.values())))
+    if max(*start, *end) < 0 or min(*start, *end) > side - 1:
+        raise InputError("the line lies beside the images", "draw it across one of them")
+    values = {
+        mode: profile_line(image, start, end, linewidth=PROFILE_WIDTH_PX, order=1, mode="constant", cval=0.0)
+        for mode, image in images.items()
+    }
+    step = um_per_px or 1.0
+    count = len(next(iter(values.values())))
+    return Profiles(np.arange(count, dtype=np.float64) * step, values, "um" if um_per_px else "px")
+
+
+def difference_planes(comparison: Comparison, minuend: Mode, subtrahend: Mode) -> LazyPlanes:
+    """One mode minus another, image by image.
+
+    Raises
+    ------
+    InputError
+        If the recording is too short for one of them.
+    """
+    for mode in (minuend, subtrahend):
+        if mode not in comparison.images:
+            raise InputError(f"one frame makes no {mode.value} image", "record at least two frames")
+    first, second = comparison.images[minuend], comparison.images[subtrahend]
+    return LazyPlanes(lambda index: first[index] - second[index], first.shape, first.dtype)
+
+
+def comparison_script(stack: Stack, calibration: str, cores: str, scaling: str, frame: int) -> str:
+    """Write a script that makes the same comparison.
+
+    Raises
+    ------
+    InputError
+        If the frames lie in no file.
+    CalibrationError
+        If the calibration lies in no file of its own.
+    """
+    if stack.recording is None:
+        raise InputError(f"{stack.name} is simulated and lies in no file", "save its raw layer, and open that")
+    if not calibration:
+        raise CalibrationError("the calibration lies in no file of its own", "save it beside the recording")
+    return f'''"""LS, ELSA and ELS+ of one moment of {stack.recording.path.name}."""
+
+from napari_elsplus.io import open_recording, read_calibration
+from napari_elsplus.viewing.comparison import compare_stack, figures, white_levels
+from napari_elsplus.viewing.stack import Stack
+
+with open_recording({str(stack.recording.path)!r}) as recording:
+    calibration = read_calibration({calibration!r})
+    comparison = compare_stack(Stack.of(recording), calibration, cores={cores!r})
+    images = comparison.at({frame})
+
+white = white_levels(images, comparison.inside, {scaling!r})
+scaled = {{mode: image / white[mode] for mode, image in images.items()}}
+for mode, found in figures(images, comparison.inside).items():
+    print(f"{{mode}}: contrast {{found.contrast:.3f}}, background {{found.background:.1f}} grey levels")
+'''
+
+
+class _Successive:
+    """Raw frames two by two, each with the one after it (the last with the one before), as ELSA takes them."""
+
+    def __init__(self, raw: Frames) -> None:
+        self._raw = raw
+
+    def __len__(self) -> int:
+        return 2 * len(self._raw)
+
+    def __getitem__(self, index: int, /) -> NDArray[np.generic]:
+        frame, after = divmod(index, 2)
+        if after and frame == len(self._raw) - 1:
+            return self._raw[frame - 1]
+        return self._raw[frame + after]

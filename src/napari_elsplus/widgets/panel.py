@@ -1,0 +1,58 @@
+"""What every docked panel shares: it tells errors once, and lets go of the viewer when it leaves the window."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from napari.utils.notifications import show_error
+from qtpy.QtCore import QEvent
+from qtpy.QtWidgets import QWidget
+
+from napari_elsplus.errors import ElsPlusError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    import napari.viewer
+
+
+class Panel(QWidget):
+    """A docked panel.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        The viewer it is docked to.
+    """
+
+    def __init__(self, viewer: napari.viewer.Viewer) -> None:
+        super().__init__()
+        self.viewer = viewer
+        self._connections: list[tuple[Any, Callable[..., None]]] = []
+
+    def listen(self, emitter: Any, slot: Callable[..., None]) -> None:
+        """Connect a signal of the viewer until the panel goes."""
+        emitter.connect(slot)
+        self._connections.append((emitter, slot))
+
+    def cleanup(self) -> None:
+        """Disconnect from the viewer; a panel that changed it puts it back first."""
+        for emitter, slot in self._connections:
+            emitter.disconnect(slot)
+        self._connections.clear()
+
+    def event(self, event: QEvent | None) -> bool:
+        """Clean up when the dock lets go of the panel: napari takes its parent away."""
+        if event is not None and event.type() == QEvent.Type.ParentChange and self.parent() is None:
+            self.cleanup()
+        return bool(super().event(event))
+
+
+@contextmanager
+def told() -> Iterator[None]:
+    """Show an error that the user can mend as one notification, its remedy in it."""
+    try:
+        yield
+    except ElsPlusError as error:
+        show_error(str(error))

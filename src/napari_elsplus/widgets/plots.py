@@ -1,0 +1,181 @@
+"""Plots in napari's colours, that colour-blind eyes can read, saved as PNG or CSV."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pyqtgraph as pg
+import pyqtgraph.exporters
+from napari.utils.theme import get_theme
+from qtpy.QtCore import QSize, Qt
+from qtpy.QtGui import QFont
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import replacing, write_table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+PALETTE: Final = {
+    "blue": ("#56b4e9", "#0072b2"),
+    "orange": ("#e69f00", "#b87d00"),
+    "green": ("#2bc48a", "#007a59"),
+    "grey": ("#a0a0a0", "#6f6f6f"),
+    "vermilion": ("#ff8a4d", "#c04a00"),
+    "purple": ("#e6a0c8", "#a3568a"),
+}
+"""Okabe and Ito's hues, each on a dark and on a light ground."""
+DASHES: Final = {"solid": Qt.PenStyle.SolidLine, "dashed": Qt.PenStyle.DashLine, "dotted": Qt.PenStyle.DotLine}
+EXPORT_WIDTH_PX: Final = 1600
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line in a plot.
+
+    Attributes
+    ----------
+    name : str
+        Its entry in the legend, and its column in a CSV file.
+    x, y : numpy.ndarray
+        (m,) each.
+    colour : str
+        A key of `PALETTE`.
+    dash : str
+        A key of `DASHES`: told apart without colour.
+    marks : bool
+        Whether each point is marked.
+    """
+
+    name: str
+    x: NDArray[np.floating]
+    y: NDArray[np.floating]
+    colour: str
+    dash: str = "solid"
+    marks: bool = False
+
+
+class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
+    """A plot that follows the viewer's theme.
+
+    Parameters
+    ----------
+    x_label, y_label : str
+        What is plotted, with its unit.
+    theme : str
+        Name of napari's theme.
+    """
+
+    def __init__(self, x_label: str, y_label: str, theme: str) -> None:
+        super().__init__()
+        self._labels = {"bottom": x_label, "left": y_label}
+        self._curves: list[Curve] = []
+        self._marks: list[tuple[float, str, str]] = []
+        self.setMenuEnabled(False)
+        self.hideButtons()
+        self._legend = pg.LegendItem(colCount=4, labelTextSize="8pt", verSpacing=-4)
+        self.plotItem.layout.addItem(self._legend, 4, 1)  # below the curves, where it hides none
+        self.plotItem.legend = self._legend
+        self.follow(theme)
+
+    def sizeHint(self) -> QSize:
+        """Ask for no more room than a dock gives."""
+        return QSize(280, 220)
+
+    @property
+    def curves(self) -> tuple[Curve, ...]:
+        """What is drawn."""
+        return tuple(self._curves)
+
+    def follow(self, theme: str) -> None:
+        """Take the colours of one of napari's themes."""
+        colours = get_theme(theme)
+        self._on_dark = colours.type == "dark"
+        self._text = colours.text.as_hex()
+        self.setBackground(colours.background.as_hex())
+        font = QFont()
+        font.setPointSize(8)
+        for side in ("bottom", "left"):
+            axis = self.getAxis(side)
+            axis.setPen(self._text)
+            axis.setTextPen(self._text)
+            axis.setTickFont(font)
+            axis.label.setFont(font)
+        self._legend.setLabelTextColor(self._text)
+        self.draw(self._curves, marks=self._marks, **self._labels)
+
+    def draw(
+        self,
+        curves: Sequence[Curve],
+        *,
+        marks: Sequence[tuple[float, str, str]] = (),
+        bottom: str | None = None,
+        left: str | None = None,
+    ) -> None:
+        """Draw curves in place of what was drawn.
+
+        Parameters
+        ----------
+        curves : sequence of Curve
+            What to draw.
+        marks : sequence of tuple
+            Vertical lines: position, colour, text.
+        bottom, left : str, optional
+            New labels of the axes.
+        """
+        self._curves, self._marks = list(curves), list(marks)
+        self._labels |= {side: text for side, text in (("bottom", bottom), ("left", left)) if text is not None}
+        for side, text in self._labels.items():
+            self.setLabel(side, text, color=self._text)
+        self.plotItem.clear()
+        for curve in self._curves:
+            ink = self.ink(curve.colour)
+            pen = pg.mkPen(ink, width=2, style=DASHES[curve.dash])
+            symbol = {"symbol": "o", "symbolSize": 5, "symbolBrush": ink, "symbolPen": None} if curve.marks else {}
+            self.plot(np.asarray(curve.x), np.asarray(curve.y), pen=pen, name=curve.name, **symbol)
+        for index, (position, colour, text) in enumerate(self._marks):
+            options: dict[str, Any] = {"position": 0.92 - 0.13 * (index % 4), "color": self.ink(colour), "fill": None}
+            pen = pg.mkPen(self.ink(colour), width=1, style=Qt.PenStyle.DotLine)
+            self.addItem(pg.InfiniteLine(position, angle=90, pen=pen, label=text, labelOpts=options))
+
+    def ink(self, colour: str) -> str:
+        """Return a colour of the palette as it is drawn on the present ground."""
+        return PALETTE[colour][0 if self._on_dark else 1]
+
+    def save(self, path: str | Path) -> None:
+        """Save the plot: as a picture to NAME.png, its numbers to NAME.csv; an existing file is replaced.
+
+        Raises
+        ------
+        InputError
+            If nothing is drawn, or the name ends otherwise.
+        """
+        path = Path(path)
+        if not self._curves:
+            raise InputError("there is nothing in the plot", "draw a line, or measure, first")
+        if path.suffix.lower() == ".csv":
+            write_table(path, self.columns(), force=True)
+        elif path.suffix.lower() == ".png":
+            exporter = pg.exporters.ImageExporter(self.plotItem)
+            exporter.parameters()["width"] = EXPORT_WIDTH_PX
+            with replacing(path, force=True) as beside:
+                exporter.export(str(beside))
+        else:
+            raise InputError(f"{path.name} is neither a picture nor a table", "let it end in .png or .csv")
+
+    def columns(self) -> dict[str, NDArray[np.floating]]:
+        """Return the curves as the columns of a table; a shared x is written once."""
+        table: dict[str, NDArray[np.floating]] = {}
+        shared = all(np.array_equal(curve.x, self._curves[0].x) for curve in self._curves)
+        for curve in self._curves:
+            if shared:
+                table.setdefault(self._labels["bottom"], curve.x)
+            else:
+                table[f"{curve.name}: {self._labels['bottom']}"] = curve.x
+            table[curve.name] = curve.y
+        return {name.replace(",", ";"): values for name, values in table.items()}

@@ -1,0 +1,193 @@
+"""Images next to each other in the viewer for a while, a line across all of them; the user's layers come back after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from napari.layers import Image, Points, Shapes
+from napari.utils import Colormap
+
+from napari_elsplus.viewing.stack import attributes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    import napari.viewer
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.viewing.lazy import LazyPlanes
+    from napari_elsplus.viewing.stack import Stack
+
+GAP_PX: Final = 20
+PREFIX: Final = "compare"
+LINE_COLOUR: Final = "#f0e442"
+SIGNED: Final = Colormap([[0.34, 0.71, 0.91], [0, 0, 0], [0.9, 0.62, 0]], name="ELS+ difference")
+"""Blue below zero, orange above, black in between: told apart by everyone."""
+_LINE_SHARE: Final = (0.15, 0.85)
+_FILLED: Final = 0.95
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """One of the images.
+
+    Attributes
+    ----------
+    title : str
+        What it is called.
+    planes : LazyPlanes
+        (T, n, n), all of one size.
+    ink : str
+        Colour of its title.
+    signed : bool
+        Whether zero lies in the middle of the colours.
+    """
+
+    title: str
+    planes: LazyPlanes
+    ink: str
+    signed: bool = False
+
+
+class Stage:
+    """A place in the viewer for images that are compared.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        The viewer.
+    line_moved : callable
+        Called when the user has drawn or moved the line.
+    """
+
+    def __init__(self, viewer: napari.viewer.Viewer, line_moved: Callable[[], None]) -> None:
+        self._viewer = viewer
+        self._line_moved = line_moved
+        self._hidden: dict[Any, bool] = {}
+        self._offsets_px: list[int] = []
+        self._side = 0
+        self._line: Shapes | None = None
+        self._titles: Points | None = None
+        self._camera: tuple[Any, float] | None = None
+        self._folding = False
+        self.images: list[Image] = []
+
+    @property
+    def intact(self) -> bool:
+        """Whether all of its layers are still in the viewer."""
+        return all(layer in self._viewer.layers for layer in self._layers())
+
+    @property
+    def line(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
+        """Ends of the line, (row, col) in pixels of the images; None if the user took it away."""
+        if self._line is None or not len(self._line.data):
+            return None
+        (row, col), (row_end, col_end) = np.asarray(self._line.data[0])[:, -2:].tolist()
+        return (row, col), (row_end, col_end)
+
+    def begin(self, exhibits: Sequence[Exhibit], stack: Stack, calibration: Calibration, *, apart: bool = True) -> None:
+        """Hide the user's layers, and show the images next to each other, or all in one place."""
+        self._hidden = {layer: layer.visible for layer in self._viewer.layers}
+        self._selected = set(self._viewer.layers.selection)
+        for layer in self._hidden:
+            layer.visible = False
+        self._side = exhibits[0].planes.shape[-1]
+        self._offsets_px = [index * (self._side + GAP_PX) if apart else 0 for index in range(len(exhibits))]
+        for exhibit, offset in zip(exhibits, self._offsets_px, strict=True):
+            words = attributes(stack, exhibit.title, calibration, origin_px=(0, offset))
+            words["name"] = f"{PREFIX} {exhibit.title}"
+            image = Image(exhibit.planes.dask(), cache=False, colormap=SIGNED if exhibit.signed else "gray", **words)
+            self.images.append(image)
+            self._viewer.layers.append(image)
+        place = {key: words[key][1:] for key in ("scale", "units", "axis_labels")}
+        self._add_titles(exhibits, place)
+        self._add_line(place)
+        self._look_at_all(place["scale"])
+
+    def end(self) -> None:
+        """Take the images and the line away, and show the user's layers as they were."""
+        ours, self.images, self._line, self._titles = self._layers(), [], None, None
+        for layer in ours:
+            if layer in self._viewer.layers:
+                self._viewer.layers.remove(layer)
+        for layer, visible in self._hidden.items():
+            layer.visible = visible
+        if self._hidden:
+            self._viewer.layers.selection = {layer for layer in self._selected if layer in self._viewer.layers}
+        if self._camera is not None:
+            self._viewer.scene.camera.center, self._viewer.scene.camera.zoom = self._camera
+            self._camera = None
+        self._hidden = {}
+
+    def lay_line(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Lay the line across every image; its ends are (row, col) in pixels of the images."""
+        if self._line is None:
+            return
+        own, mode = np.array([start, end], np.float64), self._line.mode
+        self._folding = True
+        try:
+            self._line.data = [(own + np.array([0, offset]), "line") for offset in dict.fromkeys(self._offsets_px)]
+            self._line.mode = mode
+        finally:
+            self._folding = False
+
+    def show_next(self) -> None:
+        """Show one image alone, the next at each call."""
+        lit = [index for index, image in enumerate(self.images) if image.visible]
+        chosen = 0 if len(lit) != 1 else (lit[0] + 1) % len(self.images)
+        for index, image in enumerate(self.images):
+            image.visible = index == chosen
+        if self._titles is not None:
+            self._titles.shown = np.arange(len(self.images)) == chosen
+
+    def _layers(self) -> list[Image | Shapes | Points]:
+        marks = (self._titles, self._line)
+        return [*self.images, *(mark for mark in marks if mark is not None)]
+
+    def _add_titles(self, exhibits: Sequence[Exhibit], place: dict[str, Any]) -> None:
+        corners = [(-0.03 * self._side, offset) for offset in self._offsets_px]
+        text = {"string": [one.title for one in exhibits], "color": [one.ink for one in exhibits], "size": 12}
+        self._titles = Points(
+            corners, name=f"{PREFIX} titles", size=1, face_color="transparent", border_color="transparent",
+            text={**text, "anchor": "lower_left"}, **place,
+        )  # fmt: skip
+        self._titles.editable = False
+        self._viewer.layers.append(self._titles)
+
+    def _look_at_all(self, scale: tuple[float, float]) -> None:
+        camera = self._viewer.scene.camera
+        self._camera = (camera.center, camera.zoom)
+        rows, cols = self._side * scale[0], (self._offsets_px[-1] + self._side) * scale[1]
+        height, width = self._viewer.canvas.size
+        camera.center = (rows / 2, cols / 2)
+        camera.zoom = _FILLED * min(height / rows, width / cols)
+
+    def _add_line(self, place: dict[str, Any]) -> None:
+        middle = (self._side - 1) / 2
+        start, end = ((middle, share * self._side) for share in _LINE_SHARE)
+        self._line = Shapes(
+            [np.array([start, end])], shape_type="line", name=f"{PREFIX} line", edge_width=3, edge_color=LINE_COLOUR,
+            **place,
+        )  # fmt: skip
+        self._viewer.layers.append(self._line)
+        self._line.events.data.connect(self._line_changed)
+        self.lay_line(start, end)
+        self._line.mode = "add_line"
+
+    def _line_changed(self, event: Any) -> None:
+        """Take the line that was drawn or moved last, and lay it across every image."""
+        if self._folding or self._line is None or str(event.action) not in ("added", "changed"):
+            return
+        if len(self._line.data):
+            chosen = event.data_indices[-1] if event.data_indices else -1
+            self._fold(np.asarray(self._line.data[chosen])[:, -2:])
+        self._line_moved()
+
+    def _fold(self, line: NDArray[np.float64]) -> None:
+        """Find the image on which a line was drawn, and lay it across all of them."""
+        panel = int(np.clip(line[:, 1].mean() // (self._side + GAP_PX), 0, len(self._offsets_px) - 1))
+        (row, col), (row_end, col_end) = line - np.array([0, self._offsets_px[panel]])
+        self.lay_line((row, col), (row_end, col_end))

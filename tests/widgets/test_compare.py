@@ -1,0 +1,192 @@
+"""The Compare panel, driven as a user drives it."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+import tifffile
+from qtpy.QtWidgets import QApplication
+
+from napari_elsplus.processing.sectioning import Mode, Sectioner
+from napari_elsplus.viewing.comparison import line_profiles
+from napari_elsplus.widgets.compare import BLINK, DIFFERENCE, Compare
+from pairs import calibration, frames, write_pair
+
+PLUGIN = "napari-elsplus"
+OURS = ["compare LS", "compare ELSA", "compare ELS+", "compare titles", "compare line"]
+
+
+@pytest.fixture
+def viewer(make_napari_viewer_proxy):
+    return make_napari_viewer_proxy()
+
+
+@pytest.fixture
+def panel(viewer, tmp_path):
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    _, widget = viewer.window.add_plugin_dock_widget(PLUGIN, "Compare")
+    return widget
+
+
+def state(viewer):
+    camera = viewer.scene.camera
+    return [(layer.name, layer.visible) for layer in viewer.layers], tuple(camera.center), camera.zoom
+
+
+def names(viewer):
+    return [layer.name for layer in viewer.layers if layer.name.startswith("compare")]
+
+
+def test_three_images_appear_and_everything_is_as_before_at_the_end(viewer, panel):
+    viewer.layers["scan LS"].visible = True
+    viewer.scene.camera.zoom = 3.21
+    before = state(viewer)
+    panel.start.native.click()
+    assert names(viewer) == OURS
+    assert not any(layer.visible for layer in viewer.layers if layer.name.startswith("scan"))
+    lefts = [layer.translate[2] for layer in panel.stage.images]
+    assert np.all(np.diff(lefts) > 2.0 * panel.stage.images[0].data.shape[2])
+    panel.start.native.click()
+    assert state(viewer) == before
+
+
+def test_one_slider_moves_all_and_the_numbers_follow(viewer, panel, qtbot):
+    panel.start.native.click()
+    sectioner = Sectioner(calibration(), (64, 128))
+    for step in (2, 4):
+        viewer.dims.set_current_step(0, step)
+        ls, _, els = (np.asarray(layer.data[step]) for layer in panel.stage.images)
+        np.testing.assert_array_equal(els, sectioner.els(frames()[step]))
+        qtbot.waitUntil(lambda ls=ls: np.array_equal(panel.plot.curves[0].y, profile(panel, ls)))
+        assert [curve.name for curve in panel.plot.curves] == ["LS", "ELSA", "ELS+"]
+    assert "contrast" in panel.numbers.text()
+
+
+def profile(panel, image):
+    return line_profiles({Mode.LS: image}, *panel.stage.line, 2.0).values[Mode.LS]
+
+
+def test_a_line_drawn_on_any_image_is_laid_across_all(viewer, panel, qtbot):
+    panel.start.native.click()
+    line = viewer.layers["compare line"]
+    side = panel.stage.images[0].data.shape[2]
+    third = 2 * (side + 20)
+    line.add_lines(np.array([[10, third + 12], [40, third + 30]]))
+    assert panel.stage.line == ((10, 12), (40, 30))
+    assert [np.asarray(one)[0].tolist() for one in line.data] == [[10, 12], [10, side + 32], [10, third + 12]]
+    qtbot.waitUntil(lambda: len(panel.plot.curves[0].x) == 36)
+
+
+def test_scaling_filter_and_view_change_while_comparing(viewer, panel):
+    panel.start.native.click()
+    ls, elsa, els = panel.stage.images
+    assert elsa.contrast_limits == els.contrast_limits
+    panel.scaling.value = "shared"
+    assert ls.contrast_limits == elsa.contrast_limits == els.contrast_limits
+    panel.scaling.value = "each its own"
+    assert elsa.contrast_limits != els.contrast_limits
+
+    viewer.dims.set_current_step(0, 3)
+    before = np.asarray(els.data[3])
+    panel.cores.value = "median"
+    assert viewer.dims.current_step[0] == 3
+    assert names(viewer) == OURS
+    assert not np.array_equal(np.asarray(panel.stage.images[2].data[3]), before)
+
+    panel.cores.value = "none"
+    panel.view.value = DIFFERENCE
+    removed, moved = panel.stage.images
+    sectioner, raw = Sectioner(calibration(), (64, 128)), frames()
+    np.testing.assert_allclose(np.asarray(removed.data[1]), sectioner.residual(raw[1]), atol=1e-4)
+    expected = sectioner.elsa(raw[1], raw[2]).copy() - sectioner.els(raw[1])
+    np.testing.assert_allclose(np.asarray(moved.data[1]), expected, atol=1e-4)
+    assert removed.contrast_limits[0] == -removed.contrast_limits[1]
+
+
+def test_blinking_shows_one_after_the_other_in_one_place(panel, qtbot):
+    panel.view.value = BLINK
+    panel.start.native.click()
+    seen = set()
+
+    def all_seen():
+        lit = [layer.name for layer in panel.stage.images if layer.visible]
+        assert len(lit) == 1
+        seen.update(lit)
+        return len(seen) == 3
+
+    qtbot.waitUntil(all_seen, timeout=5000)
+    assert len({tuple(layer.translate) for layer in panel.stage.images}) == 1
+
+
+def test_a_filter_that_needs_a_flat_field_is_one_notification_and_no_half_made_layers(viewer, panel, said):
+    before = state(viewer)
+    panel.cores.value = "interpolate"
+    panel.start.native.click()
+    assert state(viewer) == before
+    ((severity, message),) = said()
+    assert severity == "error"
+    assert "flat field" in message
+    assert not panel.comparing
+
+
+def test_taking_one_of_its_layers_away_ends_it(viewer, panel):
+    before = state(viewer)
+    panel.start.native.click()
+    viewer.layers.remove("compare LS")
+    assert not panel.comparing
+    assert state(viewer) == before
+    panel.start.native.click()
+    viewer.layers.remove("scan raw")
+    assert not panel.comparing
+    assert names(viewer) == []
+
+
+def test_only_recordings_with_a_calibration_are_offered(viewer, panel, tmp_path):
+    (tmp_path / "bare").mkdir()
+    tifffile.imwrite(tmp_path / "bare" / "bare.tif", frames())
+    viewer.open(str(tmp_path / "bare" / "bare.tif"), plugin=PLUGIN)
+    assert list(panel.recording.choices) == ["scan raw"]
+    for name in ("scan raw", "bare raw"):
+        viewer.layers.remove(name)
+    assert not panel.start.enabled
+    assert "Open Sample" in panel.start.tooltip
+
+
+def test_scripts_plots_and_themes(viewer, panel, tmp_path):
+    panel.script.native.click()
+    text = QApplication.clipboard().text()
+    assert str(tmp_path / "scan.tif") in text
+    compile(text, "script", "exec")
+
+    panel.start.native.click()
+    panel.plot.save(tmp_path / "p.png")
+    panel.plot.save(tmp_path / "p.csv")
+    assert (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
+    header, first, *_ = (tmp_path / "p.csv").read_text(encoding="utf-8").splitlines()
+    assert header == "position along the line / µm,LS,ELSA,ELS+"
+    assert len(first.split(",")) == 4
+
+    for theme, ink in (("light", "#0072b2"), ("dark", "#56b4e9")):
+        viewer.theme = theme
+        assert panel.plot.ink("blue") == ink
+        assert ink in panel.numbers.text()
+
+
+def test_closing_the_dock_ends_the_comparison_and_leaves_nothing(viewer, tmp_path):
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    before = state(viewer)
+    dock, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Compare")
+    assert isinstance(panel, Compare)
+    panel.start.native.click()
+    gone = weakref.ref(panel)
+    viewer.window.remove_dock_widget(panel)
+    assert state(viewer) == before
+    del panel, dock
+    QApplication.processEvents()
+    gc.collect()
+    QApplication.processEvents()
+    gc.collect()
+    assert gone() is None
