@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.line_search import Streak, brightest_streak, without_hot_pixels
-from napari_elsplus.processing.uncertainty import clustered_influence
+from napari_elsplus.processing.uncertainty import clustered
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,9 +28,10 @@ RUNS: Final = 32
 VISIBLE_SIGMAS: Final = 7.0
 WIDEST_FIT_ROWS: Final = 120
 """Rows to either side that a fit may use."""
-TOLERATED_MISFIT: Final = 0.03
-WORST_MISFIT: Final = 0.2
-"""Departure of the mean profile from a Gaussian, as a fraction of its height. Lines stay below 0.02."""
+TAPER: Final = 1.5
+"""Standard deviation of the weights across the line, in those of the smoothed profile."""
+WORST_MISFIT: Final = 0.04
+"""Weighted departure of the mean profile from a Gaussian, over its height. Lines stay below 0.008, dim ones too."""
 _ROW, _SLOPE = 3, 4
 
 
@@ -57,8 +58,7 @@ class Line:
     profile_rows : numpy.ndarray
         Their rows, from the line's middle, shape (rows,).
     influence : numpy.ndarray
-        Shape (runs + 1, 2): what each run of columns contributes to the error of row and slope, and at the end what a
-        profile that is no Gaussian does, a reflection beside the line for one.
+        Shape (runs, 2): what each run of columns contributes to the error of row and slope.
     """
 
     row: float
@@ -119,7 +119,8 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None) -> L
     -----
     The profiles are smoothed with the line's own width before the Gaussian is fitted. That costs little precision and
     keeps the rows of cores, which are about as far apart as the line is wide, from pulling the fit. A slope of the
-    background is fitted too: near the bundle's rim the line's halo is cut on one side.
+    background is fitted too: near the bundle's rim the line's halo is cut on one side. A reflection within three widths
+    merges with the line and moves it; it does so in both views alike, so that their offset stays true.
 
     Examples
     --------
@@ -175,7 +176,6 @@ def _fit(image: Image, streak: Streak) -> Line:
     fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2 - spread, 0.1)))
     misfit = _misfit(data, seen, parameters, u, x)
     _must_be_a_line(amplitude, float(np.linalg.norm(influence[:, 0])), shift, reach, misfit)
-    pulled = max(misfit - TOLERATED_MISFIT, 0.0) * fitted
     return Line(
         row=streak.row + streak.slope * (middle - streak.column) + shift,
         column=middle,
@@ -185,7 +185,7 @@ def _fit(image: Image, streak: Streak) -> Line:
         columns=(first, stop),
         profile=profiles.mean(axis=1),
         profile_rows=np.arange(len(profiles), dtype=np.float64) - (len(profiles) - 1) / 2 - shift,
-        influence=np.vstack([influence[:, [_ROW, _SLOPE]], (pulled, 0.0)]),
+        influence=influence[:, [_ROW, _SLOPE]],
     )
 
 
@@ -231,30 +231,38 @@ def _gauss_newton(data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], wid
     start = (float(np.percentile(data, 95)) - level, level, np.log(np.sqrt(2) * width), 0.0, 0.0, 0.0)
     parameters = np.array(start)
     for _ in range(12):
-        model, jacobian = _model(parameters, u, x)
-        step = np.linalg.lstsq(jacobian.T @ jacobian, jacobian.T @ (data - model), rcond=None)[0]
+        model, jacobian, taper = _model(parameters, u, x)
+        weighted = jacobian * taper[:, None]
+        step = np.linalg.lstsq(weighted.T @ jacobian, weighted.T @ (data - model), rcond=None)[0]
         step[2] = np.clip(step[2], -0.4, 0.4)
         step[_ROW] = np.clip(step[_ROW], -width, width)
         parameters += step
         if np.abs(step[2 : _ROW + 1]).max() < 1e-5:
             break
-    model, jacobian = _model(parameters, u, x)
-    return parameters, clustered_influence(jacobian, data - model, run, RUNS)
+    model, jacobian, taper = _model(parameters, u, x)
+    weighted = jacobian * taper[:, None]
+    return parameters, clustered(weighted * (data - model)[:, None], weighted.T @ jacobian, run, RUNS)
 
 
-def _model(parameters: Floats, u: Floats, x: Floats) -> tuple[Floats, Floats]:
+def _model(parameters: Floats, u: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Model, its derivatives, and weights that fade out away from the line.
+
+    Without the fading the halo, which is no straight slope, would pull a line that is not in the middle of a row.
+    """
     amplitude, level, log_width, shift, turn, ramp = parameters
     z = (u - shift - turn * x) / np.exp(log_width)
     bell = np.exp(-0.5 * z * z)
     pull = amplitude * bell * z / np.exp(log_width)
     jacobian = np.stack([bell, np.ones_like(bell), amplitude * bell * z * z, pull, pull * x, u], axis=1)
-    return amplitude * bell + level + ramp * u, jacobian
+    taper = np.exp(-0.5 * (z / TAPER) ** 2)
+    return amplitude * bell + level + ramp * u, jacobian, taper
 
 
 def _misfit(data: Floats, seen: NDArray[np.bool_], parameters: Floats, u: Floats, x: Floats) -> float:
-    """Largest departure of the mean profile from the fit, over the amplitude."""
+    """Largest departure of the mean profile from the fit, weighted as in the fit, over the amplitude."""
     left = np.zeros(data.shape)
-    left[seen] = data[seen] - _model(parameters, u, x)[0]
+    model, _, taper = _model(parameters, u, x)
+    left[seen] = (data[seen] - model) * taper
     count = np.count_nonzero(seen, axis=1)
     profile = left.sum(axis=1)[count > 0] / count[count > 0]
     return float(np.abs(profile).max() / max(abs(float(parameters[0])), 1e-12))
