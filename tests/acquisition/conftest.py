@@ -15,6 +15,7 @@ from napari_elsplus.acquisition.engine import Engine
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.parking import ParkOrder
 from napari_elsplus.hardware.protocols import FrameInfo, Region
 from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase, Waveform
 
@@ -132,6 +133,8 @@ class SmallRig:
     scanner: RememberingScanner = field(default_factory=RememberingScanner)
     limits: MirrorLimits = field(default_factory=MirrorLimits)
     strobe: StrobePhase = StrobePhase.EXPOSURE
+    park: ParkOrder | None = None
+    bench: None = None
 
     def close(self) -> None:
         self.scanner.close()

@@ -1,4 +1,7 @@
-"""The engine's process with the small rig of these tests; run by path. It notes where the mirror stands in a file."""
+"""The engine's process with the small rig of these tests; run by path. It notes in a file where the mirror stands.
+
+Arguments: the file, and the address of a virtual card if the mirror shall be driven by that.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ import sys
 from pathlib import Path
 
 from napari_elsplus.acquisition.process import run
+from napari_elsplus.hardware.daq import CardSettings, DaqScanner
+from napari_elsplus.hardware.parking import park_order
 
 small = runpy.run_path(str(Path(__file__).with_name("conftest.py")))
 
@@ -15,6 +20,10 @@ def open_rig(name: str) -> object:
     if name != "small":
         raise small["DeviceError"](f"there is no rig {name!r}", "choose small")
     rig = small["SmallRig"]()
+    if len(sys.argv) > 2:
+        rig.scanner = DaqScanner(CardSettings(small["PARK_V"], address=sys.argv[2]), rig.limits)
+        rig.park = park_order(rig.scanner)
+        return rig
 
     def note(what: str) -> None:
         with Path(sys.argv[1]).open("a") as file:

@@ -49,6 +49,5 @@ def test_without_a_line_the_search_says_so_and_the_calibration_before_stays(cali
 
 
 def test_a_real_rig_does_not_calibrate_itself(rig: object, engine: Engine) -> None:
-    rig.bench = None  # type: ignore[attr-defined]
     with pytest.raises(InputError, match="cannot calibrate itself"):
         calibrate_simulated(rig, engine)  # type: ignore[arg-type]

@@ -16,7 +16,8 @@ from napari_elsplus.acquisition.live_images import View
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.calibration import Calibration
-from napari_elsplus.errors import CalibrationError, DeviceError
+from napari_elsplus.errors import CalibrationError, DeviceError, InputError
+from napari_elsplus.hardware.virtual.card_process import start_card
 from napari_elsplus.io import open_recording
 
 SLOW = Settings("240hz", frame_rate_hz=100.0)
@@ -26,11 +27,13 @@ from pathlib import Path
 from napari_elsplus.acquisition.client import EngineClient
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings
-client = EngineClient((sys.executable, *sys.argv[1:3]))
+path, *command = sys.argv[1:]
+client = EngineClient(command)
 client.open("small").result()
 client.configure(Settings("240hz", frame_rate_hz=100.0)).result()
 client.start().result()
-client.record(RecordingPlan(Path(sys.argv[3]))).result()
+client.record(RecordingPlan(Path(path))).result()
+client.hold(0.25).result()
 print(client.pid, flush=True)
 time.sleep(600)
 """
@@ -132,9 +135,7 @@ def test_killed_napari_the_engine_finishes_the_recording_parks_and_ends(
     command: tuple[str, ...], log: Path, tmp_path: Path
 ) -> None:
     path = tmp_path / "r.ome.tif"
-    napari = subprocess.Popen(
-        [sys.executable, "-c", STREAMER, *command[1:], str(path)], stdout=subprocess.PIPE, text=True
-    )
+    napari = subprocess.Popen([sys.executable, "-c", STREAMER, str(path), *command], stdout=subprocess.PIPE, text=True)
     assert napari.stdout is not None
     engine = int(napari.stdout.readline())
     until(lambda: path.exists() and path.stat().st_size > 20 * 524 * 1328)
@@ -170,6 +171,38 @@ def test_killed_engine_the_client_says_so_and_every_whole_frame_is_readable(
     until(lambda: segments(client.pid) == [])
     with EngineClient(command) as again:
         again.open("small").result(60)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
+@pytest.mark.parametrize("victim", ["engine", "napari"])
+def test_whoever_is_killed_the_mirror_is_parked_at_once(victim: str, command: tuple[str, ...], tmp_path: Path) -> None:
+    with start_card() as card:
+        napari = subprocess.Popen(
+            [sys.executable, "-c", STREAMER, str(tmp_path / "r.ome.tif"), *command, card.address],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert napari.stdout is not None
+        engine = int(napari.stdout.readline())
+        assert card.last_volts == pytest.approx(0.25)
+        os.kill(engine if victim == "engine" else napari.pid, signal.SIGKILL)
+        killed_s = time.monotonic()
+        until(lambda: card.last_volts == pytest.approx(-0.7))
+        assert time.monotonic() - killed_s < 2.0  # half a second where other programs do not hold it up
+        napari.kill()
+        napari.communicate()
+        until(lambda: not exists(engine))
+
+
+def test_a_procedure_can_be_cancelled(client: EngineClient, log: Path) -> None:
+    sweeping = client.map_galvo(np.linspace(-0.2, 0.6, 400))
+    until(lambda: client.status.progress is not None and client.status.progress.done > 3)
+    assert client.status.progress.total == 400  # type: ignore[union-attr]
+    client.cancel().result(60)
+    with pytest.raises(InputError, match="cancelled"):
+        sweeping.result(60)
+    assert log.read_text().split()[-1] == "park"
+    until(lambda: client.status.progress is None)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")

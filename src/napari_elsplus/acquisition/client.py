@@ -22,10 +22,16 @@ from napari_elsplus.errors import DeviceError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from napari_elsplus.acquisition.live_images import View
     from napari_elsplus.acquisition.recorder import RecordingPlan
     from napari_elsplus.acquisition.status import Settings
     from napari_elsplus.calibration import Calibration
+    from napari_elsplus.processing.calibrate import Background, Findings, Pair, SlitOffset
+    from napari_elsplus.processing.galvo import GalvoMap
+    from napari_elsplus.processing.lag import ScanLag
 
 ENGINE: Final = (sys.executable, "-m", "napari_elsplus.acquisition.process")
 _PATIENCE_S: Final = 30.0
@@ -109,6 +115,41 @@ class EngineClient:
     def stop_recording(self) -> Future[None]:
         """Finish the recording."""
         return self._ask("stop_recording")
+
+    def measure_offset(
+        self, volts: float, background: NDArray[np.float32] | None = None, pair: Pair | None = None
+    ) -> Future[SlitOffset]:
+        """Measure the slit offset, the line held at a voltage."""
+        return self._ask("measure_offset", volts, background, pair)
+
+    def map_galvo(
+        self,
+        volts: NDArray[np.floating],
+        background: NDArray[np.float32] | None = None,
+        pair: Pair | None = None,
+    ) -> Future[GalvoMap]:
+        """Sweep the line over voltages, and fit the galvo's map."""
+        return self._ask("map_galvo", volts, background, pair)
+
+    def locate_pair(self) -> Future[Pair]:
+        """Locate the pair of bundle images, lit from the far end."""
+        return self._ask("locate_pair")
+
+    def measure_background(self) -> Future[Background]:
+        """Take the background in the dark tube."""
+        return self._ask("measure_background")
+
+    def measure_lag(self) -> Future[ScanLag]:
+        """Measure the scan's lag at full speed."""
+        return self._ask("measure_lag")
+
+    def calibrate_simulated(self) -> Future[tuple[Findings, ScanLag]]:
+        """Let the simulated rig calibrate itself."""
+        return self._ask("calibrate_simulated")
+
+    def cancel(self) -> Future[None]:
+        """Give up the procedure that runs."""
+        return self._ask("cancel")
 
     # looking
 

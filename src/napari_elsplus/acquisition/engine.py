@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.recorder import RecordingPlan
     from napari_elsplus.acquisition.ring import Layout
     from napari_elsplus.calibration import Calibration
+    from napari_elsplus.hardware.parking import ParkOrder
+    from napari_elsplus.hardware.rigs import VirtualBench
 
 BUFFER_S: Final = 2.0
 """Seconds of raw frames that stay in memory."""
@@ -61,6 +63,14 @@ class Rig(Protocol):
     @property
     def strobe(self) -> StrobePhase:
         """What the camera's strobe marks."""
+
+    @property
+    def park(self) -> ParkOrder | None:
+        """What has to be done if this process dies; None if nothing moves."""
+
+    @property
+    def bench(self) -> VirtualBench | None:
+        """What is behind a simulated rig; None for a real one."""
 
     def close(self) -> None:
         """Park and let everything go."""

@@ -13,21 +13,26 @@ import os
 import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing.connection import Connection, Listener
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Final
 
-from napari_elsplus.acquisition import shared
+from napari_elsplus.acquisition import procedures, shared
 from napari_elsplus.acquisition.engine import Engine, Rig
+from napari_elsplus.acquisition.guardian import Guardian
 from napari_elsplus.acquisition.shared import SharedRing
-from napari_elsplus.acquisition.status import Status
-from napari_elsplus.errors import DeviceError, ElsPlusError
+from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
+from napari_elsplus.acquisition.status import Progress, Status
+from napari_elsplus.errors import DeviceError, ElsPlusError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Iterator
     from types import FrameType
 
+    from napari_elsplus.acquisition.procedures import Watch
     from napari_elsplus.acquisition.ring import Layout, Ring
 
 STATUS_PERIOD_S: Final = 0.1
@@ -78,6 +83,10 @@ class Server:
         self._sending = Lock()
         self._ended = Event()
         self._engine: Engine | None = None
+        self._rig: Rig | None = None
+        self._guardian: Guardian | None = None
+        self._cancelled = Event()
+        self._progress: Progress | None = None
 
     def serve(self) -> None:
         """Take commands until the connection ends; then close the engine."""
@@ -108,15 +117,28 @@ class Server:
             If it cannot be opened.
         """
         self.close()
-        self._engine = Engine(self._open_rig(rig), make_ring=_shared_ring)
+        with ExitStack() as held:
+            self._rig = opened = self._open_rig(rig)
+            held.callback(opened.close)
+            self._guardian = None if opened.park is None else Guardian(opened.park)
+            held.pop_all()
+        self._engine = Engine(opened, make_ring=_shared_ring)
         gc.collect()
         gc.freeze()  # what exists now lives as long as the process: do not look through it again while frames stream
 
     def close(self) -> None:
         """Close the rig."""
         engine, self._engine = self._engine, None
+        guardian, self._guardian = self._guardian, None
+        self._cancelled.set()
         if engine is not None:
             engine.close()
+        if guardian is not None:
+            guardian.dismiss()
+
+    def cancel(self) -> None:
+        """Give up the procedure that runs."""
+        self._cancelled.set()
 
     def _execute(self, command: Command) -> None:
         try:
@@ -129,21 +151,48 @@ class Server:
         self._send(reply)
 
     def _method(self, name: str) -> Callable[..., Any]:
-        if name == "open":
-            return self.open
-        if name == "close":
-            return self.close
+        own: dict[str, Callable[..., Any]] = {"open": self.open, "close": self.close, "cancel": self.cancel}
+        if name in own:
+            return own[name]
+        engine, rig = self._engine, self._rig
+        if engine is None or rig is None:
+            raise DeviceError("no rig is open", "connect to a rig first")
+        steps: dict[str, Callable[..., Any]] = {
+            "measure_offset": partial(procedures.offset, engine),
+            "map_galvo": partial(procedures.sweep, engine, watch=self._watch("sweep")),
+            "locate_pair": partial(procedures.bundle, engine),
+            "measure_background": partial(procedures.background, engine),
+            "measure_lag": partial(procedures.lag, engine, watch=self._watch("lag")),
+            "calibrate_simulated": partial(calibrate_simulated, rig, engine, watch=self._watch),
+        }
+        if name in steps:
+            self._cancelled.clear()
+            return steps[name]
         if name not in COMMANDS:
             raise ValueError(f"there is no command {name!r}")
-        if self._engine is None:
-            raise DeviceError("no rig is open", "connect to a rig first")
-        method: Callable[..., Any] = getattr(self._engine, name)
+        method: Callable[..., Any] = getattr(engine, name)
         return method
+
+    def _watch(self, step: str) -> Watch:
+        """Make what tells the progress of a step, and ends it when it was cancelled."""
+
+        def go_through(numbers: Iterable[int]) -> Iterator[int]:
+            every = list(numbers)
+            try:
+                for done, number in enumerate(every):
+                    if self._cancelled.is_set():
+                        raise InputError(f"the {step} was cancelled", "start it again when you like")
+                    self._progress = Progress(step, done, len(every))
+                    yield number
+            finally:
+                self._progress = None
+
+        return go_through
 
     def _tell(self) -> None:
         while not self._ended.wait(STATUS_PERIOD_S):
             engine = self._engine
-            self._send(Status() if engine is None else engine.status())
+            self._send(replace(Status() if engine is None else engine.status(), progress=self._progress))
 
     def _send(self, message: object) -> None:
         try:
@@ -195,6 +244,4 @@ def _leave_with_the_client(met: Event) -> None:
 
 
 if __name__ == "__main__":
-    from napari_elsplus.hardware.rigs import open_rig
-
-    run(open_rig)
+    run(partial(open_live, own_process=True))

@@ -6,20 +6,43 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.acquisition.calibrating import Target, calibrate_rig
 from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.rigs import SIMULATED, open_rig
+from napari_elsplus.hardware.virtual.bench import Simulation
+from napari_elsplus.hardware.virtual.frame_source import Circle
 from napari_elsplus.simulation.scenes import distal_light, empty, fibres, uniform
-from napari_elsplus.simulation.trajectories import HandHeld
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from napari_elsplus.acquisition.engine import Engine
+    from napari_elsplus.acquisition.engine import Engine, Rig
     from napari_elsplus.acquisition.procedures import Watch
-    from napari_elsplus.hardware.rigs import Rig
     from napari_elsplus.processing.calibrate import Findings
     from napari_elsplus.processing.lag import ScanLag
 
 QUICK_VOLTAGES: Final = 60
 """Steps of the sweep: enough for 0.05 rows, and over in seconds."""
+
+
+def open_live(name: str, *, own_process: bool = False) -> Rig:
+    """Open a rig for live images; the simulated one looks at moving lens tissue.
+
+    Parameters
+    ----------
+    name : str
+        One of :func:`napari_elsplus.hardware.rigs.rig_names`.
+    own_process : bool
+        Whether the simulated card outlives this process, as a real one does, so that a guardian has something to park.
+
+    Raises
+    ------
+    InputError
+        If there is no such rig, or its file is wrong.
+    DeviceError
+        If a device is absent, busy or fails.
+    """
+    if name != SIMULATED:
+        return open_rig(name)
+    return open_rig(name, Simulation(scene=fibres(), trajectory=Circle(), own_process=own_process))
 
 
 def calibrate_simulated(
@@ -46,5 +69,5 @@ def calibrate_simulated(
                 bench.optics.show(empty())
 
     found = calibrate_rig(engine, prepare, voltages=QUICK_VOLTAGES, watch=watch)
-    bench.optics.show(fibres(), HandHeld())
+    bench.optics.show(fibres(), Circle())
     return found

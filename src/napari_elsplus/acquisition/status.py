@@ -58,6 +58,23 @@ class RecordingState:
 
 
 @dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a procedure is.
+
+    Parameters
+    ----------
+    step : str
+        What is done.
+    done, total : int
+        Of the step's parts.
+    """
+
+    step: str
+    done: int
+    total: int
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """The engine at one moment.
 
@@ -89,6 +106,8 @@ class Status:
         What went wrong, oldest first.
     stale : mapping
         Sections of the calibration that do not hold any more, with the reason.
+    progress : Progress, optional
+        Of the procedure that runs.
     """
 
     live: bool = False
@@ -106,6 +125,7 @@ class Status:
     display: tuple[str, Layout] | None = None
     faults: tuple[Fault, ...] = ()
     stale: Mapping[str, str] = field(default_factory=dict)
+    progress: Progress | None = None
 
     def report(self) -> dict[str, Any]:
         """Return the content of `acquire`'s report: frames, rate, latencies, faults; null where there is no number."""

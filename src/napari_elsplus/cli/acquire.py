@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from napari_elsplus.acquisition.engine import Engine
+from napari_elsplus.acquisition.guardian import Guardian
 from napari_elsplus.acquisition.recorder import RecordingPlan
-from napari_elsplus.acquisition.simulated import calibrate_simulated
+from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.acquisition.tracking import LiveTrack
 from napari_elsplus.cli.options import FILE, force_option, progress
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.rigs import SIMULATED, Rig, open_rig
+from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import read_calibration, refuse_existing, replacing, write_mosaic, write_track
 from napari_elsplus.optics import PRESETS
 from napari_elsplus.tracking_pipeline import Pipeline, picture
@@ -24,6 +25,7 @@ from napari_elsplus.tracking_pipeline import Pipeline, picture
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from napari_elsplus.acquisition.engine import Rig
     from napari_elsplus.acquisition.status import Status
 
 _STEP_S = 0.1
@@ -61,7 +63,10 @@ def command(
             refuse_existing(target, force=force)
     given = None if calibration is None else read_calibration(calibration)
     with ExitStack() as held:
-        rig = held.enter_context(open_rig(rig_name))
+        rig = open_live(rig_name)
+        held.callback(rig.close)
+        if rig.park is not None and rig.bench is None:
+            held.enter_context(Guardian(rig.park))
         engine = held.enter_context(Engine(rig))
         engine.configure(Settings(preset, slit_rows, rate_hz))
         if given is not None:
