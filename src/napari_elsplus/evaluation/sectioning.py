@@ -14,7 +14,7 @@ from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_
 from napari_elsplus.simulation.calibration_scenes import background
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import fibres, plate
+from napari_elsplus.simulation.scenes import paper, plate
 from napari_elsplus.simulation.trajectories import Spiral
 from napari_elsplus.simulation.truth import true_calibration
 
@@ -94,7 +94,7 @@ def mean_residual(offset_um: float, *, frames: int = 300, slit_um: float = 8.8, 
     """
     instrument = Instrument.of("120hz", slit_um=slit_um, offset_um=offset_um, rate_hz=10.0)
     instrument = replace(instrument, light_dn=instrument.light_dn / 3)  # three times the usual slit
-    renderer = Renderer(instrument, fibres(seed), Spiral(speed_um_s=3000.0), seed=seed)
+    renderer = Renderer(instrument, paper(seed), Spiral(speed_um_s=3000.0), seed=seed)
     calibration = true_calibration(instrument, background(instrument, seed=seed + 1))
     sectioner = Sectioner(calibration, instrument.frame_shape)
     total = np.zeros((sectioner.side, sectioner.side), np.float32)

@@ -102,6 +102,13 @@ def nuclei(seed: int = 0) -> Scene:
     )
 
 
+def paper(seed: int = 0) -> Scene:
+    """Cover the field with stained paper: its uneven surface in contact, and what shines through from below."""
+    return Scene(
+        (Plane(Mottle(scale_um=40, seed=seed)), Plane(Mottle(scale_um=80, seed=seed + 1), depth_um=60, brightness=0.5))
+    )
+
+
 def usaf(seed: int = 0) -> Scene:
     """USAF 1951 target, lit from behind."""
     del seed  # there is only one
@@ -139,6 +146,7 @@ SCENES: Final[dict[str, Callable[[int], Scene]]] = {
     "fibres": fibres,
     "sparse": sparse,
     "nuclei": nuclei,
+    "paper": paper,
     "usaf": usaf,
     "uniform": uniform,
     "empty": empty,

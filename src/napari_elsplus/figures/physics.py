@@ -1,0 +1,168 @@
+"""The charts and tables of docs/physics.md: ``python -m napari_elsplus.figures.physics --out docs`` makes them anew."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.evaluation.sectioning import mean_residual, measure_axial, weigh_offset
+from napari_elsplus.figures import physics_charts as charts
+from napari_elsplus.figures.files import save_figure
+from napari_elsplus.io import replacing
+from napari_elsplus.simulation.axial_response import LINE_MODELS, drop_offs
+from napari_elsplus.simulation.instrument import Instrument
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.axial import AxialResponse
+
+OFFSETS_UM: Final = (12.0, 29.0, 40.0, 58.0, 77.0)
+SLITS_UM: Final = (1.9, 2.9, 5.8)
+SHARP_SLITS_UM: Final = (2.9, 5.8, 8.8)
+SEEDS: Final = 10
+WEIGHED_UM: Final = (3, 6, 9, 12, 16, 20, 25, 29, 35, 40, 50, 58, 67, 77, 90)
+STRIPS_UM: Final = ((-295.0, -260.0), (-285.0, -275.0), (260.0, 295.0))
+EDGE_UM: Final = (-74.0, -12.0)
+
+
+def make(docs: Path) -> None:
+    """Measure, draw and tabulate everything in docs/physics.md.
+
+    Parameters
+    ----------
+    docs : pathlib.Path
+        Folder of ``physics.md``; charts go into its folder ``images``.
+
+    Raises
+    ------
+    InputError
+        If there is no ``physics.md`` in it, or a table's place is missing there.
+    """
+    page = docs / "physics.md"
+    if not page.is_file():
+        raise InputError(f"there is no {page}", "name the folder of physics.md")
+    by_offset = {offset: measure_axial(_instrument(offset)) for offset in OFFSETS_UM}
+    by_slit = {slit: measure_axial(_instrument(29.0, slit)) for slit in SLITS_UM}
+    sharp = {slit: measure_axial(_instrument(77.0, slit, "b")) for slit in SHARP_SLITS_UM}
+    by_seed = [measure_axial(_instrument(29.0), seed=seed) for seed in range(SEEDS)]
+    residuals = {offset: mean_residual(offset) for offset in EDGE_UM}
+    choices = [weigh_offset(float(offset)) for offset in WEIGHED_UM]
+    figures = {
+        "axial": charts.representative(by_offset[29.0]),
+        "offset": charts.drop_off_against_offset(by_offset),
+        "slit": charts.drop_off_against_slit(sharp),
+        "kept": charts.kept_signal(by_offset),
+        "choice": charts.the_choice(choices),
+        "edge": charts.edge_artefacts(residuals, _instrument(74.0).optics.um_per_px),
+    }
+    for name, figure in figures.items():
+        save_figure(figure, docs / "images" / f"physics-{name}.png", force=True)
+    text = page.read_text(encoding="utf-8")
+    for name, table in (
+        ("offsets", _offset_table(by_offset)),
+        ("slits", _slit_table(by_slit)),
+        ("seeds", _seed_table(by_seed)),
+        ("edge", _edge_table(residuals)),
+    ):
+        text = _put(text, name, table)
+    with replacing(page, force=True) as path:
+        path.write_text(text, encoding="utf-8")
+
+
+def _instrument(offset_um: float, slit_um: float = 2.9, state: str = "a") -> Instrument:
+    return Instrument.of("120hz", slit_um=slit_um, offset_um=offset_um, line=LINE_MODELS[state])
+
+
+def _offset_table(measured: dict[float, AxialResponse]) -> list[str]:
+    ls, closed_ls = measured[29.0], drop_offs(offset_um=None)
+    rows = [
+        "| 3 dB / 10 dB (um) | paper | closed form | raw frames | raw frames off the paper |",
+        "|---|---|---|---|---|",
+        f"| LS | 58 +- 3 / 550 +- 20 | {closed_ls.drop_3db_um:.1f} / {closed_ls.drop_10db_um:.0f} "
+        f"| {ls.ls_3db.um:.1f} / {ls.ls_10db.um:.0f} | {_off(ls.ls_3db.um, 58)} / {_off(ls.ls_10db.um, 550)} |",
+    ]
+    for offset, response in measured.items():
+        paper = [charts.paper_drop_off(offset, decibel) for decibel in (3, 10)]
+        closed = drop_offs(offset_um=offset)
+        rows.append(
+            f"| ELS, offset {offset:.0f} | {paper[0]:.1f} / {paper[1]:.1f} "
+            f"| {closed.drop_3db_um:.1f} / {closed.drop_10db_um:.1f} "
+            f"| {response.els_3db.um:.1f} / {response.els_10db.um:.1f} "
+            f"| {_off(response.els_3db.um, paper[0])} / {_off(response.els_10db.um, paper[1])} |"
+        )
+    return rows
+
+
+def _slit_table(measured: dict[float, AxialResponse]) -> list[str]:
+    return [
+        "| slit (um) | ELS+ 10 dB, paper (um) | raw frames (um) | signal kept |",
+        "|---|---|---|---|",
+        *(
+            f"| {slit} | 120 | {response.els_10db.um:.1f} | {100 * response.signal_kept:.1f} % |"
+            for slit, response in measured.items()
+        ),
+    ]
+
+
+def _seed_table(measured: list[AxialResponse]) -> list[str]:
+    rows = [
+        f"| {SEEDS} seeds, offset 29 um, slit 2.9 um | mean | sd | lowest | highest | must lie in |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, field, low, high in (
+        ("LS 3 dB", "ls_3db", 55, 61),
+        ("LS 10 dB", "ls_10db", 530, 570),
+        ("ELS+ 3 dB", "els_3db", 35.1 * 0.95, 35.1 * 1.05),
+        ("ELS+ 10 dB", "els_10db", 118.9 * 0.95, 118.9 * 1.05),
+    ):
+        values = np.array([getattr(response, field).um for response in measured])
+        rows.append(
+            f"| {name} (um) | {values.mean():.2f} | {values.std(ddof=1):.3f} | {values.min():.2f} "
+            f"| {values.max():.2f} | {low:.1f} to {high:.1f} |"
+        )
+    return rows
+
+
+def _edge_table(residuals: dict[float, NDArray[np.float32]]) -> list[str]:
+    um_per_px = _instrument(74.0).optics.um_per_px
+    lines = [
+        "| offset (um) | 15 to 50 um inside the upper rim | 25 to 35 um inside | 15 to 50 um inside the lower rim |",
+        "|---|---|---|---|",
+    ]
+    for offset, image in residuals.items():
+        shares = " | ".join(f"{_share(image, um_per_px, *strip_um):.2f}" for strip_um in STRIPS_UM)
+        lines.append(f"| {abs(offset):.0f} | {shares} |")
+    return lines
+
+
+def _share(image: NDArray[np.float32], um_per_px: float, first_um: float, last_um: float) -> float:
+    """Brightness between two rows down the middle, over that of the centre."""
+    axis_um = (np.arange(len(image)) - (len(image) - 1) / 2) * um_per_px
+    centre = np.hypot(axis_um[:, None], axis_um) < 50
+    inside = np.ix_((axis_um >= first_um) & (axis_um <= last_um), np.abs(axis_um) < 40)
+    return float(image[inside].mean() / image[centre].mean())
+
+
+def _off(value: float, target: float) -> str:
+    return f"{100 * (value / target - 1):+.1f} %"
+
+
+def _put(text: str, name: str, rows: list[str]) -> str:
+    """Put a table between its two marks."""
+    marks = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
+    if not marks.search(text):
+        raise InputError(f"physics.md has no place for the table {name!r}", f"mark it <!-- {name} --> <!-- end -->")
+    table = "\n".join(rows)
+    return marks.sub(lambda found: f"{found[1]}\n{table}\n\n{found[2]}", text)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("docs"), help="folder of physics.md")
+    make(parser.parse_args().out)
