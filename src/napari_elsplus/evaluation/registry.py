@@ -14,6 +14,9 @@ MODULES: dict[str, str] = {
     "registration": "registration",
     "line": "line",
     "cores": "cores",
+    "sectioning": "sectioning",
+    "frontend": "frontend",
+    "tracking": "tracking",
 }
 
 

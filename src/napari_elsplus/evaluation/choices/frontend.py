@@ -1,0 +1,143 @@
+"""From a raw frame to the image that is tracked: one fused pass against chains of library calls.
+
+All chains make an image of about 250 pixels; each is held against the focal plane of the scene on its own pixels.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+from napari_elsplus.evaluation.choices.sectioning import Crop
+from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role
+from napari_elsplus.evaluation.rig import simulated_rig
+from napari_elsplus.pipeline import finishing
+from napari_elsplus.processing.frontend import FrontEnd
+from napari_elsplus.processing.paper_mosaic import SIDE_PX
+from napari_elsplus.processing.sectioning import Sectioner
+from napari_elsplus.simulation.scenes import scene
+from napari_elsplus.simulation.trajectories import Still
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Image = NDArray[np.float32]
+
+_JUDGED_UM = 250.0
+"""Radius in which images are judged, of the bundle's 310 um."""
+_SMOOTHING_UM = 4.0
+
+
+class Raw(NamedTuple):
+    """A raw frame, and where the probe rested on which scene."""
+
+    frame: NDArray[np.uint8]
+    name: str
+    place_um: tuple[float, float]
+
+
+class Small(NamedTuple):
+    """An image for tracking: its pixel, and the row and column of the bundle's centre."""
+
+    image: Image
+    um_per_px: float
+    centre: tuple[float, float]
+
+
+def _cases(quick: bool) -> list[Case]:
+    made = []
+    for preset, name in (
+        (("240hz", "fibres"),) if quick else (("240hz", "fibres"), ("240hz", "nuclei"), ("120hz", "fibres"))
+    ):
+        rig = simulated_rig(preset)
+        random = np.random.default_rng(0)
+        items = []
+        for k in range(1 if quick else 4):
+            row, col = random.uniform(-1000, 1000, 2)
+            items.append(Raw(rig.recording(scene(name), Still(row, col), 1, seed=k)[0], name, (row, col)))
+        made.append(Case(f"{name}, {preset}", items, context=rig))
+    return made
+
+
+@cache
+def _focal_plane(
+    name: str, place_um: tuple[float, float], um_per_px: float, centre: tuple[float, float], side: int
+) -> Image:
+    rows, cols = ((np.arange(side) - c) * um_per_px + p for c, p in zip(centre, place_um, strict=True))
+    return np.asarray(scene(name).planes[0].texture.sample(rows, cols), np.float32)
+
+
+def judge(item: Raw, answer: Small) -> Judgement:
+    """Part of the image that the focal plane does not explain."""
+    side, um = len(answer.image), answer.um_per_px
+    true = _focal_plane(item.name, item.place_um, um, answer.centre, side)
+    y, x = (np.arange(side) - c for c in answer.centre)
+    inside = np.hypot(y[:, None], x) * um < _JUDGED_UM
+    seen, expected = (cv2.GaussianBlur(image, (0, 0), _SMOOTHING_UM / um)[inside] for image in (answer.image, true))
+    return Judgement(float(np.sqrt(1 - np.corrcoef(seen, expected)[0, 1] ** 2)))
+
+
+def _fused(case: Case) -> Callable[[Raw], Small]:
+    rig = case.context
+    front_end = FrontEnd(rig.calibration, rig.instrument.frame_shape)
+    grid = front_end.grid
+    out = np.zeros((grid.side, grid.side), np.float32)
+    return lambda item: Small(front_end.image(item.frame, out), grid.binning * rig.um_per_px, grid.centre)
+
+
+def _small(image: Image, um_per_px: float) -> Small:
+    scale = len(image) / SIDE_PX
+    small = cv2.resize(image, (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA)
+    return Small(np.asarray(small, np.float32), um_per_px * scale, ((SIDE_PX - 1) / 2,) * 2)
+
+
+def _papers(case: Case) -> Callable[[Raw], Small]:
+    crop, um = Crop(case.context), case.context.um_per_px
+    left, right = crop.views
+
+    def chain(item: Raw) -> Small:
+        clean = cv2.subtract(item.frame, crop.background_dn)
+        return _small(cv2.medianBlur(cv2.subtract(clean[left], clean[right]), 3), um)
+
+    return chain
+
+
+def _floats(case: Case) -> Callable[[Raw], Small]:
+    crop, um = Crop(case.context), case.context.um_per_px
+    left, right = crop.views
+
+    def chain(item: Raw) -> Small:
+        clean = np.subtract(item.frame, crop.background, dtype=np.float32)
+        return _small(cv2.medianBlur(clean[left] - clean[right], 3), um)
+
+    return chain
+
+
+def _sectioned(case: Case) -> Callable[[Raw], Small]:
+    rig = case.context
+    sectioner = Sectioner(rig.calibration, rig.instrument.frame_shape)
+    finish = finishing(rig.calibration, sectioner, flat_field=True)
+    out = np.empty((sectioner.side, sectioner.side), np.float32)
+    return lambda item: _small(finish(sectioner.els(item.frame, out)), rig.um_per_px)
+
+
+METHODS = (
+    Method("fused", Role.DEFAULT, _fused),
+    Method("OpenCV, saturating, median", Role.PAPER, _papers),
+    Method("numpy and OpenCV, float32, median", Role.OPTION, _floats),
+    Method("full-resolution ELS+, flat, resize", Role.OPTION, _sectioned),
+)
+
+BENCHMARK = Benchmark(
+    name="frontend",
+    question="From a raw frame to the image that is tracked",
+    error_label="part of the image that the focal plane does not explain",
+    cases=_cases,
+    methods=METHODS,
+    judge=judge,
+)
