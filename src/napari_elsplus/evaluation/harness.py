@@ -244,6 +244,7 @@ class Benchmark:
         rows: list[Row] = []
         absent: dict[str, str] = {}
         threads = cv2.getNumThreads()
+        clock = perf_counter if self.waits else thread_clock()
         cv2.setNumThreads(1)
         try:
             for case in self.cases(quick):
@@ -253,9 +254,7 @@ class Benchmark:
                     if method.name in absent:
                         continue
                     try:
-                        runners.append(
-                            _Runner(method, case, self.judge, perf_counter if self.waits else thread_clock())
-                        )
+                        runners.append(_Runner(method, case, self.judge, clock))
                     except Absent as error:
                         absent[method.name] = str(error)
                 _take_turns(runners, 0.0 if quick else self.seconds)

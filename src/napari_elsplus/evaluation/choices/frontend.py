@@ -51,9 +51,7 @@ class Small(NamedTuple):
 
 def _cases(quick: bool) -> list[Case]:
     made = []
-    for preset, name in (
-        (("240hz", "fibres"),) if quick else (("240hz", "fibres"), ("240hz", "nuclei"), ("120hz", "fibres"))
-    ):
+    for preset, name in (("240hz", "fibres"), ("240hz", "nuclei"), ("120hz", "fibres"))[: 1 if quick else None]:
         rig = simulated_rig(preset)
         random = np.random.default_rng(0)
         items = []
@@ -68,8 +66,10 @@ def _cases(quick: bool) -> list[Case]:
 def _focal_plane(
     name: str, place_um: tuple[float, float], um_per_px: float, centre: tuple[float, float], side: int
 ) -> Image:
-    rows, cols = ((np.arange(side) - c) * um_per_px + p for c, p in zip(centre, place_um, strict=True))
-    return np.asarray(scene(name).planes[0].texture.sample(rows, cols), np.float32)
+    rows, cols = (
+        np.asarray((np.arange(side) - c) * um_per_px + p, np.float64) for c, p in zip(centre, place_um, strict=True)
+    )
+    return scene(name).planes[0].texture.sample(rows, cols)
 
 
 def judge(item: Raw, answer: Small) -> Judgement:
@@ -96,7 +96,8 @@ def _small(image: Image, um_per_px: float) -> Small:
     return Small(np.asarray(small, np.float32), um_per_px * scale, ((SIDE_PX - 1) / 2,) * 2)
 
 
-def _papers(case: Case) -> Callable[[Raw], Small]:
+def papers(case: Case) -> Callable[[Raw], Small]:
+    """Prepare the paper's chain as it is written in OpenCV: eight bits, saturating, a median, whole pixels."""
     crop, um = Crop(case.context), case.context.um_per_px
     left, right = crop.views
 
@@ -128,7 +129,7 @@ def _sectioned(case: Case) -> Callable[[Raw], Small]:
 
 METHODS = (
     Method("fused", Role.DEFAULT, _fused),
-    Method("OpenCV, saturating, median", Role.PAPER, _papers),
+    Method("OpenCV, saturating, median", Role.PAPER, papers),
     Method("numpy and OpenCV, float32, median", Role.OPTION, _floats),
     Method("full-resolution ELS+, flat, resize", Role.OPTION, _sectioned),
 )
