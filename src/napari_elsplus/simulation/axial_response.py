@@ -152,8 +152,7 @@ def axial_response(
     References
     ----------
     .. [1] A. D. Thrapp and M. R. Hughes, "Reduced motion artifacts and speed improvements in enhanced line-scanning
-       fiber bundle endomicroscopy", J. Biomed. Opt. 26(5), 056501 (2021), Sec. 3.1.
-       :DOI:`10.1117/1.JBO.26.5.056501`
+       fiber bundle endomicroscopy", J. Biomed. Opt. (2021), "Optical Sectioning and Signal Drop".
 
     Examples
     --------
