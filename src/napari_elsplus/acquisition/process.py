@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 from napari_elsplus.acquisition import procedures, shared
 from napari_elsplus.acquisition.engine import Engine, Rig
 from napari_elsplus.acquisition.guardian import Guardian
+from napari_elsplus.acquisition.priority import keep_pace
 from napari_elsplus.acquisition.shared import SharedRing
 from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
 from napari_elsplus.acquisition.status import Progress, Status
@@ -45,7 +46,6 @@ COMMANDS: Final = frozenset(
 """Methods of the engine that may be called over the connection."""
 QUIT: Final = "quit"
 """Asks the process to end; hanging up does, too."""
-_SWITCH_INTERVAL_S: Final = 5e-4
 _THREADS: Final = 4
 
 
@@ -216,7 +216,7 @@ def run(open_rig: Callable[[str], Rig]) -> None:
         Opens a rig by its name.
     """
     shared.sweep()
-    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    keep_pace()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the client, who then hangs up
     key = bytes.fromhex(sys.stdin.readline())
     met = Event()

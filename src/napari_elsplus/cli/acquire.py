@@ -11,6 +11,7 @@ import click
 
 from napari_elsplus.acquisition.engine import Engine
 from napari_elsplus.acquisition.guardian import Guardian
+from napari_elsplus.acquisition.priority import keep_pace
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
 from napari_elsplus.acquisition.status import Settings
@@ -61,6 +62,7 @@ def command(
     for target in (record, mosaic, track, report):
         if target is not None:
             refuse_existing(target, force=force)
+    keep_pace()
     given = None if calibration is None else read_calibration(calibration)
     with ExitStack() as held:
         rig = open_live(rig_name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -18,10 +18,15 @@ from napari_elsplus.simulation.trajectories import Still, Trajectory
 from napari_elsplus.simulation.truth import true_calibration
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.hardware.virtual.u3v_device import Shot
+
+_STEADY_AFTER: Final = 10
+"""Frames after which the mirror repeats itself."""
 
 
 class Card(Protocol):
@@ -115,11 +120,14 @@ class OpticalBench:
 
     def line_rows(self, shot: Shot) -> NDArray[np.float64]:
         """Row of the left image on which the line stands in the middle of each row's exposure."""
+        return self._rows_by(self.card.programs(), shot)
+
+    def _rows_by(self, programs: Sequence[Program], shot: Shot) -> NDArray[np.float64]:
         instrument = self._instrument_of(shot)
         before = round(FORGETS_S / STEP_S)
         steps = before + int((shot.read_out_s - shot.strobe_s) / STEP_S) + 2
         begins = np.asarray(shot.strobe_s + STEP_S * (np.arange(steps) - before), np.float64)
-        mirror = self.simulation.galvo.follow(mean_volts(self.card.programs(), begins, STEP_S))
+        mirror = self.simulation.galvo.follow(mean_volts(programs, begins, STEP_S))
         exposed = shot.row_zero_s + np.arange(shot.region[2]) * shot.line_period_s - shot.exposure_s / 2
         volts = np.interp(exposed, begins + STEP_S, mirror)
         return np.asarray((volts - instrument.volts_at_row_zero) / instrument.volts_per_row)
@@ -133,12 +141,19 @@ class OpticalBench:
     def prepare(self, shot: Shot) -> None:
         """Build, compile and, for a closed path, render ahead, so that the first frame comes in time."""
         with self._lock:
-            self._source(shot).render_ahead()
+            self._source(shot).render_ahead(self._steady_rows(shot))
 
     def expose(self, shot: Shot, out: NDArray[np.uint8]) -> None:
         """Fill a frame."""
         with self._lock:
             self._source(shot).fill(shot.frame, out, self.line_rows(shot))
+
+    def _steady_rows(self, shot: Shot) -> NDArray[np.float64]:
+        """Where the line will stand in each row when the stream that is about to start has gone on for a while."""
+        train = StrobeTrain(shot.strobe_s, shot.frame_period_s)
+        program = replace(self.card.programs()[-1], since_s=shot.strobe_s - shot.frame_period_s, strobe=train)
+        later = replace(shot, frame=_STEADY_AFTER, strobe_s=shot.strobe_s + _STEADY_AFTER * shot.frame_period_s)
+        return self._rows_by([program], later)
 
     def _instrument_of(self, shot: Shot) -> Instrument:
         return self.instrument(preset_of(shot), shot.exposure_s / shot.line_period_s, shot.gain_db)

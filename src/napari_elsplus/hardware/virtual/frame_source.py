@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     Frame = NDArray[np.uint8]
 
-TRUE_ROWS: Final = 0.15
-"""For frames rendered ahead: a line that is nowhere farther from its slit dims no core by a thousandth."""
+SAME_ROWS: Final = 0.05
+"""Lines that are nowhere farther apart give the same frame, to less than its noise."""
 STILL_FRAMES: Final = 64
 EDGE_ROWS: Final = 4.0
 
@@ -68,8 +68,9 @@ class FrameSource:
         self._renderer = Renderer(instrument, scene, trajectory, seed=seed)
         rounds = _frames_per_round(trajectory, instrument.optics.frame_rate_hz) if ahead else 0
         self._kept = np.empty((rounds, *instrument.frame_shape), np.uint8)
-        self._rendered = 0
+        self._is_kept = np.zeros(rounds, bool)
         self._rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
+        self._before = self._kept_for = np.full_like(self._rows, np.inf)
         centres = instrument.left_centre[0], instrument.right_centre[0]
         reach = instrument.diameter_px / 2 + EDGE_ROWS
         self._dark = (self._rows < min(centres) - reach) | (self._rows > max(centres) + reach)
@@ -78,21 +79,35 @@ class FrameSource:
         """Whether these are the frames wanted."""
         return self._made_for == (instrument, scene, trajectory)
 
-    def render_ahead(self) -> None:
-        """Render what will come again; one frame at least, so that everything is compiled."""
-        for k in range(self._rendered, len(self._kept)):
-            self._renderer.render(k, self._kept[k])
-            self._rendered = k + 1
-        if not len(self._kept):
-            self._renderer.render(0)
+    def render_ahead(self, line_rows: NDArray[np.float64]) -> None:
+        """Render what will come again if the line goes on moving so; at least once, to have everything compiled."""
+        first = np.empty(self._kept.shape[1:], np.uint8)
+        for k in range(max(2, len(self._kept))):
+            self.fill(k, first, line_rows)
 
     def fill(self, frame: int, out: Frame, line_rows: NDArray[np.float64]) -> None:
-        """Fill a frame, with the line on those rows; where neither image lies it does not matter where the line is."""
+        """Fill a frame, with the line on those rows; where neither image lies it does not matter where the line is.
+
+        While the line moves alike in every frame, frames are kept, and answered from memory when they come again.
+        """
         seen = np.where(self._dark, self._rows, line_rows)
-        if self._rendered and np.abs(seen - self._rows).max() < TRUE_ROWS:
-            np.copyto(out, self._kept[frame % self._rendered])
-        else:
-            self._renderer.render(frame, out, line_rows=seen)
+        if not _alike(seen, self._kept_for):
+            steady = _alike(seen, self._before)
+            self._before = seen
+            if not (steady and len(self._kept)):
+                self._renderer.render(frame, out, line_rows=seen)
+                return
+            self._kept_for = seen
+            self._is_kept[:] = False
+        place = frame % len(self._kept)
+        if not self._is_kept[place]:
+            self._renderer.render(frame, self._kept[place], line_rows=self._kept_for)
+            self._is_kept[place] = True
+        np.copyto(out, self._kept[place])
+
+
+def _alike(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    return bool(np.abs(a - b).max() < SAME_ROWS)
 
 
 def _frames_per_round(trajectory: Trajectory, rate_hz: float) -> int:
