@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import lzma
+import struct
 import zipfile
+import zlib
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import DeviceError, InputError
@@ -19,6 +22,12 @@ MAX_TEXT: Final = 16 << 20
 MAX_ENTRIES: Final = 16
 ENTRY_BYTES: Final = 64
 ZIPPED: Final = 1
+CHUNK: Final = 1 << 16
+UNREADABLE: Final = (
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
+    OSError, EOFError, ValueError, LookupError, RuntimeError,
+)  # fmt: skip
+"""What Python's reader of archives raises on those that are none."""
 
 
 def read_description(control: Control) -> bytes:
@@ -46,14 +55,18 @@ def read_description(control: Control) -> bytes:
 
 def _unzip(data: bytes) -> bytes:
     """Unpack the only file of an archive, up to a limit, whatever its directory says."""
+    text = bytearray()
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive, archive.open(archive.namelist()[0]) as file:
-            text = file.read(MAX_TEXT + 1)
-    except (zipfile.BadZipFile, IndexError, OSError, EOFError, ValueError, NotImplementedError, RuntimeError) as error:
+            while part := file.read(CHUNK):
+                text += part
+                if len(text) > MAX_TEXT:
+                    raise DeviceError(
+                        f"the camera's description unpacks to more than {MAX_TEXT} bytes", "update its firmware"
+                    )
+    except UNREADABLE as error:
         raise DeviceError(f"the camera's description cannot be unpacked ({error})", "update its firmware") from error
-    if len(text) > MAX_TEXT:
-        raise DeviceError(f"the camera's description unpacks to more than {MAX_TEXT} bytes", "update its firmware")
-    return text
+    return bytes(text)
 
 
 class GenicamFeatures:

@@ -34,6 +34,7 @@ ACK_BYTES: Final = 1024
 SAFE_PAYLOAD: Final = 64
 """Every device takes so much in one command; how much more, it says itself."""
 MAX_PAYLOAD: Final = ACK_BYTES - HEADER.size - 8
+TOP: Final = 1 << 64
 TRIES: Final = 3
 TIMEOUT_MS: Final = 500
 PATIENCE_S: Final = 10.0
@@ -90,6 +91,8 @@ class Control:
         DeviceError
             If the camera refuses, does not answer in time, or was unplugged.
         """
+        if address + count > TOP:
+            raise DeviceError(f"the camera points to {address:#x}, beyond its memory", "restart the camera")
         parts = []
         for done in range(0, count, self._read_payload):
             part = min(self._read_payload, count - done)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.errors import DeviceError, ElsPlusError
+from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.hardware.u3v.discovery import told_by_usb
 from napari_elsplus.hardware.u3v.packets import MONO8, Leader, PacketError, Trailer, parse_leader, parse_trailer
@@ -117,7 +117,7 @@ class Stream:
         self._spill = _Slot(sizes)
         self._small = array("B", bytes(SMALL))
         self._changed = threading.Condition()
-        self._fault: ElsPlusError | None = None
+        self._fault: Exception | None = None
         self._stopping = threading.Event()
         self._last_block: int | None = None
         self.dropped: Counter[str] = Counter()
@@ -152,7 +152,7 @@ class Stream:
             with told_by_usb("the camera"):
                 while not self._stopping.is_set():
                     self._read_frame()
-        except ElsPlusError as error:
+        except Exception as error:  # noqa: BLE001 - whoever reads shall hear of it, not wait for ever
             with self._changed:
                 self._fault = error
                 self._changed.notify_all()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 SAME_ROWS: Final = 0.05
 """Lines that are nowhere farther apart give the same frame, to less than its noise."""
 STILL_FRAMES: Final = 64
-EDGE_ROWS: Final = 4.0
+EDGE_ROWS: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,213 @@
+"""A device may send anything: the driver neither crashes nor hangs, and allocates no more than a frame needs."""
+
+from __future__ import annotations
+
+import io
+import struct
+import tracemalloc
+import zipfile
+from array import array
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from usb.core import USBTimeoutError
+
+from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware import genapi
+from napari_elsplus.hardware.u3v import control, packets, stream
+from napari_elsplus.hardware.u3v.discovery import Endpoints
+
+ENDS = Endpoints(0, 0x01, 0x81, 1, 0x82)
+SHAPE = (8, 16)
+PIXELS = SHAPE[0] * SHAPE[1]
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=200), st.sampled_from([b"", b"U3VC", b"U3VL", b"U3VT"]))
+@pytest.mark.parametrize("parse", [packets.parse_ack, packets.parse_leader, packets.parse_trailer])
+def test_any_bytes_are_a_packet_or_refused(parse, blob, magic) -> None:
+    try:
+        parse(magic + blob)
+    except packets.PacketError:
+        return
+    assert magic + blob  # nothing is parsed out of nothing
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**64 - 1), st.binary(max_size=500), st.integers(0, 2**16 - 1), st.integers(0, 2**16 - 1))
+def test_an_acknowledgement_comes_back_as_it_was_sent(address, data, request_id, status) -> None:
+    sent = packets.HEADER.pack(b"U3VC", status, 0x0801, len(data), request_id) + data
+    assert packets.parse_ack(sent + b"padding") == packets.Ack(status, 0x0801, request_id, data)
+    with pytest.raises(packets.PacketError):
+        packets.parse_ack(sent[: packets.HEADER.size + len(data) - 1])
+    command = packets.write_command(address, data, request_id)
+    assert struct.unpack_from("<Q", command, packets.HEADER.size) == (address,)
+    assert command.endswith(data)
+
+
+class Mute:
+    """A device that answers with what it was given, and then with nothing."""
+
+    def __init__(self, answers: list[bytes]) -> None:
+        self.answers, self.reads = answers, 0
+
+    def write(self, endpoint: int, data: bytes, timeout_ms: int) -> int:
+        self.request_id = packets.HEADER.unpack_from(data)[4]
+        return len(data)
+
+    def read(self, endpoint: int, buffer: array, timeout_ms: int) -> int:
+        self.reads += 1
+        if not self.answers:
+            raise USBTimeoutError("nothing", None, 110)
+        answer = self.answers.pop(0)[: len(buffer)]
+        memoryview(buffer)[: len(answer)] = answer
+        return len(answer)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.binary(max_size=64), max_size=20))
+def test_a_control_channel_of_noise_is_given_up(answers) -> None:
+    with pytest.raises(DeviceError):
+        control.Control(Mute(list(answers)), ENDS)
+
+
+class Liar(Mute):
+    """A device that answers every request, in form, with numbers that were given to it."""
+
+    def __init__(self, numbers: list[int], status: int = 0, command: int | None = None) -> None:
+        super().__init__([])
+        self.numbers, self.status, self.command = numbers, status, command
+
+    def write(self, endpoint: int, data: bytes, timeout_ms: int) -> int:
+        super().write(endpoint, data, timeout_ms)
+        command = packets.HEADER.unpack_from(data)[2]
+        count = packets.READ.unpack_from(data, packets.HEADER.size)[2] if command == packets.Command.READ else 4
+        number = self.numbers.pop(0) if self.numbers else 0
+        body = (number & (1 << 64) - 1).to_bytes(8, "little").ljust(count, b"\xff")[:count]
+        answer = (
+            packets.HEADER.pack(b"U3VC", self.status, self.command or command + 1, len(body), self.request_id) + body
+        )
+        self.answers = [answer]
+        return len(data)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(0, 2**64 - 1), max_size=12))
+@example([0x10000, 0, 0, 0x20000, 0, 2**63])
+@example([0x10000, 2**32 - 1, 2**32 - 1, 0x20000, 0x30000, 1, 0, 0, 2**63])
+def test_a_device_that_lies_in_form_cannot_make_us_allocate(numbers) -> None:
+    tracemalloc.start()
+    try:
+        channel = control.Control(Liar(list(numbers)), ENDS)
+        stream.arrange(channel, SHAPE)
+    except DeviceError:
+        pass
+    try:
+        genapi.read_description(control.Control(Liar(list(numbers)), ENDS))
+    except DeviceError:
+        pass
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert peak < 24 << 20
+
+
+def test_a_frame_larger_than_the_image_is_refused_before_buffers_are_made() -> None:
+    # sbrm, max ack, max command, sirm; then info, payload, leader and trailer size
+    with pytest.raises(DeviceError, match="announces frames"):
+        stream.arrange(control.Control(Liar([0x10000, 0, 0, 0x20000, 0, 2**40, 52, 32]), ENDS), SHAPE)
+
+
+def test_a_device_that_always_asks_for_time_does_not_get_all_of_it(monkeypatch) -> None:
+    class Busy(Liar):
+        def read(self, endpoint: int, buffer: array, timeout_ms: int) -> int:
+            self.answers = [
+                packets.HEADER.pack(b"U3VC", 0, packets.Command.PENDING_ACK, 4, self.request_id) + b"\0" * 4
+            ]
+            return super().read(endpoint, buffer, timeout_ms)
+
+    monkeypatch.setattr(control, "PATIENCE_S", 0.02)
+    with pytest.raises(DeviceError, match="did not answer"):
+        control.Control(Busy([]), ENDS)
+
+
+def test_a_refused_register_says_why() -> None:
+    with pytest.raises(control.RegisterError, match="invalid address"):
+        control.Control(Liar([], status=0x8003), ENDS)
+
+
+class Firehose:
+    """A stream endpoint that sends what it was given."""
+
+    def __init__(self, parts: list[bytes]) -> None:
+        self.parts = parts
+
+    def read(self, endpoint: int, buffer: array, timeout_ms: int) -> int:
+        if not self.parts:
+            raise USBTimeoutError("nothing", None, 110)
+        part = self.parts.pop(0)[: len(buffer)]
+        memoryview(buffer)[: len(part)] = part
+        return len(part)
+
+
+def good_frame(number: int) -> list[bytes]:
+    rows, cols = SHAPE
+    leader = packets.LEADER.pack(b"U3VL", 0, 52, number, 0, packets.IMAGE, 0, packets.MONO8, cols, rows, 0, 0, 0, 0)
+    trailer = packets.TRAILER.pack(b"U3VT", 0, 32, number, 0, 0, PIXELS, rows)
+    return [leader, bytes([number % 256]) * PIXELS, trailer]
+
+
+LEADERS = st.builds(
+    lambda *numbers: packets.LEADER.pack(b"U3VL", 0, 52, *numbers, 0, 0),
+    st.integers(0, 2**64 - 1), st.just(0), st.sampled_from([1, 2]), st.integers(0, 2**64 - 1),
+    *[st.integers(0, 2**32 - 1)] * 5,
+)  # fmt: skip
+TRAILERS = st.builds(
+    lambda *numbers: packets.TRAILER.pack(b"U3VT", 0, 32, *numbers),
+    st.integers(0, 2**64 - 1), st.integers(0, 2**16 - 1), st.just(0), st.integers(0, 2**64 - 1),
+    st.integers(0, 2**32 - 1),
+)  # fmt: skip
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.one_of(st.binary(max_size=200), LEADERS, TRAILERS, st.just(b"\7" * PIXELS)), max_size=30))
+def test_after_any_rubbish_whole_frames_come_whole(rubbish) -> None:
+    frames = [part for number in range(1000, 1040) for part in good_frame(number)]
+    endless = stream.Stream(Firehose([*rubbish, *frames]), 0x82, [PIXELS], SHAPE, patience_s=0.1, wait_for_reader=True)
+    buffer = np.empty(SHAPE, np.uint8)
+    seen = []
+    try:
+        while not seen or seen[-1] < 1039:
+            seen.append(endless.read_into(buffer, 5.0).frame_number)
+            if seen[-1] >= 1000:
+                assert (buffer == seen[-1] % 256).all()
+    finally:
+        endless.stop()
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.binary(max_size=300), st.integers(0, 400), st.integers(0, 255))
+def test_any_archive_is_a_description_or_refused(blob, where, value) -> None:
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("camera.xml", b"<RegisterDescription/>" + blob)
+    spoilt = bytearray(whole.getvalue())
+    spoilt[where % len(spoilt)] = value
+    for data in (blob, bytes(spoilt)):
+        try:
+            assert len(genapi._unzip(data)) <= genapi.MAX_TEXT
+        except DeviceError as refused:
+            assert "description" in str(refused)  # noqa: PT017 - both ways are right
+
+
+def test_an_archive_that_unpacks_without_end_is_refused() -> None:
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("camera.xml", bytes(200 << 20))
+    tracemalloc.start()
+    with pytest.raises(DeviceError, match="more than"):
+        genapi._unzip(whole.getvalue())
+    assert tracemalloc.get_traced_memory()[1] < 64 << 20
+    tracemalloc.stop()

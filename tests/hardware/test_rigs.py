@@ -1,0 +1,207 @@
+"""Rigs by name: the simulated one, a user's own from a file, and what is left when a program ends, however it ends."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.protocols import Camera, Region, Scanner
+from napari_elsplus.hardware.rig_files import RigSettings, read_rig, write_rig
+from napari_elsplus.hardware.rigs import open_rig, rig_names
+from napari_elsplus.hardware.virtual.bench import Simulation
+from napari_elsplus.hardware.virtual.card_process import RemoteCard
+from napari_elsplus.hardware.virtual.frame_source import Circle
+from napari_elsplus.hardware.waveform import ScanTiming, StrobePhase, els_waveform
+from napari_elsplus.optics import PRESETS
+from napari_elsplus.simulation.scenes import distal_light, empty, fibres
+
+SMALL = Region(262, 0, 524, 1328)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("NAPARI_ELSPLUS_RIGS", str(tmp_path / "rigs"))
+    return tmp_path / "rigs"
+
+
+def test_the_simulated_rig_is_first_and_keeps_the_protocols() -> None:
+    assert rig_names() == ["simulated"]
+    with open_rig(simulation=Simulation(scene=empty(), real_time=False)) as rig:
+        rig.camera.configure(SMALL, slit_rows=3, frame_rate_hz=240)
+        assert isinstance(rig.camera, Camera)
+        assert isinstance(rig.scanner, Scanner)
+        assert rig.strobe is StrobePhase.EXPOSURE
+        assert set(rig.presets) == {"120hz", "240hz"}
+        assert rig.bench.card.last_volts == rig.park.volts
+
+
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=list(PRESETS))
+def test_it_parks_the_line_clear_of_the_bundle_by_a_halos_width(preset) -> None:
+    with open_rig(simulation=Simulation(scene=empty(), real_time=False)) as rig:
+        instrument = rig.bench.optics.instrument(preset)
+        top = instrument.left_centre[0] - instrument.diameter_px / 2
+        assert (top - rig.bench.optics.line_row_now(preset)) * preset.optics.um_per_px >= 100 - 1e-6
+
+
+def test_what_the_simulated_rig_looks_at_can_be_changed_between_frames() -> None:
+    with open_rig(simulation=Simulation(scene=empty(), real_time=False)) as rig:
+        rig.camera.configure(SMALL, slit_rows=3, frame_rate_hz=240)
+        means = []
+        for scene in (empty(), distal_light()):
+            rig.bench.optics.show(scene)
+            rig.camera.start()
+            frame = np.empty(rig.camera.frame_shape, np.uint8)
+            rig.camera.read_into(frame, 30.0)
+            rig.camera.stop()
+            means.append(frame.mean())
+    assert means[1] > 5 * means[0]
+
+
+def test_in_real_time_a_closed_path_is_played_again_and_every_round_is_the_same() -> None:
+    """Rendered once, so that 240 frames per second leave time for everything else."""
+    preset = PRESETS["240hz"]
+    simulation = Simulation(scene=fibres(), trajectory=Circle(200, period_s=0.1))
+    with open_rig(simulation=simulation) as rig:
+        rig.camera.configure(SMALL, slit_rows=3, frame_rate_hz=240)
+        timing = ScanTiming(rig.camera.line_period_s, rig.camera.rows_per_frame, 3, rig.strobe)
+        rig.scanner.scan(els_waveform(rig.bench.optics.calibration(preset), timing, rig.limits))
+        rig.camera.start()
+        seen: dict[int, np.ndarray] = {}
+        same = 0
+        for _ in range(90):
+            frame = np.empty(rig.camera.frame_shape, np.uint8)
+            number = rig.camera.read_into(frame, 5.0).frame_number
+            before = seen.setdefault(number % 24, frame)
+            same += before is not frame and np.array_equal(before, frame)
+        assert same > 40
+        assert len({frame.tobytes() for frame in seen.values()}) == len(seen)
+
+
+def test_a_users_own_rig_is_a_readable_file_that_comes_back_the_same(folder) -> None:
+    settings = RigSettings.parse(
+        {
+            "card": {"park_v": -0.8, "device": "cDAQ1", "strobe": "PFI1", "falling": False},
+            "camera": {"kind": "genicam", "serial": "14120", "strobe": "readout"},
+            "mirror": {"min_v": -1.0, "natural_hz": 800.0},
+        },
+        "mine",
+    )
+    path = write_rig("mine", settings)
+    assert path == folder / "mine.toml"
+    assert "park_v = -0.8" in path.read_text()
+    assert read_rig("mine") == settings
+    assert rig_names() == ["simulated", "mine"]
+    assert settings.limits().natural_hz == 800
+    assert settings.card_settings().device == "cDAQ1"
+    with pytest.raises(InputError, match="exists"):
+        write_rig("mine", settings)
+    write_rig("mine", settings, force=True)
+    assert [file.name for file in folder.iterdir()] == ["mine.toml"]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[card]\n", "card.park_v"),
+        ("[card]\npark_v = nan\n", "park_v"),
+        ("[card]\npark_v = 12\n", "12"),
+        ("[card]\npark_v = -3\n", "parking position"),
+        ("[card]\npark_v = -0.7\nparkv = 1\n", "parkv"),
+        ("[card]\npark_v = -0.7\n[camera]\nkind = 'basler'\n", "basler"),
+        ("[card\n", "mine"),
+        ("\xff", "mine"),
+    ],
+)
+def test_a_wrong_file_says_which_key_and_which_value(folder, text, told) -> None:
+    folder.mkdir()
+    (folder / "mine.toml").write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=told):
+        open_rig("mine")
+
+
+def test_an_unknown_rig_lists_the_known_ones() -> None:
+    with pytest.raises(InputError, match="choose one of simulated"):
+        open_rig("theirs")
+    with pytest.raises(InputError, match="called"):
+        write_rig("simulated", RigSettings.parse({"card": {"park_v": 0.5}}, "x"))
+
+
+def test_a_real_rig_without_devices_says_so(monkeypatch) -> None:
+    write_rig("mine", RigSettings.parse({"card": {"park_v": -0.7}}, "mine"))
+    monkeypatch.setattr("usb.core.find", lambda **_: iter(()))
+    with pytest.raises(DeviceError, match="no USB3 Vision camera"):
+        open_rig("mine")
+
+
+def test_importing_the_hardware_needs_neither_libusb_nor_nis_driver() -> None:
+    code = """
+        import sys
+        for missing in ("usb.backend.libusb1", "genicam"):
+            sys.modules[missing] = None
+        import napari_elsplus.hardware, napari_elsplus.hardware.rigs, napari_elsplus.hardware.daq
+        import napari_elsplus.hardware.flea3, napari_elsplus.hardware.genapi
+        assert "nidaqmx" not in sys.modules
+    """
+    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=60)
+
+
+DRIVE = """
+    import json, sys, time
+    from napari_elsplus.acquisition.guardian import Guardian
+    from napari_elsplus.hardware.rigs import open_rig
+    from napari_elsplus.hardware.virtual.bench import Simulation
+    from napari_elsplus.hardware.virtual.timeline import StrobeTrain
+    from napari_elsplus.hardware.waveform import ScanTiming, els_waveform
+    from napari_elsplus.optics import PRESETS
+    from napari_elsplus.simulation.scenes import empty
+
+    preset = PRESETS["240hz"]
+    with open_rig("simulated", Simulation(scene=empty(), own_process=True)) as rig, Guardian(rig.park):
+        timing = ScanTiming(preset.optics.line_period_s, preset.optics.rows_per_frame, 3)
+        rig.scanner.scan(els_waveform(rig.bench.optics.calibration(preset), timing, rig.limits))
+        rig.bench.card.strobe(StrobeTrain(time.perf_counter(), preset.optics.frame_period_s))
+        print(json.dumps({**rig.bench.card.place, "park_v": rig.park.volts}), flush=True)
+        time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_the_mirror_is_parked_however_the_driving_process_dies(wait_for, how) -> None:
+    """The card lives on and goes on sweeping by itself; within half a second the line is off the bundle."""
+    driver = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(DRIVE)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    place = json.loads(driver.stdout.readline())
+    driver.stdout.close()
+    with RemoteCard(place) as card:
+        wait_for(lambda: len({card.last_volts for _ in range(20)}) > 5)  # it sweeps
+        driver.send_signal(how)
+
+        def at_rest() -> bool:
+            return {card.last_volts for _ in range(5)} == {place["park_v"]}
+
+        took = wait_for(at_rest)
+        assert driver.wait(10) == {signal.SIGKILL: -9, signal.SIGTERM: 143, signal.SIGINT: -2}.get(how)
+        assert at_rest()
+    if how is signal.SIGKILL:
+        assert took < 0.5
+
+
+def test_a_card_in_its_own_process_shows_the_bench_what_it_does() -> None:
+    preset = PRESETS["240hz"]
+    with open_rig(simulation=Simulation(scene=empty(), own_process=True)) as rig:
+        instrument = rig.bench.optics.instrument(preset)
+        rig.scanner.hold(instrument.volts_at_row_zero + 200 * instrument.volts_per_row)
+        assert rig.bench.optics.line_row_now(preset) == pytest.approx(200)
+        assert rig.bench.card.programs()[-1].resting_v == rig.bench.card.last_volts
+    with pytest.raises(DeviceError, match="ended"):
+        _ = rig.bench.card.last_volts
+    with pytest.raises(InputError, match="real time"):
+        open_rig(simulation=Simulation(own_process=True, real_time=False))
