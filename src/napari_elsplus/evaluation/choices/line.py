@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import curve_fit
 
 from napari_elsplus.errors import MeasurementError
@@ -27,8 +28,11 @@ WRONG_ROWS = 1.0
 """A slit of three rows that is a row off the line loses a good part of the light."""
 
 
+TYPICAL_WIDTH_ROWS = 2.5
+
+
 class Frame(NamedTuple):
-    """The confocal view of a standing line above the dark level, and the true row at the bundle's centre column."""
+    """The confocal view of a standing line above the dark level, and the true row at a column in its middle."""
 
     view: NDArray[np.float32]
     column: int
@@ -39,7 +43,9 @@ def frame(rig: Rig, row: float = 1.3) -> Frame:
     """One frame of a rig, the line standing that far from the centre."""
     split = round((rig.left[1] + rig.right[1]) / 2)
     view = rig.line(1, row)[0][:, :split].astype(np.float32)
-    return Frame(view - np.float32(rig.black_dn), round(rig.left[1]), rig.left[0] + row)
+    column = round(rig.left[1])
+    risen = np.tan(np.radians(rig.tilt_deg)) * (column - rig.left[1])
+    return Frame(view - np.float32(rig.black_dn), column, float(rig.left[0] + row + risen))
 
 
 def _cases(quick: bool) -> list[Case]:
@@ -85,6 +91,14 @@ def centroid_of_mean(item: Frame) -> float:
     return float((above * np.arange(len(above))).sum() / above.sum())
 
 
+def matched_filter(item: Frame) -> float:
+    """Correlate the mean of the middle columns with a line of a typical width; a parabola refines the maximum."""
+    response = gaussian_filter1d(_middle(item).mean(axis=1), TYPICAL_WIDTH_ROWS)
+    peak = int(np.clip(response.argmax(), 1, len(response) - 2))
+    before, at, after = (float(value) for value in response[peak - 1 : peak + 2])
+    return peak + 0.5 * (before - after) / (before - 2 * at + after)
+
+
 def _middle(item: Frame) -> NDArray[np.float32]:
     half = item.view.shape[1] // 8
     return item.view[:, item.column - half : item.column + half + 1]
@@ -115,6 +129,7 @@ METHODS = (
     Method("brightest pixel", Role.PAPER, _plain(brightest_pixel), 1),
     Method("Gaussian, mean of columns", Role.OPTION, _plain(gaussian_of_mean), 3),
     Method("centroid, mean of columns", Role.OPTION, _plain(centroid_of_mean), 1),
+    Method("matched filter, mean of columns", Role.OPTION, _plain(matched_filter), 1),
 )
 
 BENCHMARK = Benchmark(

@@ -1,0 +1,126 @@
+"""Numbers and charts of ``docs/calibration.md``: ``python -m napari_elsplus.figures.calibration_accuracy docs``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Final
+
+import click
+import numpy as np
+from matplotlib.figure import Figure
+
+from napari_elsplus.errors import ElsPlusError, InputError
+from napari_elsplus.evaluation.calibration_accuracy import CENTRE, GAIN, OFFSET, Survey, survey
+from napari_elsplus.evaluation.choices.line import BENCHMARK, frame
+from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.figures.files import save_figure
+from napari_elsplus.io import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LIGHTS: Final = (5.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+"""Electrons in the brightest pixel of an evenly lit bundle."""
+BETWEEN: Final = re.compile(r"(<!-- measured -->\n).*?(<!-- /measured -->)", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """One way to find the line: its root-mean-square error in each light, and the time that it takes."""
+
+    name: str
+    rms_rows: tuple[float, ...]
+    cost_ms: float
+
+
+def compare_estimators(rigs: int) -> list[Timed]:
+    """Find the line in frames of many rigs and lights by each method of the benchmark."""
+    frames = [[frame(Rig.draw(seed).with_photons(light)) for seed in range(rigs)] for light in LIGHTS]
+    compared = []
+    for method in BENCHMARK.methods:
+        rms, costs = [], []
+        for light in frames:
+            errors = []
+            for item in light:
+                begun = perf_counter()
+                try:
+                    answer = method.prepare(None)(item)  # type: ignore[arg-type]
+                except ElsPlusError:
+                    continue
+                costs.append(perf_counter() - begun)
+                errors.append(answer - item.row)
+            rms.append(float(np.sqrt(np.mean(np.square(errors)))))
+        compared.append(Timed(method.name, tuple(rms), 1000 * float(np.median(costs))))
+    return compared
+
+
+def draw(lights: list[Survey], estimators: list[Timed]) -> Figure:
+    """Draw error against light, for the calibration and for ways to find the line, and speed against accuracy."""
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    for quantity in (OFFSET, CENTRE, GAIN):
+        rms = [survey.accuracies[quantity].rms for survey in lights]
+        left.loglog(LIGHTS, rms, "o-", label=f"{quantity.name} / {quantity.unit}")
+    _label(left, "electrons in the brightest pixel", "RMS error", "Calibration against light")
+    for estimator in estimators:
+        middle.loglog(LIGHTS, estimator.rms_rows, "o-", label=estimator.name)
+        right.loglog(estimator.cost_ms, estimator.rms_rows[-2], "o", label=estimator.name)
+    _label(middle, "electrons in the brightest pixel", "RMS error / rows", "The line against light")
+    _label(right, "time per view / ms", "RMS error / rows", f"The line at {LIGHTS[-2]:g} electrons")
+    return figure
+
+
+def _label(axes: Axes, across: str, up: str, title: str) -> None:
+    axes.set(xlabel=across, ylabel=up, title=title)
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=7)
+
+
+def tables(measured: Survey, voltages: int, estimators: list[Timed]) -> str:
+    """Write what was measured as Markdown."""
+    lines = [
+        f"{measured.rigs} rigs drawn at random, sweeps of {voltages} voltages; {len(measured.refused)} refused.",
+        "",
+        "| quantity | RMS error | largest | aim | within 1 sigma | within 3 sigma |",
+        "|---|---|---|---|---|---|",
+    ]
+    for quantity, found in measured.accuracies.items():
+        lines.append(
+            f"| {quantity.name} | {found.rms:.3g} {quantity.unit} | {found.largest:.3g} | {quantity.bar:g} | "
+            f"{100 * found.within(1):.0f} % | {100 * found.within(3):.1f} % |"
+        )
+    lines += ["", "| line found by | " + " | ".join(f"{light:g} e-" for light in LIGHTS) + " | ms per view |"]
+    lines += ["|---" * (len(LIGHTS) + 2) + "|"]
+    for estimator in estimators:
+        errors = " | ".join(f"{rms:.3f}" for rms in estimator.rms_rows)
+        lines.append(f"| {estimator.name} | {errors} | {estimator.cost_ms:.2f} |")
+    return "\n".join(lines)
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--rigs", default=200, show_default=True, help="Rigs to calibrate.")
+@click.option("--voltages", default=400, show_default=True, help="Voltages of each sweep.")
+@click.option("--processes", default=2, show_default=True, help="Rigs calibrated at once.")
+def main(folder: Path, rigs: int, voltages: int, processes: int) -> None:
+    """Measure anew, and put tables and charts into FOLDER/calibration.md and FOLDER/images."""
+    page = folder / "calibration.md"
+    text = page.read_text(encoding="utf-8")
+    if not BETWEEN.search(text):
+        raise InputError(f"{page.name} has no place for the tables", "keep its two `measured` marks")
+    measured = survey([Rig.draw(seed) for seed in range(rigs)], voltages, processes)
+    few = range(max(2, rigs // 16))
+    lights = [survey([Rig.draw(seed).with_photons(light) for seed in few], 0, processes) for light in LIGHTS]
+    estimators = compare_estimators(len(few))
+    written = tables(measured, voltages, estimators)
+    (folder / "images").mkdir(exist_ok=True)
+    save_figure(draw(lights, estimators), folder / "images" / "calibration.png", force=True)
+    with replacing(page, force=True) as unfinished:
+        unfinished.write_text(BETWEEN.sub(lambda found: f"{found[1]}{written}\n{found[2]}", text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
