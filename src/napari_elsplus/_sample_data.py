@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from napari_elsplus.simulation import calibration_scenes as scenes
-from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import distal_light, empty, scene
 from napari_elsplus.simulation.trajectories import trajectory
 from napari_elsplus.simulation.truth import true_calibration
+from napari_elsplus.viewing.axial import simulated_scan
 from napari_elsplus.viewing.layers import image_layers, raw_layer, side_by_side
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.stack import Stack
@@ -66,12 +67,8 @@ def calibration_set() -> list[tuple[Any, ...]]:
 
 def axial_scan() -> list[tuple[Any, ...]]:
     """Simulate a stained plate that moves away from the probe, as sectioning is measured: raw, LS, residual, ELS+."""
-    instrument = lit_for_plate(Instrument.of("120hz"))
-    depth_um = scan_depths_um()
-    scan = AxialScan(instrument, depth_um, seed=SEED)
-    planes = _planes(instrument, len(scan), scan.__getitem__)
-    stack = Stack("plate", planes, {"um_per_px": instrument.optics.um_per_px}, depth_um=depth_um)
-    calibration = true_calibration(instrument, scenes.background(instrument, seed=SEED))
+    stack, calibration = simulated_scan(seed=SEED)
+    stack = replace(stack, name="plate")
     raw = raw_layer(stack, calibration)
     raw[1]["visible"] = False
     return [raw, *image_layers(stack, calibration)]

@@ -32,6 +32,7 @@ PALETTE: Final = {
 """Okabe and Ito's hues, each on a dark and on a light ground."""
 DASHES: Final = {"solid": Qt.PenStyle.SolidLine, "dashed": Qt.PenStyle.DashLine, "dotted": Qt.PenStyle.DotLine}
 EXPORT_WIDTH_PX: Final = 1600
+_SHORT_NAME: Final = 8
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,8 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         for side, text in self._labels.items():
             self.setLabel(side, text, color=self._text)
         self.plotItem.clear()
+        short = all(len(curve.name) <= _SHORT_NAME for curve in self._curves)
+        self._legend.setColumnCount(3 if short else 1)
         for curve in self._curves:
             ink = self.ink(curve.colour)
             pen = pg.mkPen(ink, width=2, style=DASHES[curve.dash])

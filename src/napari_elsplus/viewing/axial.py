@@ -1,0 +1,263 @@
+"""Axial scans as a panel shows them: from a stack, taken by hand, or simulated; several against offset or width."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
+from napari_elsplus.processing.axial import AxialResponse, Saturation, axial_profiles, axial_response, fit_saturation
+from napari_elsplus.simulation import calibration_scenes
+from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
+from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.truth import true_calibration
+from napari_elsplus.viewing.lazy import LazyPlanes
+from napari_elsplus.viewing.stack import Stack
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+
+FEWEST_FOR_A_FIT = 3
+
+
+class Against(StrEnum):
+    """What drop-offs are plotted against."""
+
+    OFFSET = "slit offset"
+    SLIT = "slit width"
+
+
+@dataclass(frozen=True)
+class Scan:
+    """An axial response and the slit that it was measured with.
+
+    Attributes
+    ----------
+    name : str
+        Where it comes from.
+    response : AxialResponse
+        Curves and drop-offs.
+    offset_um, slit_um : float or None
+        Slit offset (as a distance) and slit width at the bundle, where the calibration knows them.
+    """
+
+    name: str
+    response: AxialResponse
+    offset_um: float | None
+    slit_um: float | None
+
+    def content(self) -> dict[str, Any]:
+        """Everything, ready for JSON."""
+        return {
+            "name": self.name,
+            "offset_um": self.offset_um,
+            "slit_um": self.slit_um,
+            **self.response.content(),
+        }
+
+
+@dataclass
+class HandScan:
+    """A scan that is taken frame by frame while the stage is moved by hand."""
+
+    depth_um: list[float] = field(default_factory=list)
+    ls: list[float] = field(default_factory=list)
+    residual: list[float] = field(default_factory=list)
+
+    def take(self, frame: NDArray[Any], calibration: Calibration, depth_um: float) -> None:
+        """Add a raw frame (rows, cols) that was taken at a depth.
+
+        Raises
+        ------
+        CalibrationError
+            If the calibration does not fit the frame or lacks the scale.
+        MeasurementError
+            If the measured square does not fit into the bundle.
+        """
+        ls, residual = axial_profiles(frame[None], calibration)
+        self.depth_um.append(float(depth_um))
+        self.ls.append(float(ls[0]))
+        self.residual.append(float(residual[0]))
+
+    def scan(self, calibration: Calibration) -> Scan:
+        """Return what the frames say so far.
+
+        Raises
+        ------
+        InputError
+            If there are too few depths.
+        MeasurementError
+            If there is no signal in contact.
+        """
+        response = axial_response(self.depth_um, self.ls, self.residual)
+        return Scan(f"by hand, {len(self.depth_um)} frames", response, *slit_um(calibration))
+
+
+def measure_scan(
+    stack: Stack,
+    calibration: Calibration,
+    *,
+    watch: Callable[[Iterable[int]], Iterable[int]] = lambda numbers: numbers,
+) -> Scan:
+    """Measure the axial response of a stack of depths.
+
+    Parameters
+    ----------
+    stack : Stack
+        Raw frames with their depths.
+    calibration : Calibration
+        Needs the bundle pair and the scale.
+    watch : callable
+        Wraps the frame numbers, say with a progress bar.
+
+    Raises
+    ------
+    InputError
+        If the depths are unknown.
+    CalibrationError, MeasurementError
+        As :func:`napari_elsplus.processing.axial.axial_profiles`.
+    """
+    if stack.depth_um is None:
+        raise InputError(
+            f"the depths of {stack.file_name} are unknown", "put NAME.depths.csv beside it: a depth per frame"
+        )
+    ls, residual = axial_profiles(stack.planes, calibration, watch=watch)
+    return Scan(stack.name, axial_response(stack.depth_um, ls, residual), *slit_um(calibration))
+
+
+def slit_um(calibration: Calibration) -> tuple[float | None, float | None]:
+    """Offset (as a distance) and width of the slit at the bundle, where they are known, micrometres.
+
+    Examples
+    --------
+    >>> from napari_elsplus.calibration import Calibration
+    >>> known = {"offset": {"rows": -12.0, "uncertainty_rows": 0.01}, "optics": {"um_per_px": 2.0}}
+    >>> slit_um(Calibration.parse(known))
+    (24.0, None)
+    """
+    um_per_px = calibration.optics.um_per_px if calibration.optics is not None else None
+    if um_per_px is None:
+        return None, None
+    offset, settings = calibration.offset, calibration.acquired_with
+    width_rows = settings.slit_rows if settings is not None else None
+    return (
+        abs(offset.rows) * um_per_px if offset is not None else None,
+        width_rows * um_per_px if width_rows is not None else None,
+    )
+
+
+@dataclass(frozen=True)
+class DropOffs:
+    """ELS+ drop-offs of several scans against a slit parameter, with the paper's curve through them.
+
+    Attributes
+    ----------
+    x_um : numpy.ndarray
+        (m,), increasing.
+    drop_3db_um, drop_10db_um : numpy.ndarray
+        (m,); NaN where a scan does not reach it.
+    fit_3db, fit_10db : Saturation or None
+        Fits against the offset; None if there are too few scans or they do not saturate.
+    """
+
+    x_um: NDArray[np.float64]
+    drop_3db_um: NDArray[np.float64]
+    drop_10db_um: NDArray[np.float64]
+    fit_3db: Saturation | None
+    fit_10db: Saturation | None
+
+
+def drop_offs(scans: Sequence[Scan], against: Against | str) -> DropOffs:
+    """Collect the drop-offs of scans whose slit is known.
+
+    Raises
+    ------
+    InputError
+        If no scan's slit is known.
+    """
+    against = Against(against)
+    known = [(scan.offset_um if against is Against.OFFSET else scan.slit_um, scan.response) for scan in scans]
+    rows = sorted((x, one.els_3db.um, one.els_10db.um) for x, one in known if x is not None)
+    if not rows:
+        raise InputError(f"no scan's {against.value} is known", "calibrate the offset, and give the slit's width")
+    x, three, ten = np.array(rows, np.float64).T
+    fits = [_fit(x, drop) if against is Against.OFFSET else None for drop in (three, ten)]
+    return DropOffs(x, three, ten, *fits)
+
+
+def _fit(x_um: NDArray[np.float64], drop_um: NDArray[np.float64]) -> Saturation | None:
+    there = np.isfinite(drop_um)
+    if len(np.unique(x_um[there])) < FEWEST_FOR_A_FIT:
+        return None
+    try:
+        return fit_saturation(x_um[there], drop_um[there])
+    except MeasurementError:  # the plot then shows the points alone
+        return None
+
+
+def simulated_scan(
+    offset_um: float = 29.0, slit_um: float = 2.9, *, depth_um: NDArray[np.float64] | None = None, seed: int = 0
+) -> tuple[Stack, Calibration]:
+    """Simulate a stained plate that moves away from the probe, frame by frame as it is looked at.
+
+    Parameters
+    ----------
+    offset_um : float
+        Slit offset.
+    slit_um : float
+        Slit width, rounded to whole rows.
+    depth_um : numpy.ndarray, optional
+        Depths; by default close together near the focus.
+    seed : int
+        Seed of the camera's noise.
+
+    Returns
+    -------
+    tuple
+        The stack of raw frames with its depths, and the calibration that fits it.
+    """
+    instrument = lit_for_plate(Instrument.of("120hz", offset_um=offset_um, slit_um=slit_um))
+    depths = scan_depths_um() if depth_um is None else np.asarray(depth_um, np.float64)
+    frames = AxialScan(instrument, depths, seed=seed)
+    planes = LazyPlanes(frames.__getitem__, (len(depths), *instrument.frame_shape), np.dtype(np.uint8))
+    known = {"um_per_px": instrument.optics.um_per_px}
+    name = f"simulated, offset {offset_um:g} µm, slit {instrument.slit_um:.1f} µm"
+    background = calibration_scenes.background(instrument, seed=seed)
+    return Stack(name, planes, known, depth_um=depths), true_calibration(instrument, background)
+
+
+def axial_script(stack: Stack, calibration: str) -> str:
+    """Write a script that makes the same measurement.
+
+    Raises
+    ------
+    InputError
+        If the frames lie in no file.
+    CalibrationError
+        If the calibration lies in no file of its own.
+    """
+    if stack.recording is None:
+        raise InputError(f"{stack.name} is simulated and lies in no file", "use `napari-elsplus simulate axial`")
+    if not calibration:
+        raise CalibrationError("the calibration lies in no file of its own", "save it beside the scan")
+    return f'''"""Axial response of {stack.recording.path.name}."""
+
+from napari_elsplus.io import open_recording, read_calibration
+from napari_elsplus.viewing.axial import measure_scan
+from napari_elsplus.viewing.stack import Stack
+
+with open_recording({str(stack.recording.path)!r}) as recording:
+    scan = measure_scan(Stack.of(recording), read_calibration({calibration!r}))
+
+response = scan.response
+print(f"LS: 3 dB at {{response.ls_3db.um:.1f}} um, 10 dB at {{response.ls_10db.um:.1f}} um")
+print(f"ELS+: 3 dB at {{response.els_3db.um:.1f}} um, 10 dB at {{response.els_10db.um:.1f}} um")
+print(f"signal kept: {{100 * response.signal_kept:.1f}} %")
+'''

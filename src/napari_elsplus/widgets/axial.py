@@ -1,0 +1,258 @@
+"""The Axial response panel: how far a plate is seen, by LS, residual and ELS+, from one scan of depths or several."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from magicgui.widgets import ComboBox, Container, FloatSpinBox, PushButton
+from napari.utils.notifications import show_info
+from qtpy.QtWidgets import QApplication, QFileDialog, QHBoxLayout, QLabel, QVBoxLayout
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import replacing
+from napari_elsplus.viewing.axial import (
+    Against,
+    HandScan,
+    Scan,
+    axial_script,
+    drop_offs,
+    measure_scan,
+    simulated_scan,
+)
+from napari_elsplus.widgets.axial_plots import drop_off_curves, response_curves, table
+from napari_elsplus.widgets.panel import Panel, told
+from napari_elsplus.widgets.plots import ThemedPlot
+from napari_elsplus.widgets.work import Work
+
+if TYPE_CHECKING:
+    import napari.viewer
+    from magicgui.widgets import Widget
+    from napari.layers import Image
+    from qtpy.QtWidgets import QWidget
+
+STACK, BY_HAND, SIMULATED = "a stack of depths", "step by hand", "simulate"
+CURVES: Final = "signal and depth"
+HINT: Final = "Measure a scan to see its drop-offs; several scans give them against the slit."
+
+
+class AxialResponse(Panel):
+    """Measure the axial response: from a stack, step by step by hand, or of the simulated instrument.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        The viewer; its layers are only read.
+    """
+
+    def __init__(self, viewer: napari.viewer.Viewer) -> None:
+        super().__init__(viewer)
+        self.scans: list[Scan] = []
+        self._by_hand = HandScan()
+        self.work = Work(self._layers_changed)
+        self._build()
+        self.source.changed.connect(self._source_changed)
+        self.measure.clicked.connect(self.measure_stack)
+        self.simulate.clicked.connect(self.measure_simulated)
+        self.take.clicked.connect(self.take_frame)
+        self.shown.changed.connect(self.show_scans)
+        self.clear.clicked.connect(self.forget)
+        self.script.clicked.connect(self.copy_script)
+        self.save.clicked.connect(self._ask_where_to_save)
+        self.listen(viewer.layers.events.inserted, self._layers_changed)
+        self.listen(viewer.layers.events.removed, self._layers_changed)
+        self.listen(viewer.events.theme, self._theme_changed)
+        self._source_changed()
+        self.show_scans()
+
+    def measure_stack(self) -> None:
+        """Measure the chosen stack of depths, in a thread of its own."""
+        with told():
+            known = self._chosen(self.stack).metadata["elsplus"]
+            stack, calibration = known["stack"], known["calibration"]
+            self._start(len(stack.planes), lambda: measure_scan(stack, calibration, watch=self.work.watch))
+
+    def measure_simulated(self) -> None:
+        """Simulate a scan with the offset and slit that were set, and measure it, in a thread of its own."""
+        offset_um, slit_um = self.offset.value, self.slit.value
+        with told():
+            stack, calibration = simulated_scan(offset_um, slit_um)
+            self._start(len(stack.planes), lambda: measure_scan(stack, calibration, watch=self.work.watch))
+
+    def take_frame(self) -> None:
+        """Add the frame that is shown at the depth that is set, and set the next depth."""
+        with told():
+            layer = self._chosen(self.live)
+            calibration = layer.metadata["elsplus"]["calibration"]
+            self._by_hand.take(self._frame(layer), calibration, self.depth_now.value)
+            self.depth_now.value += self.depth_step.value
+            taken = len(set(self._by_hand.depth_um))
+            if taken < 3:
+                self.numbers.setText(f"{taken} of at least 3 depths taken")
+                return
+            scan = self._by_hand.scan(calibration)
+            self.scans = [known for known in self.scans if not known.name.startswith("by hand")] + [scan]
+            self.show_scans()
+
+    def forget(self) -> None:
+        """Forget all scans, those taken by hand too."""
+        self.scans.clear()
+        self._by_hand = HandScan()
+        self.show_scans()
+
+    def show_scans(self) -> None:
+        """Draw the scans, the last in full, or their drop-offs against the slit; and list the numbers."""
+        self.numbers.setText(table(self.scans) if self.scans else HINT)
+        self.save.enabled = self.clear.enabled = bool(self.scans)
+        if not self.scans:
+            self.plot.draw([])
+        elif self.shown.value == CURVES:
+            curves, marks = response_curves(self.scans)
+            self.plot.draw(curves, marks=marks, bottom="distance from contact / µm", left="signal / signal in contact")
+        else:
+            with told():
+                against = Against(self.shown.value)
+                curves = drop_off_curves(drop_offs(self.scans, against))
+                self.plot.draw(curves, bottom=f"{against.value} / µm", left="ELS+ drop-off / µm")
+
+    def save_to(self, path: str | Path) -> None:
+        """Save the scans to NAME.json, or the plot to NAME.png or NAME.csv."""
+        path = Path(path)
+        if path.suffix.lower() != ".json":
+            self.plot.save(path)
+            return
+        if not self.scans:
+            raise InputError("there is no scan to save", "measure one first")
+        one = len(self.scans) == 1
+        content = self.scans[0].content() if one else {"scans": [scan.content() for scan in self.scans]}
+        with replacing(path, force=True) as beside:
+            beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+    def copy_script(self) -> None:
+        """Copy Python that measures the chosen stack to the clipboard."""
+        with told():
+            known = self._chosen(self.stack).metadata["elsplus"]
+            text = axial_script(known["stack"], str(known["calibration_path"] or ""))
+            clipboard = QApplication.clipboard()
+            if clipboard is not None:
+                clipboard.setText(text)
+                show_info("the script is on the clipboard")
+
+    def cleanup(self) -> None:
+        """Stop measuring and let go of the viewer."""
+        self.work.cancel()
+        super().cleanup()
+
+    def _build(self) -> None:
+        self.source = ComboBox(label="scan", choices=[STACK, BY_HAND, SIMULATED])
+        self.source.tooltip = "Frames at known depths; the live image, step by step; or the simulated instrument"
+        self.stack = ComboBox(label="stack", choices=self._stacks, tooltip="Raw layers with depths and a calibration")
+        self.live = ComboBox(
+            label="frames of", choices=self._raws, tooltip="Raw layers with a calibration, live or not"
+        )
+        self.depth_now = FloatSpinBox(label="depth (µm)", value=0, min=-10_000, max=10_000)
+        self.depth_now.tooltip = "Depth of the plate now, -10 000 to 10 000 µm"
+        self.depth_step = FloatSpinBox(label="step (µm)", value=5, min=-1000, max=1000)
+        self.depth_step.tooltip = "Added to the depth after each frame, -1000 to 1000 µm"
+        self.offset = FloatSpinBox(label="offset (µm)", value=29, min=3, max=100, step=1)
+        self.offset.tooltip = "Distance of the residual's slit from the line, 3 to 100 µm"
+        self.slit = FloatSpinBox(label="slit (µm)", value=2.9, min=0.9, max=30, step=0.96)
+        self.slit.tooltip = "Width of the slit, rounded to whole camera rows, 0.9 to 30 µm"
+        self.measure = PushButton(text="Measure", tooltip="Measure the stack")
+        self.take = PushButton(text="Take", tooltip="Take the frame that is shown at this depth, and go on by a step")
+        self.simulate = PushButton(text="Simulate and measure", tooltip="Simulate a scan and measure it")
+        self._forms = {
+            STACK: _form(self.stack, self.measure),
+            BY_HAND: _form(self.live, self.depth_now, self.depth_step, self.take),
+            SIMULATED: _form(self.offset, self.slit, self.simulate),
+        }
+        self.shown = ComboBox(label="plot", choices=[CURVES, *(one.value for one in Against)])
+        self.shown.tooltip = "Curves of the scans, or drop-offs of ELS+ against the slit, with the paper's fit"
+        self.script = PushButton(text="Copy as script", tooltip="Copy Python that measures the chosen stack")
+        self.save = PushButton(text="Save...", tooltip="Save the plot as PNG, its numbers as CSV, or the scans as JSON")
+        self.clear = PushButton(text="Clear", tooltip="Forget all scans")
+        self.numbers = QLabel()
+        self.numbers.setWordWrap(True)
+        self.plot = ThemedPlot("distance / µm", "signal", self.viewer.theme)
+        self.plot.setMinimumHeight(200)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(6, 6, 6, 6)
+        for form in (_form(self.source), *self._forms.values(), _form(self.shown)):
+            layout.addWidget(form)
+        layout.insertWidget(layout.count() - 1, self.work)
+        layout.addWidget(self.plot, 1)
+        layout.addWidget(self.numbers)
+        row = QHBoxLayout()
+        for button in (self.script, self.save, self.clear):
+            row.addWidget(button.native)
+        layout.addLayout(row)
+
+    def _start(self, frames: int, work: Any) -> None:
+        self.work.begin(frames, work, self._measured)
+        self._layers_changed()
+
+    def _measured(self, scan: Scan) -> None:
+        self.scans = [known for known in self.scans if known.name != scan.name] + [scan]
+        self.show_scans()
+
+    def _frame(self, layer: Image) -> np.ndarray[Any, Any]:
+        """Return the raw frame of a layer that is shown: of a stack, the one at the slider."""
+        if layer.ndim == 2:
+            return np.asarray(layer.data)
+        steps = (self.viewer.dims.point[0] - layer.translate[0]) / layer.scale[0]
+        return np.asarray(layer.data[int(np.clip(round(steps), 0, layer.data.shape[0] - 1))])
+
+    def _chosen(self, choice: ComboBox) -> Image:
+        if choice.value is None:
+            raise InputError("no such layer is open", "open a scan, or File > Open Sample > ELS+ endomicroscopy")
+        layer: Image = self.viewer.layers[choice.value]
+        return layer
+
+    def _raws(self, _: Any = None) -> list[str]:
+        known = {layer.name: layer.metadata.get("elsplus", {}) for layer in self.viewer.layers}
+        return [name for name, facts in known.items() if facts.get("kind") == "raw" and facts.get("calibration")]
+
+    def _stacks(self, _: Any = None) -> list[str]:
+        stacks = {name: self.viewer.layers[name].metadata["elsplus"].get("stack") for name in self._raws()}
+        return [name for name, stack in stacks.items() if stack is not None and stack.depth_um is not None]
+
+    def _source_changed(self) -> None:
+        for name, form in self._forms.items():
+            form.setVisible(name == self.source.value)
+        self._layers_changed()
+
+    def _layers_changed(self) -> None:
+        for choice in (self.stack, self.live):
+            chosen = choice.value
+            choice.reset_choices()
+            if chosen in choice.choices:
+                choice.value = chosen
+        idle = not self.work.busy
+        self.measure.enabled = idle and bool(self.stack.choices)
+        self.script.enabled = bool(self.stack.choices)
+        self.take.enabled = bool(self.live.choices)
+        self.simulate.enabled = idle
+        self.measure.tooltip = (
+            "Measure the stack"
+            if self.stack.choices
+            else "First open a scan with NAME.depths.csv and a calibration beside it, or the sample axial scan"
+        )
+
+    def _theme_changed(self) -> None:
+        self.plot.follow(self.viewer.theme)
+
+    def _ask_where_to_save(self) -> None:
+        kinds = "Picture (*.png);;Table (*.csv);;Scans (*.json)"
+        path, _ = QFileDialog.getSaveFileName(self, "Save the axial response", "axial.png", kinds)
+        if path:
+            with told():
+                self.save_to(path)
+
+
+def _form(*fields: Widget) -> QWidget:
+    form = Container(widgets=fields)
+    form.margins = (0, 0, 0, 0)
+    native: QWidget = form.native
+    return native

@@ -1,0 +1,86 @@
+"""What the Axial response panel draws and lists."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.widgets.plots import Curve
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from napari_elsplus.processing.axial import DropOff, Saturation
+    from napari_elsplus.viewing.axial import DropOffs, Scan
+
+    Mark = tuple[float, str, str]
+
+OTHERS: Final = ("purple", "vermilion", "orange")
+FIT_POINTS: Final = 100
+
+
+def response_curves(scans: Sequence[Scan]) -> tuple[list[Curve], list[Mark]]:
+    """Return the last scan's curves with its drop-offs marked, and the others' ELS+."""
+    *others, last = scans
+    response = last.response
+    distance = response.depth_um - response.contact_um
+    curves = [
+        Curve("LS", distance, response.ls, "blue", "dotted"),
+        Curve("residual", distance, response.residual, "grey", "dashed"),
+        Curve("ELS+", distance, response.els, "green"),
+    ]
+    for index, scan in enumerate(others):
+        apart = scan.response.depth_um - scan.response.contact_um
+        curves.append(Curve(f"ELS+, {scan.name}", apart, scan.response.els, OTHERS[index % len(OTHERS)]))
+    drops = (
+        (response.els_3db, "green", "ELS+ 3 dB"),
+        (response.els_10db, "green", "ELS+ 10 dB"),
+        (response.ls_3db, "blue", "LS 3 dB"),
+        (response.ls_10db, "blue", "LS 10 dB"),
+    )
+    marks = [(drop.um, colour, f"{name} {drop.um:.0f}") for drop, colour, name in drops if np.isfinite(drop.um)]
+    return curves, marks
+
+
+def drop_off_curves(found: DropOffs) -> list[Curve]:
+    """Return drop-offs against the slit as points, with the paper's curve where it could be fitted."""
+    curves = [
+        Curve("3 dB", found.x_um, found.drop_3db_um, "green", marks=True),
+        Curve("10 dB", found.x_um, found.drop_10db_um, "orange", "dashed", marks=True),
+    ]
+    for name, fit, colour in (("3 dB", found.fit_3db, "green"), ("10 dB", found.fit_10db, "orange")):
+        if fit is not None:
+            x = np.linspace(0, float(found.x_um.max()), FIT_POINTS)
+            curves.append(
+                Curve(_told_fit(name, fit), x, fit.limit_um * (1 - np.exp(-fit.rate_per_um * x)), colour, "dotted")
+            )
+    return curves
+
+
+def table(scans: Sequence[Scan]) -> str:
+    """Write the drop-offs as rich text, in micrometres: the last scan's with their uncertainties, the others' ELS+."""
+
+    def row(*cells: str) -> str:
+        return "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
+
+    *others, last = scans
+    rows = [row("", "3 dB / µm", "10 dB / µm")]
+    rows += [row(scan.name, _bare(scan.response.els_3db), _bare(scan.response.els_10db)) for scan in others]
+    one = last.response
+    rows.append(f"<tr><td colspan=3><b>{last.name}</b>: {100 * one.signal_kept:.0f} % of the signal kept</td></tr>")
+    rows.append(row("LS", _told(one.ls_3db), _told(one.ls_10db)))
+    rows.append(row("ELS+", _told(one.els_3db), _told(one.els_10db)))
+    return f"<table width='100%' cellspacing=2>{''.join(rows)}</table>"
+
+
+def _bare(drop: DropOff) -> str:
+    return f"{drop.um:.1f}" if np.isfinite(drop.um) else "beyond"
+
+
+def _told(drop: DropOff) -> str:
+    return f"{drop.um:.1f} ± {drop.uncertainty_um:.2g}" if np.isfinite(drop.um) else "beyond the scan"
+
+
+def _told_fit(name: str, fit: Saturation) -> str:
+    return f"{name} fit: {fit.limit_um:.0f} (1 - exp(-{fit.rate_per_um:.3f} x))"

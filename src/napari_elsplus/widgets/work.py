@@ -1,0 +1,112 @@
+"""Long work beside the window: its progress, its cancellation, and its error told once."""
+
+from __future__ import annotations
+
+from threading import Event
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from napari.qt.threading import create_worker
+from napari.utils.notifications import show_error
+from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
+
+from napari_elsplus.errors import ElsPlusError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    Item = TypeVar("Item")
+
+POLL_MS = 100
+
+
+class Cancelled(Exception):
+    """The user has pressed Cancel."""
+
+
+class Work(QWidget):
+    """A progress bar with a Cancel button; hidden while nothing is done.
+
+    Parameters
+    ----------
+    ended : callable
+        Called whenever work has ended, however it did.
+    """
+
+    def __init__(self, ended: Callable[[], None]) -> None:
+        super().__init__()
+        self._ended = ended
+        self._cancelled = Event()
+        self._done = 0
+        self._worker: Any = None
+        self._bar = QProgressBar()
+        self._cancel = QPushButton("Cancel")
+        self._cancel.setToolTip("Stop at the next frame; nothing is changed")
+        self._cancel.clicked.connect(self.cancel)
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self._bar, 1)
+        layout.addWidget(self._cancel)
+        self._poll = QTimer(self)
+        self._poll.setInterval(POLL_MS)
+        self._poll.timeout.connect(lambda: self._bar.setValue(self._done))
+        self.hide()
+
+    @property
+    def busy(self) -> bool:
+        """Whether work is being done."""
+        return self._worker is not None
+
+    def begin(self, total: int, work: Callable[[], Any], finished: Callable[[Any], None]) -> None:
+        """Do work in a thread.
+
+        Parameters
+        ----------
+        total : int
+            How many steps :meth:`watch` will count.
+        work : callable
+            Runs in the thread.
+        finished : callable
+            Gets the result, in the window's thread; not called after a failure or Cancel.
+        """
+        self._cancelled.clear()
+        self._done = 0
+        self._bar.setRange(0, total)
+        self._finished = finished
+
+        def guarded() -> tuple[Any, Exception | None]:
+            try:
+                return work(), None
+            except (ElsPlusError, Cancelled) as error:
+                return None, error
+
+        self._worker = create_worker(guarded, _connect={"returned": self._take}, _start_thread=False)
+        self._worker.finished.connect(self._end)
+        self.show()
+        self._poll.start()
+        self._worker.start()
+
+    def watch(self, items: Iterable[Item]) -> Iterator[Item]:
+        """Go through items in the thread: count them, and stop when cancelled."""
+        for item in items:
+            if self._cancelled.is_set():
+                raise Cancelled
+            yield item
+            self._done += 1
+
+    def cancel(self) -> None:
+        """Stop at the next step."""
+        self._cancelled.set()
+
+    def _take(self, outcome: tuple[Any, Exception | None]) -> None:
+        result, error = outcome
+        if isinstance(error, ElsPlusError):
+            show_error(str(error))
+        elif error is None and not self._cancelled.is_set():
+            self._finished(result)
+
+    def _end(self) -> None:
+        self._poll.stop()
+        self._worker = None
+        self.hide()
+        self._ended()

@@ -1,0 +1,161 @@
+"""The Axial response panel, driven as a user drives it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from napari.layers import Image
+
+from napari_elsplus.calibration import Calibration
+from napari_elsplus.io import write_calibration, write_column, write_stack
+from napari_elsplus.processing.axial import axial_response
+from napari_elsplus.viewing import axial as viewing_axial
+from napari_elsplus.viewing.axial import Scan
+from napari_elsplus.widgets.axial import BY_HAND, SIMULATED, STACK
+
+PLUGIN = "napari-elsplus"
+SHAPE = (300, 640)
+DEPTH_UM = np.array([0.0, 10, 20, 30, 40, 60, 90, 150, 700])
+PEDESTAL = 8000.0
+
+
+def calibration():
+    content = {
+        "frame": {"shape": SHAPE},
+        "offset": {"rows": -10.0, "uncertainty_rows": 0.01},
+        "bundle": {
+            "confocal_centre": [150.0, 150.0],
+            "residual_centre": [150.0, 480.0],
+            "diameter_px": 280,
+            "residual_to_confocal": [[1, 0, 0], [0, 1, -330]],
+        },
+        "optics": {"um_per_px": 2.0},
+    }
+    return Calibration.parse(content).model_copy(update={"background": np.full(SHAPE, PEDESTAL, np.float32)})
+
+
+def frames():
+    ls, els = 1 / (1 + DEPTH_UM / 60), 1 / (1 + (DEPTH_UM / 30) ** 2)
+    stack = np.empty((len(DEPTH_UM), *SHAPE), np.uint16)
+    stack[..., :320] = np.round(PEDESTAL + 40000 * ls)[:, None, None]
+    stack[..., 320:] = np.round(PEDESTAL + 40000 * (ls - els))[:, None, None]
+    return stack
+
+
+@pytest.fixture
+def viewer(make_napari_viewer_proxy):
+    return make_napari_viewer_proxy()
+
+
+@pytest.fixture
+def panel(viewer):
+    _, widget = viewer.window.add_plugin_dock_widget(PLUGIN, "Axial response")
+    return widget
+
+
+@pytest.fixture
+def scan_file(tmp_path):
+    write_stack(tmp_path / "scan.tif", frames())
+    write_column(tmp_path / "scan.depths.csv", "depth_um", DEPTH_UM)
+    write_calibration(tmp_path / "scan.calibration.json", calibration())
+    return tmp_path / "scan.tif"
+
+
+def test_a_stack_is_measured_beside_the_window_and_saved(viewer, panel, scan_file, qtbot, tmp_path):
+    assert not panel.measure.enabled
+    assert "depths.csv" in panel.measure.tooltip
+    viewer.open(str(scan_file), plugin=PLUGIN)
+    before = [(layer.name, layer.visible) for layer in viewer.layers]
+    panel.measure.native.click()
+    assert panel.work.busy
+    assert not panel.measure.enabled
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    assert [(layer.name, layer.visible) for layer in viewer.layers] == before
+    (scan,) = panel.scans
+    assert scan.response.els_3db.um == pytest.approx(30, rel=0.02)
+    assert [curve.name for curve in panel.plot.curves] == ["LS", "residual", "ELS+"]
+    assert "30.0 ±" in panel.numbers.text()
+
+    for ending in ("json", "csv", "png"):
+        panel.save_to(tmp_path / f"out.{ending}")
+    content = json.loads((tmp_path / "out.json").read_text())
+    assert content["els"]["drop_3db_um"] == scan.response.els_3db.um
+    assert content["offset_um"] == 20.0
+    header = (tmp_path / "out.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header == "distance from contact / µm,LS,residual,ELS+"
+    panel.clear.native.click()
+    assert panel.scans == []
+    assert not panel.save.enabled
+
+
+def test_frames_are_taken_by_hand_at_the_depths_that_are_set(viewer, panel, scan_file, said):
+    viewer.open(str(scan_file), plugin=PLUGIN)
+    panel.source.value = BY_HAND
+    panel.depth_step.value = 10
+    for k in range(4):
+        viewer.dims.set_current_step(0, k)
+        assert panel.depth_now.value == 10 * k
+        panel.take.native.click()
+    (scan,) = panel.scans
+    np.testing.assert_array_equal(scan.response.depth_um, DEPTH_UM[:4])
+    assert scan.response.ls[3] == pytest.approx(60 / 90, rel=1e-3)
+    assert np.isnan(scan.response.els_10db.um)
+    assert "beyond" in panel.numbers.text()
+    assert said() == []
+
+
+def test_a_live_image_is_a_single_frame(viewer, panel):
+    live = Image(frames()[2], name="live raw", metadata={"elsplus": {"kind": "raw", "calibration": calibration()}})
+    viewer.layers.append(live)
+    panel.source.value = BY_HAND
+    panel.take.native.click()
+    assert "1 of at least 3" in panel.numbers.text()
+    live.data = frames()[2][:50]
+    panel.take.native.click()
+    assert "1 of at least 3" in panel.numbers.text()
+
+
+def test_a_frame_that_does_not_fit_is_one_notification(viewer, panel, said):
+    metadata = {"elsplus": {"kind": "raw", "calibration": calibration()}}
+    viewer.layers.append(Image(np.zeros((50, 60), np.uint8), name="live raw", metadata=metadata))
+    panel.source.value = BY_HAND
+    panel.take.native.click()
+    ((severity, message),) = said()
+    assert severity == "error"
+    assert "300 x 640" in message
+
+
+def test_a_simulated_scan_can_be_cancelled(panel, qtbot):
+    panel.source.value = SIMULATED
+    panel.simulate.native.click()
+    assert panel.work.busy
+    panel.work.cancel()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    assert panel.scans == []
+    assert panel.simulate.enabled
+
+
+def test_several_simulated_scans_are_drawn_against_the_offset(panel, qtbot, monkeypatch):
+    monkeypatch.setattr(viewing_axial, "scan_depths_um", lambda: np.array([0.0, 20, 60]))
+    panel.source.value = SIMULATED
+    for offset_um in (20, 40):
+        panel.offset.value = offset_um
+        panel.simulate.native.click()
+        qtbot.waitUntil(lambda: not panel.work.busy, timeout=40_000)
+    assert [round(scan.offset_um) for scan in panel.scans] == [20, 40]
+
+    depth = np.arange(0.0, 600, 2)
+    ls = 1 / (1 + depth / 60)
+    panel.scans.clear()
+    for offset_um in (12.0, 29.0, 58.0):
+        els = 1 / (1 + (depth / (58 * (1 - np.exp(-offset_um / 30)))) ** 2)
+        panel.scans.append(Scan(f"{offset_um}", axial_response(depth, ls, ls - els), offset_um, 2.9))
+    panel.shown.value = "slit offset"
+    three, _, *fits = panel.plot.curves
+    np.testing.assert_array_equal(three.x, [12, 29, 58])
+    assert fits[0].name.startswith("3 dB fit: 58")
+    panel.shown.value = "signal and depth"
+    assert len(panel.plot.curves) == 5
+    assert STACK in panel.source.choices
