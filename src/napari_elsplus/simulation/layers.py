@@ -53,11 +53,9 @@ class Layer:
         self._texture = texture
         self.step_um: float = min(blur.rows_um, blur.cols_um) / SAMPLES_PER_SIGMA
         # Bilinear sampling blurs by a triangle of variance step^2 / 6: the filter leaves that much out.
-        self._sigma_rows, self._sigma_cols = (
-            float(np.sqrt(max(sigma**2 - self.step_um**2 / 6, 0.01 * self.step_um**2)) / self.step_um)
-            for sigma in (blur.rows_um, blur.cols_um)
+        self._filters = tuple(
+            _gaussian(np.sqrt(max((sigma / self.step_um) ** 2 - 1 / 6, 0.01))) for sigma in (blur.rows_um, blur.cols_um)
         )
-        self._margins = int(np.ceil(4 * self._sigma_rows)) + 1, int(np.ceil(4 * self._sigma_cols)) + 1
         needed = 2 * reach_um / self.step_um + 3 * BLOCK
         self.size = 1 << int(np.ceil(np.log2(needed)))
         self.window: NDArray[np.float32] = np.zeros((self.size, self.size), np.float32)
@@ -120,15 +118,13 @@ class Layer:
         if (i, j) in self._kept:
             self._kept.move_to_end((i, j))
             return self._kept[i, j]
+        margins = [len(taps) // 2 for taps in self._filters]
         rows, cols = (
             (np.arange(-margin, BLOCK + margin, dtype=np.float64) + index * BLOCK) * self.step_um
-            for index, margin in zip((i, j), self._margins, strict=True)
+            for index, margin in zip((i, j), margins, strict=True)
         )
-        sharp = self._texture.sample(rows, cols)
-        blurred = cv2.sepFilter2D(
-            sharp, -1, _gaussian(self._sigma_cols, self._margins[1]), _gaussian(self._sigma_rows, self._margins[0])
-        )
-        inside = (slice(margin, margin + BLOCK) for margin in self._margins)
+        blurred = cv2.sepFilter2D(self._texture.sample(rows, cols), -1, self._filters[1], self._filters[0])
+        inside = (slice(margin, margin + BLOCK) for margin in margins)
         block: NDArray[np.float32] = blurred[tuple(inside)].copy()
         self._kept[i, j] = block
         if len(self._kept) > _KEPT_BLOCKS:
@@ -136,6 +132,7 @@ class Layer:
         return block
 
 
-def _gaussian(sigma: float, reach: int) -> NDArray[np.float32]:
+def _gaussian(sigma: float) -> NDArray[np.float32]:
+    reach = int(np.ceil(4 * sigma)) + 1
     taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     return np.asarray(taps / taps.sum(), np.float32)

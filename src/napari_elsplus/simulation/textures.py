@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol
 
-import cv2
 import numpy as np
 
 from napari_elsplus.compiled import kernel
-from napari_elsplus.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,6 +31,11 @@ class Texture(Protocol):
 
     def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
         """Brightness on an even grid, shape (rows, cols)."""
+
+
+def step_um(axis_um: Axis) -> float:
+    """Step of an even grid."""
+    return float(axis_um[1] - axis_um[0])
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ class Fibres:
             range(int(np.floor((axis[0] - reach) / _CELL_UM)), int(np.floor((axis[-1] + reach) / _CELL_UM)) + 1)
             for axis in (rows_um, cols_um)
         )
-        _draw_fibres(out, rows_um[0], cols_um[0], _step(rows_um), _fibres_of_cells(self, *cells))
+        _draw_fibres(out, rows_um[0], cols_um[0], step_um(rows_um), _fibres_of_cells(self, *cells))
         return out
 
 
@@ -120,13 +123,19 @@ def _draw_fibre(out: Picture, row0: float, col0: float, step: float, fibre: Pict
         ay, ax, by, bx = fibre[k, 0], fibre[k, 1], fibre[k + 1, 0], fibre[k + 1, 1]
         dy, dx = by - ay, bx - ax
         inverse = 1 / (dy * dy + dx * dx)
+        strip = reach / np.sqrt(inverse)  # across the segment, times its length
         first = max(0, int(np.ceil((min(ay, by) - reach - row0) / step)))
         last = min(out.shape[0] - 1, int((max(ay, by) + reach - row0) / step))
         left = max(0, int(np.ceil((min(ax, bx) - reach - col0) / step)))
         right = min(out.shape[1] - 1, int((max(ax, bx) + reach - col0) / step))
         for i in range(first, last + 1):
             y = row0 + i * step - ay
-            for j in range(left, right + 1):
+            begin, end = left, right
+            if abs(dy) > 1e-3:
+                low, high = (y * dx - strip) / dy, (y * dx + strip) / dy
+                begin = max(left, int(np.floor((ax + min(low, high) - col0) / step)))
+                end = min(right, int(np.ceil((ax + max(low, high) - col0) / step)))
+            for j in range(begin, end + 1):
                 x = col0 + j * step - ax
                 t = min(1.0, max(0.0, (y * dy + x * dx) * inverse))
                 away = np.sqrt((y - t * dy) ** 2 + (x - t * dx) ** 2)
@@ -163,9 +172,9 @@ class Nuclei:
     def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
         """Brightness on an even grid."""
         out = np.zeros((len(rows_um), len(cols_um)), np.float32)
-        _draw_mottle(out, rows_um[0], cols_um[0], _step(rows_um), 60.0, self.seed)
+        _draw_mottle(out, rows_um[0], cols_um[0], step_um(rows_um), 60.0, self.seed)
         out *= 0.25
-        _draw_nuclei(out, rows_um[0], cols_um[0], _step(rows_um), self.spacing_um, self.radius_um, self.seed)
+        _draw_nuclei(out, rows_um[0], cols_um[0], step_um(rows_um), self.spacing_um, self.radius_um, self.seed)
         return out
 
 
@@ -188,7 +197,7 @@ class Mottle:
     def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
         """Brightness on an even grid."""
         out = np.zeros((len(rows_um), len(cols_um)), np.float32)
-        _draw_mottle(out, rows_um[0], cols_um[0], _step(rows_um), self.scale_um, self.seed)
+        _draw_mottle(out, rows_um[0], cols_um[0], step_um(rows_um), self.scale_um, self.seed)
         return 0.5 + out
 
 
@@ -211,14 +220,18 @@ def _draw_mottle(out: Picture, row0: float, col0: float, step: float, scale: flo
         iy = int(np.floor(y))
         fy = y - iy
         fy = fy * fy * (3 - 2 * fy)
+        corner = int(np.floor(col0 / scale))
+        left = (1 - fy) * _chance(iy, corner, seed) + fy * _chance(iy + 1, corner, seed)
+        right = (1 - fy) * _chance(iy, corner + 1, seed) + fy * _chance(iy + 1, corner + 1, seed)
         for j in range(out.shape[1]):
             x = (col0 + j * step) / scale
-            ix = int(np.floor(x))
-            fx = x - ix
+            while x >= corner + 1:
+                corner += 1
+                left = right
+                right = (1 - fy) * _chance(iy, corner + 1, seed) + fy * _chance(iy + 1, corner + 1, seed)
+            fx = x - corner
             fx = fx * fx * (3 - 2 * fx)
-            top = (1 - fx) * _chance(iy, ix, seed) + fx * _chance(iy, ix + 1, seed)
-            bottom = (1 - fx) * _chance(iy + 1, ix, seed) + fx * _chance(iy + 1, ix + 1, seed)
-            out[i, j] = (1 - fy) * top + fy * bottom
+            out[i, j] = (1 - fx) * left + fx * right
 
 
 @kernel
@@ -250,102 +263,3 @@ def _draw_nuclei(out: Picture, row0: float, col0: float, step: float, spacing: f
                     across = (y * cos - x * sin) / b
                     inside = 0.5 + (1 - np.sqrt(along * along + across * across)) * b / soft
                     out[i, j] = max(out[i, j], bright * min(1.0, max(0.0, inside)))
-
-
-@dataclass(frozen=True)
-class Bars:
-    """Clear bars on an opaque ground, each (first row, first column, last row, last column) in micrometres."""
-
-    bars_um: tuple[tuple[float, float, float, float], ...]
-    bounds_um: None = None
-
-    def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
-        """Share of each grid cell that is clear."""
-        out = np.zeros((len(rows_um), len(cols_um)), np.float32)
-        for top, left, bottom, right in self.bars_um:
-            down, across = _covered(rows_um, top, bottom), _covered(cols_um, left, right)
-            if down.any() and across.any():
-                out += np.outer(down, across).astype(np.float32)
-        return out
-
-
-def usaf_1951(groups: tuple[int, ...] = (4, 5, 6, 7)) -> Bars:
-    """USAF 1951 target: three horizontal and three vertical bars of 2**(group + (element - 1) / 6) pairs/mm."""
-    bars: list[tuple[float, float, float, float]] = []
-    top = -240.0
-    for group in groups:
-        left = -250.0
-        tallest = 0.0
-        for element in range(1, 7):
-            width = 500 / 2 ** (group + (element - 1) / 6)
-            tallest = max(tallest, 5 * width)
-            for n in range(3):
-                bars.append((top + 2 * n * width, left, top + (2 * n + 1) * width, left + 5 * width))
-                bars.append((top, left + (6 + 2 * n) * width, top + 5 * width, left + (7 + 2 * n) * width))
-            left += 13 * width
-            if left > 250:
-                left = -250.0
-                top += tallest + 2 * width
-                tallest = 0.0
-        top += tallest + 8.0
-    return Bars(tuple(bars))
-
-
-class Image:
-    """A picture as a plane; the middle of the picture is the scene's origin.
-
-    Parameters
-    ----------
-    picture : numpy.ndarray
-        Grey image (rows, cols), any numeric type; brightness 1 at its largest value.
-    um_per_px : float
-        Micrometres per pixel of the picture.
-
-    Raises
-    ------
-    InputError
-        If it is no grey image, holds NaN, or is black.
-    """
-
-    def __init__(self, picture: NDArray[np.generic], um_per_px: float) -> None:
-        if picture.ndim != 2 or min(picture.shape) < 2:
-            raise InputError(f"a scene image of shape {picture.shape}", "give a grey image (rows, cols)")
-        if not um_per_px > 0:
-            raise InputError(f"the scene image has {um_per_px} um per pixel", "it must be a positive number")
-        values = np.ascontiguousarray(picture, dtype=np.float32)
-        largest = float(values.max())
-        if not (np.isfinite(values).all() and largest > 0):
-            raise InputError(f"the scene image's largest value is {largest}", "give an image with light in it")
-        self._picture: Picture = (np.maximum(values, 0) / largest).astype(np.float32)
-        self._um_per_px = um_per_px
-        half_rows, half_cols = (0.5 * (n - 1) * um_per_px for n in picture.shape)
-        self.bounds_um: tuple[float, float, float, float] | None = (-half_rows, -half_cols, half_rows, half_cols)
-        self._shrunk: dict[int, Picture] = {1: self._picture}
-
-    def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
-        """Brightness on an even grid, bilinear; beyond its edge the picture is mirrored."""
-        factor = max(1, int(_step(rows_um) / self._um_per_px))
-        if factor not in self._shrunk:
-            shape = [max(1, n // factor) for n in self._picture.shape]
-            cut = self._picture[: shape[0] * factor, : shape[1] * factor]
-            self._shrunk[factor] = cv2.resize(cut, (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
-        px = self._um_per_px
-        rows, cols = (
-            ((axis / px + 0.5 * (n - 1) + 0.5) / factor - 0.5).astype(np.float32)
-            for axis, n in zip((rows_um, cols_um), self._picture.shape, strict=True)
-        )
-        grid_cols, grid_rows = np.meshgrid(cols, rows)
-        return cv2.remap(  # type: ignore[no-any-return]
-            self._shrunk[factor], grid_cols, grid_rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
-        )
-
-
-def _step(axis_um: Axis) -> float:
-    return float(axis_um[1] - axis_um[0])
-
-
-def _covered(axis_um: Axis, first: float, last: float) -> Axis:
-    step = _step(axis_um)
-    return np.asarray(
-        np.clip(np.minimum(last, axis_um + step / 2) - np.maximum(first, axis_um - step / 2), 0, None) / step
-    )

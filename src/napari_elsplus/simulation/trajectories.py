@@ -77,8 +77,10 @@ class Spiral:
         """Row and column at each time."""
         per_radian = self.pitch_um / (2 * np.pi)
         path = self.speed_um_s * times_s / per_radian
-        # arc length of r = a * angle: angle^2 / 2 far out; the start is smoothed so that the speed stays finite
-        angle = np.sqrt(2 * path + 1) - 1
+        angle = np.sqrt(2 * np.abs(path))  # where the spiral's length is the path: Newton's steps from its far end
+        for _ in range(5):
+            root = np.sqrt(1 + angle**2)
+            angle -= (0.5 * (angle * root + np.arcsinh(angle)) - path) / root
         radius = per_radian * angle
         return np.stack([radius * np.sin(angle), radius * np.cos(angle)], axis=1)
 

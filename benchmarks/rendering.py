@@ -1,0 +1,105 @@
+"""Rendering raw frames: does the model instrument keep up with the camera, on one core, and in how much memory?
+
+Run with asv, or by hand: ``NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/rendering.py``.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+
+import click
+import cv2
+import numpy as np
+
+from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.renderer import Renderer
+from napari_elsplus.simulation.ring import Ring
+from napari_elsplus.simulation.scenes import scene
+from napari_elsplus.simulation.trajectories import trajectory
+
+
+class Rendering:
+    """Frames of a moving probe, the scan as it should be."""
+
+    params = (["240hz", "120hz"], ["fibres", "nuclei"], ["still", "hand"])
+    param_names = ("preset", "scene", "path")
+    frames = 300
+
+    def setup(self, preset, scene_name, path):
+        cv2.setNumThreads(1)
+        self.renderer = Renderer(Instrument.of(preset), scene(scene_name), trajectory(path), seed=1)
+        self.frame = np.empty(self.renderer.frame_shape, np.uint8)
+        self.renderer.render(0, self.frame)
+
+    def waits(self):
+        """Seconds of one core's time that each frame takes: what others do on the machine is left out."""
+        waits = []
+        for k in range(1, self.frames + 1):
+            start = time.thread_time()
+            self.renderer.render(k, self.frame)
+            waits.append(time.thread_time() - start)
+        return np.array(waits)
+
+    def track_frames_per_second(self, *_):
+        return 1 / np.median(self.waits())
+
+    track_frames_per_second.unit = "frames/s"
+
+
+class NewLine(Rendering):
+    """The price of a line that moves otherwise than in the frame before."""
+
+    params = (["240hz", "120hz"], ["fibres", "empty"], ["still"])
+
+    def track_milliseconds(self, *_):
+        rows = np.arange(self.renderer.frame_shape[0], dtype=float)
+        waits = []
+        for k in range(20):
+            start = time.thread_time()
+            self.renderer.render(k, self.frame, line_rows=rows + 0.5 * (k + 1))
+            waits.append(time.thread_time() - start)
+        return 1e3 * np.median(waits)
+
+    track_milliseconds.unit = "ms"
+
+
+class Replaying:
+    """The fall-back: frames from memory."""
+
+    def setup(self):
+        self.ring = Ring(Renderer(Instrument.of("240hz"), scene("fibres"), trajectory("hand")), 60)
+        self.frame = np.empty(self.ring.frame_shape, np.uint8)
+
+    def time_frame(self):
+        self.ring.render(7, self.frame)
+
+
+def main() -> None:
+    for preset in Rendering.params[0]:
+        for scene_name in Rendering.params[1]:
+            for path in Rendering.params[2]:
+                case = Rendering()
+                case.setup(preset, scene_name, path)
+                waits = 1e3 * case.waits()
+                p50, p99 = np.median(waits), np.quantile(waits, 0.99)
+                click.echo(
+                    f"{preset} {scene_name:7} {path:6} {1e3 / waits.mean():6.0f} frames/s on average, "
+                    f"{1e3 / p50:6.0f} at the median; p50 {p50:.2f}, p99 {p99:.2f}, max {waits.max():.1f} ms"
+                )
+    for preset in NewLine.params[0]:
+        for scene_name in NewLine.params[1]:
+            new_line = NewLine()
+            new_line.setup(preset, scene_name, "still")
+            click.echo(f"{preset} {scene_name:7} a new line pattern: {new_line.track_milliseconds():.1f} ms")
+    replaying = Replaying()
+    replaying.setup()
+    start = time.thread_time()
+    for _ in range(100):
+        replaying.time_frame()
+    click.echo(f"{replaying.ring.name}: {10 * (time.thread_time() - start):.2f} ms a frame")
+    click.echo(f"largest memory of the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()
