@@ -11,12 +11,17 @@ if TYPE_CHECKING:
     from napari_elsplus.evaluation.harness import Benchmark
 
 MODULES: dict[str, str] = {
-    "registration": "registration",
-    "line": "line",
-    "cores": "cores",
-    "sectioning": "sectioning",
-    "frontend": "frontend",
-    "tracking": "tracking",
+    "registration": "choices.registration",
+    "line": "choices.line",
+    "cores": "choices.cores",
+    "sectioning": "choices.sectioning",
+    "frontend": "choices.frontend",
+    "tracking": "choices.tracking",
+    "stability": "stability.registration",
+    "pair": "choices.pair",
+    "stability-line": "stability.line",
+    "stability-pair": "stability.pair",
+    "stability-tracking": "stability.tracking",
 }
 
 
@@ -35,5 +40,5 @@ def benchmark(name: str) -> Benchmark:
     """
     if name not in MODULES:
         raise InputError(f"there is no benchmark {name!r}", f"choose one of {', '.join(MODULES)}")
-    found: Benchmark = import_module(f"napari_elsplus.evaluation.choices.{MODULES[name]}").BENCHMARK
+    found: Benchmark = import_module(f"napari_elsplus.evaluation.{MODULES[name]}").BENCHMARK
     return found

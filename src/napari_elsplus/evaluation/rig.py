@@ -65,7 +65,11 @@ class SimulatedRig:
 @cache
 def simulated_rig(preset: str = "240hz", offset_um: float = -29.0, rate_hz: float | None = None) -> SimulatedRig:
     """Return a calibrated rig; the geometry is the true one, background and flat field are measured."""
-    instrument = Instrument.of(preset, offset_um=offset_um, rate_hz=rate_hz)
+    return measured(Instrument.of(preset, offset_um=offset_um, rate_hz=rate_hz))
+
+
+def measured(instrument: Instrument) -> SimulatedRig:
+    """Return the rig of an instrument, its background and flat field measured on it."""
     known = true_calibration(instrument, background(instrument))
     flat = measure_flat(list(transmission(instrument, seed=2)), known)
     return SimulatedRig(instrument, known.model_copy(update={"flat": flat}))

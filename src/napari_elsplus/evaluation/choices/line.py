@@ -6,11 +6,12 @@ estimators: cores of unequal brightness, a halo, tilts up to 2 degrees.
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import curve_fit
+from scipy.optimize import OptimizeWarning, curve_fit
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role
@@ -109,7 +110,9 @@ def _gaussian(profile: NDArray[np.float32]) -> float:
     peak = int(profile.argmax())
     bright = np.where(profile > 0.2 * profile[peak], profile, 0.0)
     try:
-        (_, centre, _), _ = curve_fit(_bell, rows, bright, p0=(profile[peak], peak, 2.0), maxfev=400)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", OptimizeWarning)  # only the covariance, which is not used
+            (_, centre, _), _ = curve_fit(_bell, rows, bright, p0=(profile[peak], peak, 2.0), maxfev=400)
     except RuntimeError:
         raise MeasurementError("no Gaussian fits the profile", "more light") from None
     return float(centre)

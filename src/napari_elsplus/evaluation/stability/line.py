@@ -1,0 +1,62 @@
+"""Failure map of finding the laser line: dim light, tilt, halo, saturation, a line near the rim."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from napari_elsplus.evaluation.choices.line import METHODS, frame, judge
+from napari_elsplus.evaluation.harness import Benchmark, Case, Chart
+from napari_elsplus.evaluation.rigs import Rig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from napari_elsplus.evaluation.choices.line import Frame
+
+
+def _stressed(seed: int, stress: str, level: float) -> Frame:
+    rig = Rig.draw(seed).with_photons(300.0)
+    match stress:
+        case "electrons":
+            return frame(rig.with_photons(level))
+        case "tilt":
+            return frame(replace(rig, tilt_deg=level))
+        case "halo":
+            return frame(replace(rig, halo_share=level))
+        case "exposure":
+            return frame(replace(rig, electrons_per_dn=rig.electrons_per_dn / level))
+    return frame(rig, level * rig.diameter_px / 2)
+
+
+def _cases(quick: bool) -> list[Case]:
+    stresses: dict[str, tuple[str, tuple[float, ...]]] = {
+        "electrons of the brightest pixel": ("electrons", (300, 30, 10, 3, 1)),
+        "tilt / degrees": ("tilt", (0, 2, 4, 6)),
+        "light in the halo": ("halo", (0.3, 0.6, 0.8, 0.95)),
+        "over-exposure, times": ("exposure", (1, 4, 16, 64)),
+        "distance from the centre / radii": ("rim", (0.5, 0.8, 0.95, 1.1)),
+    }
+    seeds = range(2 if quick else 12)
+    make: Callable[[str, float], list[Frame]] = lambda kind, level: [_stressed(seed, kind, level) for seed in seeds]  # noqa: E731
+    return [
+        Case(f"{group}: {level:g}", make(kind, level), level=level, group=group)
+        for group, (kind, levels) in stresses.items()
+        for level in (levels[-1:] if quick else levels)
+    ]
+
+
+BENCHMARK = Benchmark(
+    name="stability-line",
+    question="Where finding the laser line fails, in % of the frames",
+    error_label="error / rows",
+    cases=_cases,
+    methods=METHODS,
+    judge=judge,
+    chart=Chart.FAILURES,
+    seconds=0.0,
+    remarks=(
+        "A failure is an error above one row. At 1.1 radii there is no line on the bundle, only its halo: any answer "
+        "but a refusal is wrong. The galvo map leaves such frames out as outliers."
+    ),
+)
