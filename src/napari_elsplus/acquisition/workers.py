@@ -26,6 +26,7 @@ PROCESSING_LIMIT: Final = 120
 _PATIENCE_S: Final = 0.1
 _START_TAKES_S: Final = 5e-3
 """A camera may be exposing for so long when it answers that it was started."""
+_LONGEST_SETTLING_S: Final = 1.0
 _SILENCE_S: Final = 3.0
 
 
@@ -57,7 +58,8 @@ class CameraWorker(Thread):
     faults : FaultLog
         Hears of a camera that failed.
     settling : int
-        Frames to throw away first: a camera's first two after a change of region are invalid.
+        Frames to throw away first: a camera's first two after a change of region are invalid. Those that queued up
+        while camera and mirror were started are thrown away, too, so that the stream begins with a frame in time.
 
     Attributes
     ----------
@@ -91,7 +93,7 @@ class CameraWorker(Thread):
         camera, stream, tally = self._camera, self._stream, self._tally
         started_s = heard_s = time.perf_counter()
         frame_period_s = camera.rows_per_frame * camera.line_period_s
-        to_settle = self._settling
+        settled = False
         before: dict[str, int] = {}
         expected: int | None = None
         missing = 0
@@ -109,10 +111,13 @@ class CameraWorker(Thread):
             if self.camera_clock_s == -inf:
                 first_exposed_s = info.exposed_s - info.frame_number * frame_period_s
                 self.camera_clock_s = started_s - _START_TAKES_S - first_exposed_s
-            if to_settle:
-                to_settle -= 1
-                before = dict(camera.dropped)
-                continue
+            if not settled:
+                late_s = info.time_s - (info.exposed_s + self.camera_clock_s) - _START_TAKES_S - frame_period_s
+                settled = late_s < frame_period_s or info.time_s - started_s > _LONGEST_SETTLING_S
+                settled = settled and info.frame_number >= self._settling
+                if not settled:
+                    before = dict(camera.dropped)
+                    continue
             if expected is not None and info.frame_number > expected:
                 missing += info.frame_number - expected
             expected = info.frame_number + 1

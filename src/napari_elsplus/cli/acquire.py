@@ -21,13 +21,14 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import read_calibration, refuse_existing, replacing, write_mosaic, write_track
 from napari_elsplus.optics import PRESETS
-from napari_elsplus.tracking_pipeline import Pipeline, picture
+from napari_elsplus.tracking_pipeline import picture
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.acquisition.engine import Rig
     from napari_elsplus.acquisition.status import Status
+    from napari_elsplus.tracking_pipeline import Pipeline
 
 _STEP_S = 0.1
 ALL_OF_IT_S = 3600.0
@@ -76,10 +77,10 @@ def command(
         else:
             _calibrate(rig, engine)
         assert engine.calibration is not None
-        pipeline = None
+        tracker = None
         if mosaic is not None or track is not None:
-            pipeline = Pipeline(engine.calibration, engine.frame_shape)
-            engine.track(LiveTrack(pipeline))
+            tracker = LiveTrack(engine.calibration, engine.frame_shape)
+            engine.track(tracker)
         try:
             _stream(
                 engine, seconds, None if record is None else RecordingPlan(record, earlier_s=ALL_OF_IT_S, force=force)
@@ -90,8 +91,8 @@ def command(
             status = engine.status()
             with replacing(report, force=force) as beside:
                 beside.write_text(json.dumps(status.report(), indent=1) + "\n", encoding="utf-8")
-        if pipeline is not None:
-            _write(pipeline, engine, mosaic, track, force)
+        if tracker is not None:
+            _write(tracker.pipeline, engine, mosaic, track, force)
     click.echo(summary(status))
     if status.faults:
         raise InputError(status.faults[0].problem, status.faults[0].remedy)

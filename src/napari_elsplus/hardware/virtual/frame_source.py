@@ -82,7 +82,7 @@ class FrameSource:
     def render_ahead(self, line_rows: NDArray[np.float64]) -> None:
         """Render what will come again if the line goes on moving so; at least once, to have everything compiled."""
         first = np.empty(self._kept.shape[1:], np.uint8)
-        for k in range(max(2, len(self._kept))):
+        for k in (0, *range(max(1, len(self._kept)))):  # a frame is kept once the line was the same before
             self.fill(k, first, line_rows)
 
     def fill(self, frame: int, out: Frame, line_rows: NDArray[np.float64]) -> None:
