@@ -127,7 +127,7 @@ class OpticalBench:
         before = round(FORGETS_S / STEP_S)
         steps = before + int((shot.read_out_s - shot.strobe_s) / STEP_S) + 2
         begins = np.asarray(shot.strobe_s + STEP_S * (np.arange(steps) - before), np.float64)
-        mirror = self.simulation.galvo.follow(mean_volts(programs, begins, STEP_S))
+        mirror = self.simulation.galvo.follow(mean_volts(_since(programs, begins[0]), begins, STEP_S))
         exposed = shot.row_zero_s + np.arange(shot.region[2]) * shot.line_period_s - shot.exposure_s / 2
         volts = np.interp(exposed, begins + STEP_S, mirror)
         return np.asarray((volts - instrument.volts_at_row_zero) / instrument.volts_per_row)
@@ -166,6 +166,12 @@ class OpticalBench:
             frames = FrameSource(wanted, simulation.scene, simulation.trajectory, simulation.seed, ahead=ahead)
             self._frames = frames
         return frames
+
+
+def _since(programs: Sequence[Program], time_s: float) -> Sequence[Program]:
+    """Leave out the programs that were over by a time."""
+    over = sum(program.since_s <= time_s for program in programs[1:])
+    return programs[over:]
 
 
 def preset_of(shot: Shot) -> Preset:
