@@ -1,37 +1,39 @@
-"""Whether the camera and the galvo's card could be reached: the libraries and permissions under their drivers."""
+"""Which cameras, cards and rigs are seen, and what stands between them and their use."""
 
 from __future__ import annotations
 
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.diagnosis.finding import ok, warning
+from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.rig_files import read_rig, rig_files, rig_folder
+from napari_elsplus.hardware.u3v.discovery import (
+    ALLOW,
+    FLIR,
+    find_cameras,
+    find_iidc,
+    refuse_slow_link,
+    told_by_usb,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from napari_elsplus.diagnosis.finding import Finding
 
-CAMERA_VENDOR = 0x1E10
-"""FLIR, formerly Point Grey."""
-MENDS_LIBUSB = {
+MENDS_LIBUSB: Final = {
     "linux": "apt-get install libusb-1.0-0",
     "darwin": "brew install libusb",
     "win32": "put libusb-1.0.dll (from libusb.info) into a folder that is on PATH",
 }
-UDEV_RULE = f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{CAMERA_VENDOR:04x}", MODE="0666"'
-MENDS_PERMISSION = (
-    f"write the line {UDEV_RULE} to /etc/udev/rules.d/99-elsplus.rules, "
-    "run `sudo udevadm control --reload && sudo udevadm trigger`, and plug the camera in again"
-)
 DEVICE_FILES = Path("/dev/bus/usb")
 
 
 def usb() -> Iterator[Finding]:
-    """See that the camera's bus can be reached, and that what hangs on it may be opened."""
-    from usb import core
+    """See that the camera's bus can be reached, and that the cameras on it may be opened and are fast enough."""
     from usb.backend import libusb1
 
     backend = libusb1.get_backend()
@@ -39,28 +41,75 @@ def usb() -> Iterator[Finding]:
         remedy = MENDS_LIBUSB.get(sys.platform, "install libusb 1.0")
         yield warning("no libusb 1.0, so no USB camera can be reached", remedy)
         return
-    cameras = list(core.find(find_all=True, backend=backend, idVendor=CAMERA_VENDOR))
-    yield ok(f"libusb 1.0; {len(cameras)} USB device(s) of the camera's maker ({CAMERA_VENDOR:04x})")
+    try:
+        cameras, old = find_cameras(backend), find_iidc(backend)
+    except DeviceError as error:
+        yield warning(error.problem, error.remedy)
+        return
+    yield ok(f"libusb 1.0; {len(cameras)} USB3 Vision camera(s)")
     for camera in cameras:
-        file = DEVICE_FILES / f"{camera.bus:03d}" / f"{camera.address:03d}"
-        if file.exists() and not os.access(file, os.R_OK | os.W_OK):
-            yield warning(f"no permission to open the camera at {file}", MENDS_PERMISSION)
+        yield _camera(camera)
+    for camera in old:
+        yield warning(
+            f"camera {_ids(camera)} speaks IIDC, not USB3 Vision", "update its firmware with the maker's software"
+        )
+
+
+def _camera(camera: Any) -> Finding:
+    """Say who a camera is, or why it cannot be used."""
+    file = DEVICE_FILES / f"{camera.bus:03d}" / f"{camera.address:03d}"
+    if file.exists() and not os.access(file, os.R_OK | os.W_OK):
+        return warning(f"no permission to open the camera at {file}", _allowing(camera))
+    try:
+        with told_by_usb(f"camera {_ids(camera)}"):
+            name = f"{camera.manufacturer} {camera.product}, serial {camera.serial_number} ({_ids(camera)})"
+        refuse_slow_link(camera)
+    except DeviceError as error:
+        return warning(error.problem, error.remedy)
+    except ValueError:  # pyusb's word for texts that may not be read
+        return warning(f"camera {_ids(camera)} may not be opened", _allowing(camera))
+    return ok(name)
+
+
+def _ids(camera: Any) -> str:
+    return f"{camera.idVendor:04x}:{camera.idProduct:04x}"
+
+
+def _allowing(camera: Any) -> str:
+    """Tell how to permit a camera, of whatever maker."""
+    how = ALLOW.get(sys.platform, ALLOW["linux"])
+    return how.replace(f"{FLIR:04x}", f"{camera.idVendor:04x}")
 
 
 def galvo_card() -> Iterator[Finding]:
-    """See that NI's driver, which the galvo's card needs, is installed."""
+    """See that NI's driver is installed, and which cards it knows."""
     from nidaqmx.errors import Error
     from nidaqmx.system import System
 
     try:
-        driver = System.local().driver_version
+        system = System.local()
+        driver = system.driver_version
+        cards = [f"{device.name} ({device.product_type})" for device in system.devices]
     except Error as error:
         reason = str(error).strip().partition(". ")[0]
         yield warning(
             f"no galvo card can be reached ({reason})", "install NI-DAQmx from ni.com; the simulated rig needs none"
         )
         return
-    yield ok(f"NI-DAQmx {driver.major_version}.{driver.minor_version}")
+    yield ok(f"NI-DAQmx {driver.major_version}.{driver.minor_version}; cards: {', '.join(cards) or 'none'}")
+    if not cards:
+        yield warning("NI's driver knows no card", "plug it in and see that NI MAX shows it")
 
 
-CHECKS = (usb, galvo_card)
+def rigs() -> Iterator[Finding]:
+    """See that every rig's file can be read."""
+    files = rig_files()
+    yield ok(f"rigs: {', '.join(['simulated', *sorted(files)])} (files in {rig_folder()})")
+    for name in sorted(files):
+        try:
+            read_rig(name)
+        except InputError as error:
+            yield warning(error.problem, error.remedy)
+
+
+CHECKS = (usb, galvo_card, rigs)
