@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
-from itertools import product
 from typing import TYPE_CHECKING, Final
 
 import cv2
@@ -59,8 +58,9 @@ class Layer:
         needed = 2 * reach_um / self.step_um + 3 * BLOCK
         self.size = 1 << int(np.ceil(np.log2(needed)))
         self.window: NDArray[np.float32] = np.zeros((self.size, self.size), np.float32)
-        self._held: dict[tuple[int, int], tuple[int, ...]] = {}
-        self._ahead: list[tuple[int, ...]] = []
+        per_side = self.size // BLOCK
+        self._held = np.full((per_side, per_side, 2), np.iinfo(np.int64).min)  # which block is in which slot
+        self._ahead: list[tuple[int, int]] = []
         self._covered: list[range] = []
         self._kept: OrderedDict[tuple[int, int], NDArray[np.float32]] = OrderedDict()
 
@@ -75,11 +75,11 @@ class Layer:
         needed = self._blocks_of(((top_um, bottom_um), (left_um, right_um)))
         if needed != self._covered:
             self._covered = needed
+            for block in self._missing(needed):
+                self._fill(block)
             around = [range(span.start - 1, span.stop + 1) for span in needed]
-            self._hold(needed)
-            self._ahead = [block for block in product(*around) if not self._holds(block)]
-            if any(len(span) > self.size // BLOCK for span in around):
-                self._ahead.clear()
+            fits = all(len(span) <= self.size // BLOCK for span in around)
+            self._ahead = self._missing(around) if fits else []
         for block in self._ahead[-BLOCKS_AHEAD:]:
             self._fill(block)
         del self._ahead[-BLOCKS_AHEAD:]
@@ -98,18 +98,14 @@ class Layer:
             spans.append(range(first, last + 1))
         return spans
 
-    def _hold(self, spans: list[range]) -> None:
-        for block in product(*spans):
-            if not self._holds(block):
-                self._fill(block)
+    def _missing(self, spans: list[range]) -> list[tuple[int, int]]:
+        rows, cols = (np.array(span) for span in spans)
+        slots = np.ix_(rows % len(self._held), cols % len(self._held))
+        missing = (self._held[slots] != np.stack(np.broadcast_arrays(rows[:, None], cols), axis=-1)).any(-1)
+        return [(int(rows[m]), int(cols[n])) for m, n in np.argwhere(missing)]
 
-    def _holds(self, block: tuple[int, ...]) -> bool:
-        per_side = self.size // BLOCK
-        return self._held.get((block[0] % per_side, block[1] % per_side)) == block
-
-    def _fill(self, block: tuple[int, ...]) -> None:
-        per_side = self.size // BLOCK
-        slot = block[0] % per_side, block[1] % per_side
+    def _fill(self, block: tuple[int, int]) -> None:
+        slot = block[0] % len(self._held), block[1] % len(self._held)
         row, col = slot[0] * BLOCK, slot[1] * BLOCK
         self.window[row : row + BLOCK, col : col + BLOCK] = self._block(*block)
         self._held[slot] = block
