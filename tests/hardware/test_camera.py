@@ -19,6 +19,7 @@ from napari_elsplus.hardware.protocols import Camera, Region
 from napari_elsplus.hardware.u3v import discovery
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera, find_cameras
+from napari_elsplus.hardware.u3v.stream import DEPTH
 from napari_elsplus.hardware.virtual.usb_bus import Plug, VirtualBus
 
 SMALL = Region(262, 0, 40, 64)
@@ -234,11 +235,11 @@ def test_a_slow_consumer_loses_frames_by_count_and_memory_does_not_grow(cameras)
     with bench.open() as camera:
         camera.configure(SMALL, slit_rows=3, frame_rate_hz=200)
         camera.start()
-        time.sleep(0.3)
-        infos = frames(camera, 20)
+        time.sleep(0.4)
+        infos = frames(camera, DEPTH + 10)
         assert camera.dropped["slow consumer"] > 10
         numbers = [info.frame_number for info in infos]
-        assert numbers[:8] == list(range(2, 10))  # the oldest are kept, in order
+        assert numbers[:DEPTH] == list(range(2, 2 + DEPTH))  # the oldest are kept, in order
         assert numbers == sorted(numbers)
 
 

@@ -29,7 +29,8 @@ TRANSFER: Final = 1 << 20
 SMALL: Final = 1024
 """Buffers for leader and trailer; a whole packet of a USB 3 bulk endpoint."""
 POLL_MS: Final = 100
-DEPTH: Final = 8
+DEPTH: Final = 32
+"""Frames that wait for their reader: an eighth of a second at 240 Hz, for a computer that is busy elsewhere."""
 SURPLUS: Final = 1 << 16
 """How much more than the image a device may ask for; anything beyond is no frame of ours."""
 

@@ -1,0 +1,210 @@
+"""Checks for the first hour at a real rig: ``python -m napari_elsplus.hardware.first_light CHECK``.
+
+Each settles a question that no virtual device can answer, without light on anything: the mirror stays parked
+throughout. What to do with the answers: docs/first-light.md.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Final
+
+import click
+import numpy as np
+
+from napari_elsplus.errors import ElsPlusError, InputError
+from napari_elsplus.hardware import flea3
+from napari_elsplus.hardware.flea3 import BASE, Flea3
+from napari_elsplus.hardware.protocols import Region
+from napari_elsplus.hardware.rigs import Rig, open_rig
+from napari_elsplus.hardware.u3v.camera import U3vCamera
+from napari_elsplus.hardware.u3v.control import Control, RegisterError
+from napari_elsplus.hardware.u3v.discovery import choose_camera, endpoints
+from napari_elsplus.hardware.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
+from napari_elsplus.optics import PRESETS, preset
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from usb.core import Device
+
+HEIGHTS: Final = (1048, 524)
+WARM_UP_FRAMES: Final = 10
+
+
+def examine_camera(device: Device) -> Iterator[str]:
+    """Say how a camera shows itself on the bus, and what the Flea3's registers of uncertain meaning hold.
+
+    Parameters
+    ----------
+    device : usb.core.Device
+        A USB3 Vision camera.
+
+    Yields
+    ------
+    str
+        One finding each.
+
+    Raises
+    ------
+    DeviceError
+        If it cannot be opened.
+    """
+    ends = endpoints(device)
+    yield f"USB ids {device.idVendor:04x}:{device.idProduct:04x}, speed {device.speed} (4 and more: USB 3)"
+    yield f"endpoints: control {ends.control_out:#04x} and {ends.control_in:#04x}, stream {ends.stream_in:#04x}"
+    probe: list[Control] = []
+
+    def features(control: Control) -> Flea3:
+        probe.append(control)
+        return Flea3(control)
+
+    with U3vCamera(device, features) as camera:
+        control = probe[0]
+        yield f"model {camera.model}, serial {camera.serial}"
+        for name, address in (
+            ("line frequency (1AF4)", BASE + flea3.LINE_FREQUENCY),
+            ("strobe offset (48C)", BASE + flea3.STROBE_OFFSET),
+        ):
+            try:
+                yield f"{name}: {control.read_number(address):#010x}"
+            except RegisterError as error:
+                yield f"{name}: {error.problem}"
+        shortest_s = []
+        for rows in HEIGHTS:
+            camera.configure(Region(0, 0, rows, 1328), slit_rows=3, frame_rate_hz=1)
+            shortest_s.append(1 / control.read_float(BASE + flea3.RATE_MAX))
+            yield f"{rows} rows: at most {1 / shortest_s[-1]:.4f} frames/s"
+        line_s = (shortest_s[0] - shortest_s[1]) / (HEIGHTS[0] - HEIGHTS[1])
+        yield f"line period from these two: {line_s * 1e6:.4f} us, {1 / line_s:.1f} rows/s; the driver uses " + (
+            f"{camera.line_period_s * 1e6:.4f} us"
+        )
+
+
+def stream(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
+    """Stream a preset for a while, and say whether the computer kept up.
+
+    Raises
+    ------
+    DeviceError
+        If the camera fails.
+    """
+    frames = _configure(rig, preset_name, seconds)
+    buffer = np.empty(rig.camera.frame_shape, np.uint8)
+    rig.camera.start()
+    for _ in range(WARM_UP_FRAMES):
+        rig.camera.read_into(buffer, 5.0)
+    before = dict(rig.camera.dropped)
+    begin_s, begin_cpu_s = time.perf_counter(), time.process_time()
+    infos = [rig.camera.read_into(buffer, 5.0) for _ in range(frames)]
+    took_s, cpu_s = time.perf_counter() - begin_s, time.process_time() - begin_cpu_s
+    lost = {cause: count - before.get(cause, 0) for cause, count in rig.camera.dropped.items()}
+    rig.camera.stop()
+    arrivals = np.diff([info.time_s for info in infos]) * 1e3
+    megabytes = frames * buffer.size / 1e6
+    yield f"{frames} frames in {took_s:.2f} s: {frames / took_s:.2f} frames/s, {megabytes / took_s:.0f} MB/s"
+    yield f"lost: {({cause: count for cause, count in lost.items() if count}) or 'none'}"
+    yield f"processor time: {cpu_s / frames * 1e3:.2f} ms a frame, {100 * cpu_s / took_s:.0f} % of one core"
+    yield f"between frames: median {np.median(arrivals):.2f} ms, longest {arrivals.max():.2f} ms"
+    spacing = np.diff([info.exposed_s for info in infos]) / np.diff([info.frame_number for info in infos])
+    yield f"frame period on the camera's clock: {spacing.mean() * 1e3:.5f} ms, spread {spacing.std() * 1e6:.2f} us"
+
+
+def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
+    """Let the strobe start a ramp that never leaves the parking position, and count ramps against frames.
+
+    Raises
+    ------
+    DeviceError
+        If camera or card fail, or no strobe comes.
+    """
+    frames = _configure(rig, preset_name, seconds)
+    period_s = rig.camera.rows_per_frame * rig.camera.line_period_s
+    samples = int((period_s - REARM_S) * SAMPLE_RATE_HZ)
+    samples = min(samples, rig.limits.card_samples)
+    rig.scanner.scan(Waveform(np.full(samples, rig.park.volts), 1, SAMPLE_RATE_HZ, period_s))
+    buffer = np.empty(rig.camera.frame_shape, np.uint8)
+    rig.camera.start()
+    leads = []
+    for _ in range(frames):
+        info = rig.camera.read_into(buffer, 5.0)
+        leads.append(rig.scanner.ramps_begun - info.frame_number)
+    rig.scanner.check()
+    rig.camera.stop()
+    rig.scanner.park()
+    first, last = min(leads[: frames // 4]), min(leads[-frames // 4 :])
+    yield f"{frames} frames; ramps begun minus frame number: at first {first}, at last {last}"
+    yield (
+        "one ramp for every frame: the card is started anew by every strobe"
+        if first == last
+        else f"{first - last} strobe(s) unheard: try a longer frame, the other edge (falling), another counter"
+    )
+
+
+def _configure(rig: Rig, preset_name: str, seconds: float) -> int:
+    """Set the camera to a preset at its full rate, and return how many frames that are."""
+    chosen = preset(preset_name)
+    rate_hz = chosen.optics.frame_rate_hz
+    region = Region(*chosen.sensor_origin, *chosen.frame_shape)
+    rig.camera.configure(region, slit_rows=3, frame_rate_hz=rate_hz)
+    if seconds * rate_hz < 8:
+        raise InputError(f"{seconds} s", "take at least a tenth of a second")
+    return round(seconds * rate_hz)
+
+
+RIG = click.option("--rig", "name", default="simulated", show_default=True, help="Name of the rig.")
+PRESET = click.option("--preset", "mode", type=click.Choice(list(PRESETS)), default="240hz", show_default=True)
+SECONDS = click.option("--seconds", default=10.0, show_default=True)
+
+
+@click.group()
+def first_light() -> None:
+    """Check a rig, the mirror parked."""
+
+
+@first_light.command("camera")
+@click.option("--serial", default="", help="Serial number, where several cameras are connected.")
+def _camera(serial: str) -> None:
+    """How the camera shows itself, and its line period."""
+    _say(examine_camera(choose_camera(serial)))
+
+
+@first_light.command("stream")
+@RIG
+@PRESET
+@SECONDS
+def _stream(name: str, mode: str, seconds: float) -> None:
+    """Whether the computer keeps up with the camera."""
+    with open_rig(name) as rig:
+        _say(stream(rig, mode, seconds))
+
+
+@first_light.command("strobe")
+@RIG
+@PRESET
+@SECONDS
+def _strobe(name: str, mode: str, seconds: float) -> None:
+    """Whether the strobe reaches the card, and starts it every time."""
+    with open_rig(name) as rig:
+        _say(strobe(rig, mode, seconds))
+
+
+def _say(findings: Iterator[str]) -> None:
+    for finding in findings:
+        click.echo(finding)
+
+
+def main() -> None:
+    """Run a check; an error is one line."""
+    try:
+        first_light.main(standalone_mode=False)
+    except ElsPlusError as error:
+        click.echo(f"error: {error}", err=True)
+        raise SystemExit(2) from None
+    except click.ClickException as error:
+        error.show()
+        raise SystemExit(error.exit_code) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,57 @@
+"""The checks of the first hour find on the virtual rig what is known of it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.hardware import first_light
+from napari_elsplus.hardware.rigs import open_rig
+from napari_elsplus.hardware.u3v.discovery import choose_camera
+from napari_elsplus.hardware.virtual.bench import Simulation
+from napari_elsplus.simulation.scenes import empty
+from napari_elsplus.simulation.trajectories import Still
+
+
+@pytest.fixture(scope="module")
+def rig():
+    with open_rig(simulation=Simulation(scene=empty(), trajectory=Still())) as opened:
+        yield opened
+
+
+def test_the_camera_is_examined_and_its_line_period_found_from_its_limits(cameras) -> None:
+    bench = cameras()
+    said = "\n".join(first_light.examine_camera(choose_camera("", bench.bus)))
+    assert "1e10:3300" in said
+    assert "control 0x01 and 0x81, stream 0x82" in said
+    assert "serial 4711" in said
+    assert f"{130751:#010x}" in said
+    # the virtual camera's shortest frame is 240 Hz at 524 rows and in proportion, idle rows included
+    assert "524 rows: at most 240.0" in said
+
+
+def test_streaming_is_measured(rig) -> None:
+    said = list(first_light.stream(rig, "240hz", 0.5))
+    assert said[0].startswith("120 frames")
+    assert "4.16667 ms" in said[-1]
+    with pytest.raises(InputError, match=r"0\.01 s"):
+        list(first_light.stream(rig, "240hz", 0.01))
+
+
+def test_every_strobe_is_heard_and_the_mirror_never_leaves_its_parking_position(rig) -> None:
+    before = len(rig.bench.card.programs())
+    said = list(first_light.strobe(rig, "120hz", 1.0))
+    assert "one ramp for every frame" in said[-1]
+    for program in rig.bench.card.programs()[before:]:
+        assert {*program.samples, program.resting_v} == {rig.park.volts}
+
+
+def test_a_check_fails_in_one_line() -> None:
+    command = [sys.executable, "-m", "napari_elsplus.hardware.first_light", "stream", "--rig", "nobodys"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert done.stderr.strip().splitlines() == [done.stderr.strip()]
+    assert "there is no rig 'nobodys'" in done.stderr
