@@ -108,6 +108,7 @@ class LiveImages:
 
     def __init__(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: View) -> None:
         self._sectioner: Sectioner | None = None
+        self._averages = view.average > 1
         self.layout = display_layout(frame_shape, None)
         if calibration is None or calibration.bundle is None:
             return
@@ -125,6 +126,11 @@ class LiveImages:
         self._first = True
         self._finished = np.zeros(square, np.float32)
         self._warm_up(frame_shape)
+
+    @property
+    def averages(self) -> bool:
+        """Whether every frame counts in what is shown."""
+        return self._averages
 
     def add(self, raw: NDArray[np.uint8], frame_number: int) -> None:
         """Section a frame."""

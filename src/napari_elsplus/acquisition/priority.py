@@ -19,6 +19,11 @@ def keep_pace() -> bool:
     -------
     bool
         Whether the system allowed it: on Linux root may, and whoever has a ``rtprio`` limit.
+
+    Notes
+    -----
+    All threads of a program should have it: one that waits for the interpreter's lock waits for the slowest of them.
+    Linux stops for 50 ms what has kept a processor busy for 950 ms in this way.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     if sys.platform != "linux":

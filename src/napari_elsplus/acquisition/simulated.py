@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibrate import Findings
     from napari_elsplus.processing.lag import ScanLag
 
+PATH: Final = Circle(diameter_um=800.0, period_s=1.75)
+"""How the probe moves over the tissue; 420 frames at 240 Hz, which then come again."""
 QUICK_VOLTAGES: Final = 60
 """Steps of the sweep: enough for 0.05 rows, and over in seconds."""
 
@@ -42,7 +44,7 @@ def open_live(name: str, *, own_process: bool = False) -> Rig:
     """
     if name != SIMULATED:
         return open_rig(name)
-    return open_rig(name, Simulation(scene=fibres(), trajectory=Circle(), own_process=own_process))
+    return open_rig(name, Simulation(scene=fibres(), trajectory=PATH, own_process=own_process))
 
 
 def calibrate_simulated(
@@ -69,5 +71,5 @@ def calibrate_simulated(
                 bench.optics.show(empty())
 
     found = calibrate_rig(engine, prepare, voltages=QUICK_VOLTAGES, watch=watch)
-    bench.optics.show(fibres(), Circle())
+    bench.optics.show(fibres(), PATH)
     return found

@@ -156,12 +156,13 @@ class ProcessingWorker(Thread):
         self._stream, self._tally, self._faults = stream, tally, faults
         self.shown, self.tracker = shown, tracker
         self.measures = Measures()
+        self._due_s = 0.0
+        self._begun = -1
         self._cursor = stream.join(limit=min(PROCESSING_LIMIT, stream.depth))
 
     def run(self) -> None:
         """Work until the stream has ended and every frame has its result."""
         cursor, tally = self._cursor, self._tally
-        due_s = 0.0
         while True:
             taken = cursor.take(_PATIENCE_S)
             if taken is None:
@@ -169,18 +170,36 @@ class ProcessingWorker(Thread):
                     break
                 continue
             raw, stamp = taken
-            shown = self.shown
-            shown.images.add(raw, stamp.frame_number)
-            if self.tracker is not None:
-                self._track(self.tracker, raw, stamp)
-            now_s = time.perf_counter()
-            tally.latency.add(now_s - stamp.time_s)
+            tracker, shown = self.tracker, self.shown
+            if tracker is not None:
+                self._track(tracker, raw, stamp)
+            show = self._section(shown.images, raw, stamp.frame_number, each=tracker is None)
+            tally.latency.add(time.perf_counter() - stamp.time_s)
             tally.processed += 1
             tally.skipped("processing slow", cursor.skipped)
-            if now_s >= due_s or self._stream.ended:
-                due_s = max(due_s + 1 / DISPLAY_HZ, now_s)
+            if show:
                 self._show(shown, raw, stamp)
         cursor.close()
+
+    def _section(self, images: LiveImages, raw: NDArray[np.uint8], frame_number: int, *, each: bool) -> bool:
+        """Section a frame, and say whether it shall be shown.
+
+        Where a tracker gives every frame its result, only those are sectioned that are shown: an even frame and the odd
+        one after it, as ELSA needs them.
+        """
+        last = self._stream.ended
+        due = time.perf_counter() >= self._due_s
+        odd = frame_number % 2 == 1
+        if each or images.averages or last:
+            images.add(raw, frame_number)
+            return due or last
+        if due and not odd:
+            images.add(raw, frame_number)
+            self._begun = frame_number
+        elif odd and self._begun == frame_number - 1:
+            images.add(raw, frame_number)
+            return True
+        return False
 
     def _track(self, tracker: FrameConsumer, raw: NDArray[np.uint8], stamp: Stamp) -> None:
         try:
@@ -190,6 +209,7 @@ class ProcessingWorker(Thread):
             self.tracker = None
 
     def _show(self, shown: Shown, raw: NDArray[np.uint8], stamp: Stamp) -> None:
+        self._due_s = max(self._due_s + 1 / DISPLAY_HZ, time.perf_counter())
         slot = shown.ring.acquire()
         self.measures = shown.images.fill(raw, slot.arrays)
         shown.ring.finalize(slot, frame_number=stamp.frame_number, time_s=stamp.time_s, exposed_s=stamp.exposed_s)
