@@ -25,11 +25,13 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from napari_elsplus.acquisition.calibrating import Target
     from napari_elsplus.acquisition.live_images import View
     from napari_elsplus.acquisition.recorder import RecordingPlan
     from napari_elsplus.acquisition.status import Settings
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.processing.calibrate import Background, Findings, Pair, SlitOffset
+    from napari_elsplus.processing.draft import Flat, LitPair, Setup
     from napari_elsplus.processing.galvo import GalvoMap
     from napari_elsplus.processing.lag import ScanLag
 
@@ -146,6 +148,34 @@ class EngineClient:
     def calibrate_simulated(self) -> Future[tuple[Findings, ScanLag]]:
         """Let the simulated rig calibrate itself."""
         return self._ask("calibrate_simulated")
+
+    def setup(self) -> Future[Setup]:
+        """Say what frames are taken with now."""
+        return self._ask("setup")
+
+    def prepare(self, target: Target | None) -> Future[bool]:
+        """Put a target before the simulated rig's probe; False for a real one, whose user has to."""
+        return self._ask("prepare", target)
+
+    def find_span(self) -> Future[tuple[float, float]]:
+        """Find the voltages between which the line stands on the bundle."""
+        return self._ask("find_span")
+
+    def lit_pair(self) -> Future[LitPair]:
+        """Locate the pair of bundle images, and return the frame in which they were found."""
+        return self._ask("lit_pair")
+
+    def lag_by(self, calibration: Calibration) -> Future[ScanLag]:
+        """Measure the scan's lag by a calibration, which is taken into force."""
+        return self._ask("lag_by", calibration)
+
+    def background_by(self, calibration: Calibration) -> Future[Background]:
+        """Take the background, scanning by a calibration, which is taken into force."""
+        return self._ask("background_by", calibration)
+
+    def flat_by(self, calibration: Calibration) -> Future[Flat]:
+        """Take a flat field, scanning by a calibration, which is taken into force."""
+        return self._ask("flat_by", calibration)
 
     def cancel(self) -> Future[None]:
         """Give up the procedure that runs."""

@@ -107,9 +107,10 @@ def sweep(
     background: NDArray[np.float32] | None = None,
     pair: Pair | None = None,
     watch: Watch = iter,
+    watch_fit: Watch = iter,
 ) -> GalvoMap:
     """Step (ii) live: a sweep of voltages; see :func:`napari_elsplus.processing.calibrate.map_galvo`."""
-    return map_galvo(take_sweep(engine, volts, watch), volts, background, pair)
+    return map_galvo(take_sweep(engine, volts, watch), volts, background, pair, watch_fit)
 
 
 def bundle(engine: Engine) -> Pair:

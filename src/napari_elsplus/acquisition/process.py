@@ -20,7 +20,8 @@ from multiprocessing.connection import Connection, Listener
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Final
 
-from napari_elsplus.acquisition import procedures, shared
+from napari_elsplus.acquisition import guided, procedures, shared
+from napari_elsplus.acquisition.calibrating import span_of_the_bundle
 from napari_elsplus.acquisition.engine import Engine, Rig
 from napari_elsplus.acquisition.guardian import Guardian
 from napari_elsplus.acquisition.priority import keep_pace
@@ -159,10 +160,19 @@ class Server:
             raise DeviceError("no rig is open", "connect to a rig first")
         steps: dict[str, Callable[..., Any]] = {
             "measure_offset": partial(procedures.offset, engine),
-            "map_galvo": partial(procedures.sweep, engine, watch=self._watch("sweep")),
+            "map_galvo": partial(
+                procedures.sweep, engine, watch=self._watch("sweep"), watch_fit=self._watch("fit of the lines")
+            ),
             "locate_pair": partial(procedures.bundle, engine),
             "measure_background": partial(procedures.background, engine),
             "measure_lag": partial(procedures.lag, engine, watch=self._watch("lag")),
+            "setup": partial(guided.setup, engine),
+            "prepare": partial(guided.prepare, rig),
+            "find_span": partial(span_of_the_bundle, engine, self._watch("search for the bundle")),
+            "lit_pair": partial(guided.lit_pair, engine),
+            "lag_by": partial(guided.lag_by, engine, watch=self._watch("scan lag")),
+            "background_by": partial(guided.background_by, engine),
+            "flat_by": partial(guided.flat_by, engine),
             "calibrate_simulated": partial(calibrate_simulated, rig, engine, watch=self._watch),
         }
         if name in steps:
@@ -244,4 +254,6 @@ def _leave_with_the_client(met: Event) -> None:
 
 
 if __name__ == "__main__":
-    run(partial(open_live, own_process=True))
+    from napari_elsplus.acquisition import process  # under the name by which the client knows what is sent
+
+    process.run(partial(open_live, own_process=True))

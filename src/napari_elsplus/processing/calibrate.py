@@ -177,14 +177,14 @@ def measure(
         um_per_px = bundle_um / pair.left.diameter_px
     calibration = Calibration(
         frame=None if shape is None else FrameSection(shape=shape),
-        offset=None if offset is None else _offset_section(offset),
-        galvo=None if galvo is None else _galvo_section(galvo, pair, um_per_px),
-        bundle=None if pair is None else _bundle_section(pair),
+        offset=None if offset is None else offset_section(offset),
+        galvo=None if galvo is None else galvo_section(galvo, pair, um_per_px),
+        bundle=None if pair is None else bundle_section(pair),
         optics=_optics_section(um_per_px, line_period_s, rows_per_frame),
         background=mean,
     )
     if pair is not None and bundle is not None:
-        calibration = _with_flat_and_quality(calibration, pair, bundle, flat)
+        calibration = with_flat_and_quality(calibration, pair, bundle, flat)
     return Findings(shape, offset, galvo, pair, dark, calibration)
 
 
@@ -207,11 +207,13 @@ def _common_shape(inputs: dict[str, Frames]) -> tuple[int, int] | None:
     return next(iter(shapes.values()), None)
 
 
-def _offset_section(offset: SlitOffset) -> OffsetSection:
+def offset_section(offset: SlitOffset) -> OffsetSection:
+    """Write down what a calibration keeps of the slit offset."""
     return OffsetSection(rows=offset.rows, uncertainty_rows=offset.uncertainty_rows, tilt_deg=offset.left.tilt_deg)
 
 
-def _galvo_section(galvo: GalvoMap, pair: Pair | None, um_per_px: float | None) -> GalvoSection:
+def galvo_section(galvo: GalvoMap, pair: Pair | None, um_per_px: float | None) -> GalvoSection:
+    """Write down what a calibration keeps of the galvo map; with the pair, also where the mirror is parked."""
     park_v = None
     if pair is not None:
         clear = pair.left.diameter_px / 2 + PARK_CLEARANCE_UM / (um_per_px or BUNDLE_UM / pair.left.diameter_px)
@@ -227,7 +229,8 @@ def _galvo_section(galvo: GalvoMap, pair: Pair | None, um_per_px: float | None) 
     )
 
 
-def _bundle_section(pair: Pair) -> BundleSection:
+def bundle_section(pair: Pair) -> BundleSection:
+    """Write down what a calibration keeps of the bundle pair."""
     top, bottom = (tuple(float(value) for value in row) for row in pair.alignment.residual_to_confocal)
     return BundleSection(
         confocal_centre=pair.left.centre,
@@ -253,8 +256,8 @@ def _optics_section(
     return OpticsSection(**known) if known else None
 
 
-def _with_flat_and_quality(calibration: Calibration, pair: Pair, bundle: Frames, flat: Frames | None) -> Calibration:
-    """Flat field, and how well the two views cancel: both from light of the far end, above its own darkness."""
+def with_flat_and_quality(calibration: Calibration, pair: Pair, bundle: Frames, flat: Frames | None) -> Calibration:
+    """Add the flat field, and how well the two views cancel: both from light of the far end, above its darkness."""
     transmission = mean_frame(bundle)
     dark = darkness(transmission, pair.left, pair.right)
     above_dark = calibration.model_copy(update={"background": dark})

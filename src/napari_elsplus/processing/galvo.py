@@ -7,7 +7,7 @@ robust fit throws out what is far from the line, and what is left of the residua
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -52,6 +52,8 @@ class GalvoMap:
         Whether that departure is more than chance and more than a tenth of a row.
     tilt_deg : float
         Median tilt of the line.
+    column : float
+        Column of the left view at which rows are taken.
     lines, dark, outliers : int
         Frames fitted; without a visible line or with it cut short by the bundle's rim; thrown out by the robust fit.
     volts, rows, used : numpy.ndarray
@@ -67,6 +69,7 @@ class GalvoMap:
     curvature_rows: float
     curved: bool
     tilt_deg: float
+    column: float
     lines: int
     dark: int
     outliers: int
@@ -77,6 +80,12 @@ class GalvoMap:
     def row(self, volts: float) -> float:
         """Row on which the line stands at a voltage."""
         return (volts - self.volts_at_row_zero) / self.volts_per_row
+
+    def at_column(self, column: float) -> GalvoMap:
+        """Return the map with its rows taken at another column of the tilted line."""
+        lower = float(np.tan(np.radians(self.tilt_deg))) * (column - self.column)
+        at_zero = self.volts_at_row_zero - self.volts_per_row * lower
+        return replace(self, volts_at_row_zero=at_zero, column=column, rows=self.rows + lower)
 
     def park_v(self, first_row: float, last_row: float) -> float:
         """Voltage nearest to zero that stands the line on neither row nor between them."""
@@ -159,10 +168,11 @@ def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: flo
             f"the line moves {travel:.1f} rows over the sweep, {100 * (1 - used.mean()):.0f} % of it out of step",
             "do the voltages belong to these frames, and does the galvo move?",
         )
-    return _fit(v, rows, used, float(np.median([line.tilt_deg for _, line in whole])), len(lines) - len(whole))
+    tilt_deg = float(np.median([line.tilt_deg for _, line in whole]))
+    return _fit(v, rows, used, tilt_deg, column, len(lines) - len(whole))
 
 
-def _fit(volts: Floats, rows: Floats, used: NDArray[np.bool_], tilt_deg: float, dark: int) -> GalvoMap:
+def _fit(volts: Floats, rows: Floats, used: NDArray[np.bool_], tilt_deg: float, column: float, dark: int) -> GalvoMap:
     v, y = volts[used], rows[used]
     middle, half = (v.max() + v.min()) / 2, np.ptp(v) / 2
     x = np.asarray((v - middle) / half, np.float64)
@@ -185,6 +195,7 @@ def _fit(volts: Floats, rows: Floats, used: NDArray[np.bool_], tilt_deg: float, 
         curvature_rows=curvature,
         curved=curved,
         tilt_deg=tilt_deg,
+        column=column,
         lines=len(v),
         dark=dark,
         outliers=int((~used).sum()),
