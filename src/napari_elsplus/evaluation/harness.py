@@ -214,7 +214,8 @@ class Benchmark:
     remarks : str
         What the numbers do not say by themselves: why a default is off the front, what is not comparable.
     seconds : float
-        Time for each method and case; the first round is always finished.
+        Time for each method and case; the first round is always finished. Zero: costs are of no interest, and nothing
+        is warmed up.
     waits : bool
         Whether methods wait, for a disk or another process: then the clock on the wall is read, else the processor
         time of the thread, which other programs on a shared machine disturb less.
@@ -254,7 +255,7 @@ class Benchmark:
                     if method.name in absent:
                         continue
                     try:
-                        runners.append(_Runner(method, case, self.judge, clock))
+                        runners.append(_Runner(method, case, self.judge, clock, self.seconds > 0 and not quick))
                     except Absent as error:
                         absent[method.name] = str(error)
                 _take_turns(runners, 0.0 if quick else self.seconds)
@@ -281,6 +282,7 @@ class _Runner:
     case: Case
     judge: Callable[[Any, Any], Judgement]
     clock: Callable[[], float]
+    warms_up: bool
     seconds: list[float] = field(default_factory=list)
     judgements: list[Judgement] = field(default_factory=list)
     spent: float = 0.0
@@ -288,7 +290,8 @@ class _Runner:
     def __post_init__(self) -> None:
         start = perf_counter()
         self._call = self.method.prepare(self.case)
-        self._timed(self.case.items[0])
+        if self.warms_up:
+            self._timed(self.case.items[0])
         self.warm_up = perf_counter() - start
 
     def round(self) -> None:

@@ -90,11 +90,30 @@ def add_to_mosaic(image: Any) -> Any:
     return np.array([*_kept["at"], getattr(mosaic, "shiftConf", np.nan)])
 
 
+def mosaic() -> Any:
+    """Return the mosaic so far."""
+    return _kept["mosaic"].get_mosaic()
+
+
+def lay(images: Any, places: Any, mask: Any, size: Any, crop: Any, blend: Any) -> Any:
+    """Lay images (centre row, col) onto a square canvas with ``Mosaic``'s own insertion, which has no public name."""
+    peers = _bundle().Mosaic
+    canvas = np.zeros((int(size), int(size)), np.float32)
+    for image, place in zip(images, places, strict=True):
+        if blend:
+            peers._Mosaic__insert_into_mosaic_blended(  # noqa: SLF001
+                canvas, image, mask, None, float(crop), 40, (place[0], place[1])
+            )
+        else:
+            peers._Mosaic__insert_into_mosaic(canvas, image, mask.astype(bool), (place[0], place[1]))  # noqa: SLF001
+    return canvas
+
+
 TASKS = {
     task.__name__: task
     for task in (
         find_shift, calibrate_interpolation, interpolate, calibrate_edge_filter, edge_filter, gaussian, find_bundle,
-        start_mosaic, add_to_mosaic,
+        start_mosaic, add_to_mosaic, lay, mosaic,
     )
 }  # fmt: skip
 

@@ -10,13 +10,20 @@ from napari_elsplus.errors import InputError
 if TYPE_CHECKING:
     from napari_elsplus.evaluation.harness import Benchmark
 
-MODULES: dict[str, str] = {
+MODULES: dict[str, str] = {  # the module, and its benchmark where that is not called BENCHMARK
     "registration": "choices.registration",
     "line": "choices.line",
     "cores": "choices.cores",
     "sectioning": "choices.sectioning",
     "frontend": "choices.frontend",
     "tracking": "choices.tracking",
+    "insertion": "choices.insertion",
+    "live": "choices.live",
+    "recording": "choices.recording",
+    "motion": "parsimony.motion",
+    "parsimony-galvo": "parsimony.calibration:GALVO",
+    "parsimony-pair": "parsimony.calibration:PAIR",
+    "parsimony-axial": "parsimony.axial",
     "stability": "stability.registration",
     "pair": "choices.pair",
     "stability-line": "stability.line",
@@ -40,5 +47,6 @@ def benchmark(name: str) -> Benchmark:
     """
     if name not in MODULES:
         raise InputError(f"there is no benchmark {name!r}", f"choose one of {', '.join(MODULES)}")
-    found: Benchmark = import_module(f"napari_elsplus.evaluation.{MODULES[name]}").BENCHMARK
+    module, _, attribute = MODULES[name].partition(":")
+    found: Benchmark = getattr(import_module(f"napari_elsplus.evaluation.{module}"), attribute or "BENCHMARK")
     return found

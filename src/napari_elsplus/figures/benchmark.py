@@ -122,12 +122,16 @@ def _parsimony(result: Result) -> Figure:
     figure, panels = _panels(len(result.cases))
     for axes, case in zip(panels, result.cases, strict=True):
         rows = sorted(result.of_case(case), key=lambda row: row.parameters or 0)
-        count = {row.method: row.parameters or 0 for row in rows}
-        axes.plot(list(count.values()), [row.error for row in rows], color="0.75", zorder=1)
-        for row in rows:
-            axes.plot(count[row.method], row.error, MARKERS[row.role], color=COLOURS[row.role],
+        counted = [(row, row.parameters) for row in rows if row.parameters is not None]
+        axes.plot([count for _, count in counted], [row.error for row, _ in counted], color="0.75", zorder=1)
+        for row, count in counted:
+            axes.plot(count, row.error, MARKERS[row.role], color=COLOURS[row.role],
                       markersize=13 if row.role is Role.DEFAULT else 7, zorder=3)  # fmt: skip
-            axes.annotate(row.method, (count[row.method], row.error), (5, 4), textcoords="offset points", fontsize=7)
+            axes.annotate(row.method, (count, row.error), (5, 4), textcoords="offset points", fontsize=7)
+        for row in rows:
+            if row.parameters is None:
+                axes.axhline(row.error, color=COLOURS[row.role], linestyle="--", label=row.method)
+                axes.legend(frameon=False, fontsize=7)
         axes.set_title(case, fontsize=10)
         axes.set_xlabel("parameters")
         axes.set_ylabel(result.benchmark.error_label)
