@@ -110,6 +110,8 @@ def _stream(engine: Engine, seconds: float, plan: RecordingPlan | None) -> None:
     engine.start()
     if plan is not None:
         engine.record(plan)
+    while engine.status().live and not engine.status().acquired:
+        time.sleep(_STEP_S / 10)
     end_s = time.monotonic() + seconds
     steps = max(1, round(seconds / _STEP_S))
     for step in progress(range(steps), describe="Acquiring", total=steps):

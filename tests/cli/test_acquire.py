@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import tifffile
+
+from napari_elsplus.hardware.rigs import open_rig
+from napari_elsplus.io import open_recording, read_track, write_calibration
+from napari_elsplus.optics import preset
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+COMMAND = (sys.executable, "-c", "from napari_elsplus.cli import main; main()", "acquire")
+
+
+@pytest.fixture(scope="module")
+def calibration_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("rig") / "rig.json"
+    with open_rig("simulated") as rig:
+        assert rig.bench is not None
+        write_calibration(path, rig.bench.optics.calibration(preset("240hz")))
+    return path
+
+
+def test_a_run_is_recorded_tracked_and_reported(calibration_file: Path, tmp_path: Path) -> None:
+    files = {name: tmp_path / name for name in ("r.ome.tif", "m.ome.tif", "t.csv", "report.json")}
+    done = subprocess.run(
+        [
+            *COMMAND, "-c", str(calibration_file), "--seconds", "1.5", "--record", str(files["r.ome.tif"]),
+            "--rate-hz", "60", "--mosaic", str(files["m.ome.tif"]), "--track", str(files["t.csv"]),
+            "--report", str(files["report.json"]),
+        ],
+        capture_output=True, text=True, timeout=240,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    report = json.loads(files["report.json"].read_text())
+    frames = report["frames"]
+    assert frames["acquired"] == pytest.approx(90, abs=12)
+    assert set(report["latency_ms"]) == {"p50", "p99", "max"}
+    assert report["faults"] == []
+    assert report["camera_hz"] == pytest.approx(60, rel=0.1)
+    with open_recording(files["r.ome.tif"]) as recording:
+        assert len(recording) == frames["recorded"]
+        assert recording.calibration is not None
+        assert recording.metadata["settings"]["preset"] == "240hz"
+    assert (tifffile.imread(files["m.ome.tif"]) != 0).sum() > 30_000
+    track = read_track(files["t.csv"])
+    assert len(track) == frames["processed"]
+    assert np.mean([point.state == "tracked" for point in track]) > 0.9
+    assert str(frames["acquired"]) in done.stdout
+
+
+@pytest.mark.skipif(os.name != "posix", reason="interrupts as POSIX does")
+def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path) -> None:
+    running = subprocess.Popen(
+        [
+            *COMMAND, "-c", str(calibration_file), "--seconds", "600", "--rate-hz", "60",
+            "--record", str(tmp_path / "r.ome.tif"), "--report", str(tmp_path / "report.json"),
+        ],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    end_s = time.monotonic() + 100
+    while not (tmp_path / "r.ome.tif").exists() or (tmp_path / "r.ome.tif").stat().st_size < 10 * 524 * 1328:
+        assert time.monotonic() < end_s
+        time.sleep(0.05)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=100)
+    assert running.returncode == 130
+    assert "Traceback" not in said
+    recorded = json.loads((tmp_path / "report.json").read_text())["frames"]["recorded"]
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        assert len(recording) == recorded >= 10
+        assert recording.metadata["settings"]["rig"] == "simulated"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--seconds", "1", "--rig", "none"], "no rig 'none'"),
+        (["--seconds", "1", "-c", "absent.json"], "absent.json"),
+        (["--seconds", "1", "--record", "/nowhere/r.ome.tif"], "/nowhere"),
+    ],
+)
+def test_bad_input_is_said_in_one_line(
+    elsplus: Callable[..., Any], tmp_path: Path, arguments: list[str], said: str
+) -> None:
+    run = elsplus("acquire", *arguments, "--report", tmp_path / "report.json")
+    assert run.code == 2
+    assert said in run.err
+    assert run.err.count("\n") == 1
+    assert not (tmp_path / "report.json").exists()
