@@ -224,7 +224,7 @@ def test_a_spoilt_frame_is_dropped_and_counted_and_the_next_one_is_whole(cameras
         camera.start()
         before = frames(camera, 4)
         setattr(bench.plug.camera.faults, fault, 3)
-        after = frames(camera, 20)
+        after = frames(camera, 20 + DEPTH)
         numbers = [info.frame_number for info in before + after]
         assert numbers[-1] - numbers[0] + 1 - len(numbers) == 3
         assert camera.dropped[cause] == 3
