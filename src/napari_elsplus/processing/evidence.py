@@ -21,8 +21,12 @@ if TYPE_CHECKING:
 RIVAL_PX: Final = 4.0
 """Distance of the nearest rivals of a shift."""
 _HELD: Final = 1e8
+_ROW_STEP: Final = 2
+_BEYOND_DOUBT: Final = 1.0
+"""Evidence against the nearest rivals, nats per pixel, that makes farther ones needless."""
 
 
+@kernel
 def rival_evidence(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
@@ -55,63 +59,68 @@ def rival_evidence(
         Nats per pixel of the overlap, 0.5 ln((1 - rival^2) / (1 - found^2)) of the correlations; 0 where nothing is
         known.
     """
-    try:
-        covariance = np.linalg.inv(information).astype(np.float64)
-    except np.linalg.LinAlgError:
+    across, along, a_follows, s_follows = weakest_direction(information)
+    if across == 0.0 and along == 0.0:
         return 0.0
-    variances, directions = np.linalg.eigh(covariance[np.ix_((1, 3), (1, 3))])
-    if not variances[0] > 0:
+    unit = np.array([1.0, 2.0, 1.0, 2.0])  # from half to full resolution
+    held = stiffness.copy()
+    held[1, 1] += _HELD * across * across
+    held[1, 3] += _HELD * across * along
+    held[3, 1] += _HELD * across * along
+    held[3, 3] += _HELD * along * along
+    for i in range(4):
+        for j in range(4):
+            held[i, j] *= unit[i] * unit[j]
+    rho, count = correlation(template, image, first, last, middle, warp / unit, _ROW_STEP)
+    if count == 0:
         return 0.0
-    best = best_rival(
-        template, image, first, last, middle, warp, covariance, stiffness, directions, variances, correlated_px / 4
-    )
-    return float(best)
+    scratch = np.empty((4, 4))
+    smallest = np.inf
+    for k in range(4):
+        if k == 2 and smallest > _BEYOND_DOUBT:
+            break
+        shift = RIVAL_PX * (1 + k // 2) * (1 - 2 * (k % 2))
+        rival = warp + shift * np.array([a_follows, across, s_follows, along])
+        rival /= unit
+        other, _ = align(
+            template, image, first, last, middle, _ROW_STEP, 3, 0.02, rival.copy(), held, correlated_px, rival, scratch
+        )
+        smallest = min(smallest, evidence_between(rho, other))
+    return float(smallest)
 
 
 @kernel
-def best_rival(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: float,
-    warp: NDArray[np.float64],
-    covariance: NDArray[np.float64],
-    stiffness: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    variances: NDArray[np.float64],
-    correlated_px: float,
-) -> float:
-    """Evidence against the best of six rivals.
+def evidence_between(found: float, other: float) -> float:
+    """Evidence of one correlation against another, nats per pixel; perfect agreement counts as 0.999."""
+    explained, rival = min(max(found, 0.0), 0.999), min(max(other, 0.0), 0.999)
+    return float(0.5 * np.log((1 - rival**2) / (1 - explained**2)))
 
-    A rival is displaced along the direction of the shift that is known least, or best; it is then fitted to the frames
-    itself, but for the shift along that direction. A fibre slides along itself, and turned a little, unnoticed.
+
+@kernel
+def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Direction (rows, cols) in which a shift is known least; and what stretch and shear do per pixel along it.
+
+    All zero where nothing is known.
     """
-    unit = np.array([1.0, 2.0, 1.0, 2.0])
-    information = np.empty((4, 4))
-    rho, count = correlation(template, image, first, last, middle, warp / unit, 1)
-    if count == 0:
-        return 0.0
-    found = 1 - min(max(rho, 0.0), 0.999) ** 2
-    smallest = np.inf
-    for k in range(6):
-        axis, steps = (1, 1.0 + k // 2) if k < 4 else (0, 1.0)
-        shift = (1 - 2 * (k % 2)) * steps * RIVAL_PX
-        across, along = directions[0, axis], directions[1, axis]
-        rival = warp.copy()
-        for i in range(4):
-            rival[i] += shift * (covariance[i, 1] * across + covariance[i, 3] * along) / variances[axis]
-        rival /= unit
-        held = stiffness.copy()
-        held[1, 1] += _HELD * across * across
-        held[1, 3] += _HELD * across * along
-        held[3, 1] += _HELD * across * along
-        held[3, 3] += _HELD * along * along
-        for i in range(4):
-            for j in range(4):
-                held[i, j] *= unit[i] * unit[j]
-        rho, count = align(
-            template, image, first, last, middle, 1, 3, 0.02, rival.copy(), held, correlated_px, rival, information
-        )
-        smallest = min(smallest, 0.5 * np.log((1 - min(max(rho, 0.0), 0.999) ** 2) / found))
-    return float(smallest)
+    aa, shear, ss = information[0, 0], information[0, 2], information[2, 2]
+    determinant = aa * ss - shear * shear
+    if not determinant > 0:
+        return 0.0, 0.0, 0.0, 0.0
+    # follow: how stretch and shear make up for a shift; what is left is known of the shift itself
+    follow = np.empty((2, 2))
+    for n, t in enumerate((1, 3)):
+        follow[0, n] = -(ss * information[0, t] - shear * information[2, t]) / determinant
+        follow[1, n] = -(aa * information[2, t] - shear * information[0, t]) / determinant
+    rows = information[1, 1] + information[1, 0] * follow[0, 0] + information[1, 2] * follow[1, 0]
+    both = information[1, 3] + information[1, 0] * follow[0, 1] + information[1, 2] * follow[1, 1]
+    cols = information[3, 3] + information[3, 0] * follow[0, 1] + information[3, 2] * follow[1, 1]
+    if not (rows > 0 and cols > 0):
+        return 0.0, 0.0, 0.0, 0.0
+    angle = 0.5 * np.arctan2(2 * both, rows - cols)  # of the direction known best
+    across, along = -np.sin(angle), np.cos(angle)
+    return (
+        across,
+        along,
+        follow[0, 0] * across + follow[0, 1] * along,
+        follow[1, 0] * across + follow[1, 1] * along,
+    )

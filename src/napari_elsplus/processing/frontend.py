@@ -165,33 +165,50 @@ def _sum_rows(
     raw: NDArray[Any], top: float, slope: float, left: int, right: int, binning: int, line: NDArray[np.float32]
 ) -> None:
     """Sum `binning` rows from row `top` + `slope` * k downwards, in each column `left` + k up to `right`."""
-    one = np.float32(1)
-    right = min(right, raw.shape[1])
-    width = right - left
-    line[width : width + 2] = np.float32(0)
+    width = min(right, raw.shape[1]) - left
+    line[width] = line[width + 1] = np.float32(0)
+    if slope == 0.0:
+        above = int(np.floor(top + _EPSILON))
+        _sum_rows_of_run(raw, above, max(top - above, 0.0), 0.0, left, 0, width, binning, line)
+        return
     begin = 0
     while begin < width:
         above = int(np.floor(top + slope * begin + _EPSILON))
-        end = width
-        if slope != 0.0:
-            edge = above + 1 if slope > 0 else above
-            end = min(width, max(begin + 1, int(np.ceil((edge - top) / slope))))
-        into = line[begin:end]
-        upper = raw[above, left + begin : left + end]
-        down, more = np.float32(max(top + slope * begin - above, 0.0)), np.float32(slope)
-        if slope == 0.0 and down < _EPSILON:
-            for k in range(end - begin):
-                into[k] = np.float32(upper[k])
-        else:
-            lower = raw[above + binning, left + begin : left + end]
-            for k in range(end - begin):
-                f = down + more * np.float32(k)
-                into[k] = (one - f) * np.float32(upper[k]) + f * np.float32(lower[k])
-        for r in range(1, binning):
-            between = raw[above + r, left + begin : left + end]
-            for k in range(end - begin):
-                into[k] += np.float32(between[k])
+        edge = above + 1 if slope > 0 else above
+        end = min(width, max(begin + 1, int(np.ceil((edge - top) / slope))))
+        down = max(top + slope * begin - above, 0.0)
+        _sum_rows_of_run(raw, above, down, slope, left, begin, end, binning, line)
         begin = end
+
+
+@kernel
+def _sum_rows_of_run(
+    raw: NDArray[Any],
+    above: int,
+    down: float,
+    slope: float,
+    left: int,
+    begin: int,
+    end: int,
+    binning: int,
+    line: NDArray[np.float32],
+) -> None:
+    """Sum rows whose whole shift is constant; slices made in a loop would cost more than the sums."""
+    one, d, g = np.float32(1), np.float32(down), np.float32(slope)
+    upper, lower = raw[above, left + begin : left + end], raw[above + binning, left + begin : left + end]
+    second = raw[above + min(1, binning - 1), left + begin : left + end]
+    into = line[begin:end]
+    if binning == 1:
+        for k in range(end - begin):
+            f = d + g * np.float32(k)
+            into[k] = (one - f) * np.float32(upper[k]) + f * np.float32(lower[k])
+        return
+    for k in range(end - begin):
+        f = d + g * np.float32(k)
+        into[k] = (one - f) * np.float32(upper[k]) + np.float32(second[k]) + f * np.float32(lower[k])
+    for r in range(2, binning):
+        for k in range(begin, end):
+            line[k] += np.float32(raw[above + r, left + k])
 
 
 @kernel
@@ -207,33 +224,53 @@ def _sum_columns(
     out: NDArray[np.float32],
 ) -> None:
     """Add to each grid column the weighted sum of `binning` columns of the line."""
-    one, factor = np.float32(1), np.float32(weight)
+    if growth == 0.0:
+        whole = int(np.floor(shift + _EPSILON))
+        across = max(shift - whole, 0.0)
+        start = binning * begin + whole - left
+        _sum_columns_of_run(line, start, across, 0.0, binning, weight, out, begin, end)
+        return
     j = begin
     while j < end:
         whole = int(np.floor(shift + growth * j + _EPSILON))
-        stop = end
-        if growth != 0.0:
-            edge = whole + 1 if growth > 0 else whole
-            stop = min(end, max(j + 1, int(np.ceil((edge - shift) / growth))))
-        across, more = np.float32(max(shift + growth * j - whole, 0.0)), np.float32(growth)
-        source = line[binning * j + whole - left :]
-        into = out[j:stop]
-        if binning == 1:
-            for k in range(stop - j):
-                f = across + more * np.float32(k)
-                into[k] += factor * ((one - f) * source[k] + f * source[k + 1])
-        elif binning == 2:
-            for k in range(stop - j):
-                f = across + more * np.float32(k)
-                into[k] += factor * ((one - f) * source[2 * k] + source[2 * k + 1] + f * source[2 * k + 2])
-        else:
-            for k in range(stop - j):
-                f = across + more * np.float32(k)
-                total = (one - f) * source[binning * k] + f * source[binning * (k + 1)]
-                for b in range(1, binning):
-                    total += source[binning * k + b]
-                into[k] += factor * total
+        edge = whole + 1 if growth > 0 else whole
+        stop = min(end, max(j + 1, int(np.ceil((edge - shift) / growth))))
+        across = max(shift + growth * j - whole, 0.0)
+        start = binning * j + whole - left
+        _sum_columns_of_run(line, start, across, growth, binning, weight, out, j, stop)
         j = stop
+
+
+@kernel
+def _sum_columns_of_run(
+    line: NDArray[np.float32],
+    start: int,
+    across: float,
+    growth: float,
+    binning: int,
+    weight: float,
+    out: NDArray[np.float32],
+    begin: int,
+    end: int,
+) -> None:
+    """Add columns whose whole shift is constant."""
+    one, a, g, w = np.float32(1), np.float32(across), np.float32(growth), np.float32(weight)
+    source, into = line[start:], out[begin:end]
+    if binning == 1:
+        for k in range(end - begin):
+            f = a + g * np.float32(k)
+            into[k] += w * ((one - f) * source[k] + f * source[k + 1])
+    elif binning == 2:
+        for k in range(end - begin):
+            f = a + g * np.float32(k)
+            into[k] += w * ((one - f) * source[2 * k] + source[2 * k + 1] + f * source[2 * k + 2])
+    else:
+        for k in range(end - begin):
+            f = a + g * np.float32(k)
+            total = (one - f) * source[binning * k] + f * source[binning * (k + 1)]
+            for b in range(1, binning):
+                total += source[binning * k + b]
+            into[k] += w * total
 
 
 @kernel

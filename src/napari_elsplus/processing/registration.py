@@ -8,12 +8,13 @@ away explains the frames as well, as it does along a straight fibre or where the
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import hypot
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from napari_elsplus.compiled import kernel
-from napari_elsplus.processing.evidence import rival_evidence
+from napari_elsplus.processing.evidence import RIVAL_PX, evidence_between, rival_evidence
 from napari_elsplus.processing.lucas_kanade import align
 from napari_elsplus.processing.motion import Warp
 from napari_elsplus.processing.shift_search import LEAST_OVERLAP, ShiftSearch, prior, support
@@ -130,7 +131,7 @@ class Registrar:
         first, last = self._spans[1]
         evidence = rival_evidence(
             earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, information, stiffness,
-            _CORRELATED_PX
+            _CORRELATED_PX / 8,
         )  # fmt: skip
         return Link(Warp(*warp.tolist()), information, scores[0], scores[1] / self._pixels[0] * _ROW_STEP, evidence)
 
@@ -150,15 +151,21 @@ class Registrar:
         reach_px : float
             How far the shift may well be from what is expected.
         """
-        best, best_score = None, -np.inf
+        found: list[tuple[float, float, Warp]] = []
         for shift in self._everywhere.peaks(self._spectra(earlier), self._spectra(later), expected, reach_px):
             warp = np.array([expected.a, shift[0], expected.s, shift[1]])
             ncc, count = self._half_resolution(earlier, later, warp)
             likely = support(np.array(ncc), np.array(count / 4))
             score = float(likely + prior(warp[1] - expected.b, warp[3] - expected.d, reach_px))
-            if ncc > 0 and score > best_score:
-                best, best_score = warp, score
-        return None if best is None else self.link(earlier, later, Warp(*best.tolist()), spread)
+            if ncc > 0:
+                found.append((score, ncc, Warp(*warp.tolist())))
+        if not found:
+            return None
+        _, ncc, best = max(found)
+        link = self.link(earlier, later, best, spread)
+        others = [o for _, o, w in found if hypot(w.b - best.b, w.d - best.d) > RIVAL_PX]
+        against = min((float(evidence_between(ncc, other)) for other in others), default=np.inf)
+        return link._replace(evidence=min(link.evidence, against))
 
     def _spectra(self, view: View) -> NDArray[np.complex64]:
         if view.spectra is None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from napari_elsplus.processing.motion import Displacement, Velocity
 from napari_elsplus.processing.prediction import AT_REST, Motion
-from napari_elsplus.processing.registration import Link, Registrar, View
+from napari_elsplus.processing.registration import LEAST_EVIDENCE, Link, Registrar, View
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -203,16 +203,21 @@ class Tracker:
         reach = _FIRST_REACH * self.grid.diameter
         if motion.known:
             link = self.registrar.link(earlier.view, here.view, expected, spread)
-            if link.correlation > SURE_CORRELATION and self._accepted(link):
+            if link.correlation > SURE_CORRELATION and self._accepted(link, here):
                 return link
             reach = _REACH_PX * (here.index - last.index)
         found = self.registrar.search(earlier.view, here.view, expected, spread, reach)
-        return found if found is not None and self._accepted(found) else None
+        return found if found is not None and self._accepted(found, here) else None
 
-    def _accepted(self, link: Link) -> bool:
-        """Whether the frames single out this shift, and agree about as well as frames did so far."""
+    def _accepted(self, link: Link, here: _Placed) -> bool:
+        """Whether the frames single out this shift, and agree about as well as frames did so far.
+
+        After a gap less is known beforehand, so that the frames themselves must say more.
+        """
+        assert self._last is not None
+        gap = here.index - self._last.index if self._motion.known else 1
         usual = not link.correlation < self._usual - FALL_OF_CORRELATION
-        return link.observed and usual
+        return link.observed and link.evidence >= gap * LEAST_EVIDENCE and usual
 
     def _place(self, earlier: _Placed, here: _Placed, link: Link) -> None:
         """Give a frame its position and velocity."""
