@@ -14,7 +14,7 @@ from napari_elsplus.processing.tracking import Pose, State
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from napari_elsplus.processing.motion import Displacement
+    from napari_elsplus.processing.motion import Displacement, RollingShutter
     from napari_elsplus.processing.registration import Link, Registrar, View
 
 _NOWHERE: Final = Velocity(np.nan, np.nan)
@@ -47,7 +47,7 @@ def refine(
         One for every frame. Segments that were recognised as one carry the earlier one's number; predicted frames lie
         between tracked ones, and those after the last of a segment are lost.
     """
-    settled = settle(poses)
+    settled = with_origins(settle(poses), links, registrar.grid.shutter)
     tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is State.TRACKED}
     stretch = _LINK_STRETCH_PX / registrar.grid.shutter.rows_per_frame
     edges = [
@@ -84,6 +84,27 @@ def settle(poses: Sequence[Pose]) -> list[Pose]:
         else pose
         for k, pose in enumerate(poses)
     ]
+
+
+def with_origins(
+    poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, Link]], shutter: RollingShutter
+) -> list[Pose]:
+    """Give the frames from which segments started the velocity, and the place, that their first link tells.
+
+    While frames came in nothing was known of them. One that is lost becomes the segment's first frame if another lost
+    frame comes before it, so that segments stay apart.
+    """
+    result = list(poses)
+    for earlier, later, _, link in links:
+        first, after = result[earlier], result[later]
+        begins = first.state is State.TRACKED and np.isnan(first.score)
+        alone = earlier == 0 or result[earlier - 1].state is State.LOST
+        if later != earlier + 1 or after.state is not State.TRACKED:
+            continue
+        if begins or (first.state is State.LOST and alone):
+            before, _ = shutter.velocities(link.warp)
+            result[earlier] = Pose(after.segment, 0.0, 0.0, before, np.nan, np.nan, State.TRACKED)
+    return result
 
 
 def interpolate(poses: Sequence[Pose]) -> list[Pose]:

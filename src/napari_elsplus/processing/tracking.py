@@ -73,6 +73,10 @@ class Pose(NamedTuple):
 
 SURE_CORRELATION: Final = 0.9
 """Correlation below which a predicted link is compared with all other shifts."""
+import os
+
+SMOOTH_MOTION_PX: Final = float(os.environ.get("SM", "4"))
+"""Spread of the velocity up to which the motion is so smooth that it tells where to look."""
 FALL_OF_CORRELATION: Final = 0.08
 """How far a link's correlation may lie below what was usual so far."""
 _MEMORY: Final = 0.2
@@ -217,7 +221,8 @@ class Tracker:
         assert self._last is not None
         gap = here.index - self._last.index if self._motion.known else 1
         usual = not link.correlation < self._usual - FALL_OF_CORRELATION
-        return link.observed and link.evidence >= gap * LEAST_EVIDENCE and usual
+        needed = gap * LEAST_EVIDENCE * max(1.0, self._motion.spread / SMOOTH_MOTION_PX)
+        return link.observed and link.evidence >= needed and usual
 
     def _place(self, earlier: _Placed, here: _Placed, link: Link) -> None:
         """Give a frame its position and velocity."""

@@ -1,0 +1,150 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.frontend import FrontEnd
+from napari_elsplus.processing.grid import Grid
+from napari_elsplus.processing.mosaic import Insertion, Mosaic, rim_weights
+from napari_elsplus.processing.motion import RollingShutter, Velocity
+from napari_elsplus.processing.tiles import TILE_PX, HeapTiles, Rectangle
+from napari_elsplus.tracking_pipeline import Pipeline, RawPairs, picture
+from recordings import record, smooth_path, texture
+
+GRID = Grid(120, 1, (0, 0), (59.3, 59.8), 116.0, RollingShutter(150.0))
+
+
+def wave(row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    return 100 + 40 * np.sin(row / 9) * np.cos(col / 7)
+
+
+def seen(row: float, col: float, velocity: Velocity = Velocity(0.0, 0.0)) -> np.ndarray:  # noqa: B008
+    """What a probe at (row, col) that moves while its rows are read makes of the wave."""
+    y, x = (np.arange(GRID.side) - c for c in GRID.centre)
+    y = y[:, None]
+    r = GRID.shutter.rows_per_frame
+    return wave(row + y + velocity.row * y / r, col + x + velocity.col * y / r).astype(np.float32)
+
+
+def miss(mosaic: Mosaic) -> float:
+    """Largest error of what was drawn."""
+    assert mosaic.extent is not None
+    image, weight = mosaic.read()
+    row, col = np.mgrid[: image.shape[0], : image.shape[1]]
+    truth = wave(row + mosaic.extent.top, col + mosaic.extent.left)
+    assert (weight > 0).sum() > 5000
+    return float(np.abs(image - truth)[weight > 0].max())
+
+
+@pytest.mark.parametrize("insertion", list(Insertion))
+@pytest.mark.parametrize("velocity", [Velocity(0.0, 0.0), Velocity(30.0, -25.0), Velocity(-20.0, 8.0)])
+def test_frames_are_unsheared_and_laid_to_a_fraction_of_a_pixel(insertion: Insertion, velocity: Velocity) -> None:
+    mosaic = Mosaic(GRID, insertion)
+    for row, col in ((3.4, -7.7), (20.9, 15.2), (-500.0, 700.25)):
+        mosaic.insert(seen(row, col, velocity), row, col, velocity)
+    assert miss(mosaic) < 0.5
+    sheared = Mosaic(GRID, insertion)
+    sheared.insert(seen(0.0, 0.0, Velocity(30.0, -25.0)), 0.0, 0.0)
+    assert miss(sheared) > 10
+
+
+def test_a_dead_leaf_covers_what_lay_there_but_its_rim_does_not() -> None:
+    mosaic = Mosaic(GRID)
+    mosaic.insert(np.full((120, 120), 1.0, np.float32), 0.0, 0.0)
+    mosaic.insert(np.full((120, 120), 2.0, np.float32), 0.0, 50.0)
+    at = mosaic.extent
+    assert at is not None
+    image, _ = mosaic.read()
+    assert image[-at.top, 50 - at.left] == 2.0
+    assert image[-at.top, 0 - at.left] == 1.0  # the rim of the second frame
+    assert image[-at.top, 15 - at.left] == 2.0
+
+
+def test_feathered_frames_are_averaged() -> None:
+    mosaic = Mosaic(GRID, Insertion.FEATHERED)
+    for level in (1.0, 2.0):
+        mosaic.insert(np.full((120, 120), level, np.float32), 0.0, 0.0)
+    image, weight = mosaic.read()
+    assert np.allclose(image[weight > 0], 1.5)
+
+
+def test_where_the_line_has_left_the_bundle_the_residual_is_missing_and_the_weight_low() -> None:
+    """Offset of -20 rows: the line is 20 rows above, so the upper rim is not subtracted; +20: the lower one."""
+    upper, lower = rim_weights(GRID, -20.0), rim_weights(GRID, 20.0)
+    assert upper[14, 60] < 0.1 < rim_weights(GRID)[14, 60]
+    assert upper[104, 60] == rim_weights(GRID)[104, 60]
+    assert lower[104, 60] < 0.1 < upper[104, 60]
+
+
+def test_canvas_grows_in_every_direction_by_the_tiles_that_are_touched() -> None:
+    store = HeapTiles()
+    mosaic = Mosaic(GRID, store=store)
+    for row, col in ((0.0, 0.0), (-20_000.0, 300.0), (300.0, 50_000.0)):
+        mosaic.insert(seen(row, col), row, col)
+    assert len(store.keys()) <= 12
+    part = Rectangle(-20_010, 290, -19_990, 310)
+    image, _ = mosaic.read(part)
+    truth = wave(*np.mgrid[part.top : part.bottom, part.left : part.right])
+    assert np.abs(image - truth).max() < 0.5
+
+
+def test_only_what_was_touched_is_dirty() -> None:
+    mosaic = Mosaic(GRID)
+    mosaic.insert(seen(0.0, 0.0), 0.0, 0.0)
+    first = mosaic.take_dirty()
+    assert first is not None
+    assert mosaic.take_dirty() is None
+    mosaic.insert(seen(400.0, 0.0), 400.0, 0.0)
+    second = mosaic.take_dirty()
+    assert second is not None
+    assert second.within(first).shape[0] == 0
+    mosaic.clear()
+    assert mosaic.read()[0].size == 0
+
+
+def test_tiles_cover_the_plane_once() -> None:
+    keys = list(Rectangle(-1, -TILE_PX - 1, TILE_PX + 1, 1).tiles())
+    assert sorted(keys) == [(r, c) for r in (-1, 0, 1) for c in (-2, -1, 0)]
+
+
+def test_mosaic_of_a_fast_recording_is_the_scene() -> None:
+    """Correlation with the true scene at least 0.98; frames laid down sheared reach about 0.7."""
+    truth = record(texture(1200, 8, 3.0), smooth_path(40, 33.0, 1200, 8))
+    pairs = RawPairs(truth.frames, "els")
+    found = {}
+    for method in ("elsplus", "paper"):
+        pipeline = Pipeline(truth.calibration, truth.frames.shape[1:], method=method)
+        for index in range(len(pairs)):
+            pipeline.track(pairs(index)[0], index)
+        pipeline.finish(pairs)
+        mosaic = pipeline.mosaics[0]
+        at = mosaic.extent
+        assert at is not None
+        image, weight = mosaic.read()
+        row, col = (a * pipeline.camera_px_per_pixel for a in np.mgrid[at.top : at.bottom, at.left : at.right])
+        start = truth.positions[0]
+        scene = cv2.remap(
+            truth.scene, (col + start[1]).astype(np.float32), (row + start[0]).astype(np.float32), cv2.INTER_LINEAR
+        )
+        smooth = [cv2.GaussianBlur(a, (0, 0), 1.0)[weight > 0] for a in (image, scene)]
+        found[method] = np.corrcoef(*smooth)[0, 1]
+    assert found["elsplus"] > 0.98
+    assert found["paper"] < 0.9
+
+
+def test_segments_are_shown_below_one_another() -> None:
+    small, large = Mosaic(GRID), Mosaic(GRID)
+    small.insert(seen(0.0, 0.0), 0.0, 0.0)
+    for col in (0.0, 80.0):
+        large.insert(seen(0.0, col), 0.0, col)
+    image = picture([small, large])
+    assert image.shape == (2 * large.read()[0].shape[0] + 16, large.read()[0].shape[1])
+    assert (image[: large.read()[0].shape[0]] == large.read()[0]).all()
+
+
+def test_front_end_allocates_nothing() -> None:
+    truth = record(texture(600, 9), np.full((2, 2), 300.0))
+    front_end = FrontEnd(truth.calibration, truth.frames.shape[1:])
+    out = np.zeros((front_end.grid.side,) * 2, np.float32)
+    assert front_end.image(truth.frames[0], out) is out
