@@ -103,6 +103,11 @@ class RollingShutter:
             Velocity(r * (stretch - 1), col),
         )
 
+    def later_velocity(self, warp: Warp, before: Velocity) -> Velocity:
+        """Velocity during the later frame, over any number of frames, from the stretch and shear and the earlier one's."""
+        r = self.rows_per_frame
+        return Velocity(r * ((1 + before.row / r) / warp.a - 1), (before.col - warp.s * r) / warp.a)
+
     def displacement(self, warp: Warp, after: Velocity) -> Displacement:
         """Displacement of the probe over any number of frames, from the warp and the later frame's velocity."""
         r = self.rows_per_frame

@@ -37,6 +37,8 @@ class Motion:
         Whether any link was accepted yet.
     velocity, change : Velocity
         During the last frame that was linked, and what it gained over the frame before; pixels per frame period.
+    surprise : float
+        How far velocities were from what was expected of them, of late.
 
     Examples
     --------
@@ -56,7 +58,7 @@ class Motion:
         """Start anew."""
         self.known = False
         self.velocity = self.change = AT_REST
-        self._surprise = _FIRST_SURPRISE
+        self.surprise = _FIRST_SURPRISE
 
     def follow(self, velocity: Velocity, *, successive: bool) -> None:
         """Take note of a linked frame's velocity; `successive` if the frame just before it was linked as well."""
@@ -64,7 +66,7 @@ class Motion:
         if self.known and successive:
             expected = self.next_velocity
             miss = hypot(velocity.row - expected.row, velocity.col - expected.col)
-            self._surprise += _MEMORY * (miss - self._surprise)
+            self.surprise += _MEMORY * (miss - self.surprise)
             gained = Velocity(velocity.row - self.velocity.row, velocity.col - self.velocity.col)
         self.velocity, self.change, self.known = velocity, gained, True
 
@@ -76,7 +78,7 @@ class Motion:
     @property
     def spread(self) -> float:
         """Standard deviation of the next velocity about what is expected."""
-        return _LEAST_SPREAD + _SPREAD_OF_SURPRISE * self._surprise
+        return _LEAST_SPREAD + _SPREAD_OF_SURPRISE * self.surprise
 
     def ahead(self, frames: int) -> Displacement:
         """Displacement expected from the last linked frame to one so many frames later."""

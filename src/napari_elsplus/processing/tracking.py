@@ -73,13 +73,13 @@ class Pose(NamedTuple):
 
 SURE_CORRELATION: Final = 0.9
 """Correlation below which a predicted link is compared with all other shifts."""
-import os
-
-SMOOTH_MOTION_PX: Final = float(os.environ.get("SM", "4"))
+SMOOTH_MOTION_PX: Final = 5.0
 """Spread of the velocity up to which the motion is so smooth that it tells where to look."""
 FALL_OF_CORRELATION: Final = 0.08
 """How far a link's correlation may lie below what was usual so far."""
 _MEMORY: Final = 0.2
+_VELOCITY_SIGMA: Final = 0.3
+"""What the velocity of a linked frame is trusted to."""
 _REACH_PX: Final = 8.0
 _FIRST_REACH: Final = 0.3
 
@@ -226,21 +226,30 @@ class Tracker:
 
     def _place(self, earlier: _Placed, here: _Placed, link: Link) -> None:
         """Give a frame its position and velocity."""
-        shutter, last = self.grid.shutter, self._last
-        assert last is not None
-        apart = here.index - earlier.index
-        if apart == 1:
+        shutter = self.grid.shutter
+        if here.index == earlier.index + 1:
             before, after = shutter.velocities(link.warp)
             if not self._motion.known:
                 earlier.velocity = before
-        elif here.index - last.index == 1:
-            moved = shutter.displacement(link.warp, self._motion.next_velocity)
-            after = Velocity(earlier.row + moved.row - last.row, earlier.col + moved.col - last.col)
         else:
-            after = shutter.steady(link.warp, apart)
+            after = self._velocity_after_gap(earlier, here, link)
         moved = shutter.displacement(link.warp, after)
         here.row, here.col, here.velocity = earlier.row + moved.row, earlier.col + moved.col, after
         self.links.append((earlier.index, here.index, moved, link))
+
+    def _velocity_after_gap(self, earlier: _Placed, here: _Placed, link: Link) -> Velocity:
+        """Velocity of a frame that is linked to one some frames before: from its shear, or from where it came to lie."""
+        shutter, motion, last = self.grid.shutter, self._motion, self._last
+        assert last is not None
+        moved = shutter.displacement(link.warp, motion.next_velocity)
+        gap = here.index - last.index
+        along = Velocity((earlier.row + moved.row - last.row) / gap, (earlier.col + moved.col - last.col) / gap)
+        if not isfinite(shutter.rows_per_frame):
+            return along
+        sheared = shutter.later_velocity(link.warp, earlier.velocity)
+        doubt = shutter.rows_per_frame**2 * np.diag(np.linalg.inv(link.information))[[0, 2]] + _VELOCITY_SIGMA**2
+        part = (gap * motion.surprise / 2) ** 2 / ((gap * motion.surprise / 2) ** 2 + doubt)
+        return Velocity(*(np.array(along) + part * (np.array(sheared) - along)).tolist())
 
     def _track(self, here: _Placed, link: Link) -> Pose:
         last = self._last
