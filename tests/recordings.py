@@ -28,9 +28,15 @@ class Truth:
 
 
 def fibres(
-    side: int, count: int, seed: int, *, width_px: float = 2.0, half_length_px: tuple[float, float] = (100.0, 500.0)
+    side: int,
+    count: int,
+    seed: int,
+    *,
+    width_px: float = 2.0,
+    half_length_px: tuple[float, float] = (100.0, 500.0),
+    grain: float = 0.0,
 ) -> NDArray[np.float32]:
-    """Draw `count` straight bright fibres in all directions on black, 0 to 1."""
+    """Draw `count` straight bright fibres in all directions on black, 0 to 1; `grain` varies them along themselves."""
     rng = np.random.default_rng(seed)
     image = np.zeros((side, side), np.float32)
     for _ in range(count):
@@ -38,7 +44,7 @@ def fibres(
         along = half * np.array([np.cos(angle), np.sin(angle)])
         ends = [tuple(int(v) for v in 16 * (centre + sign * along)) for sign in (-1, 1)]
         cv2.line(image, ends[0], ends[1], float(rng.uniform(0.4, 1.0)), 3, cv2.LINE_AA, 4)
-    return cv2.GaussianBlur(image, (0, 0), width_px)
+    return cv2.GaussianBlur(image * (1 + grain * (2 * texture(side, seed + 500, 3.0) - 1)), (0, 0), width_px)
 
 
 def texture(side: int, seed: int, grain_px: float = 4.0) -> NDArray[np.float32]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from napari_elsplus.calibration import OpticsSection
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.frontend import FrontEnd
@@ -14,6 +15,7 @@ from napari_elsplus.processing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.paper_mosaic import PaperTracker
 from napari_elsplus.processing.refinement import refine
 from napari_elsplus.processing.sectioning import Mode, Sectioner
+from napari_elsplus.processing.shutter_timing import RowsPerFrame, estimate_rows_per_frame
 from napari_elsplus.processing.tracking import Pose, State, Tracker
 
 if TYPE_CHECKING:
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.grid import Grid
     from napari_elsplus.processing.registration import View
     from napari_elsplus.processing.sectioning import Frames
+
+
+_TIMING_FRAMES = 600
 
 
 class Method(StrEnum):
@@ -66,6 +71,11 @@ class _Ours:
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
         return self._front_end.image(raw, self._image, raw_residual)
+
+    def rows_per_frame(self) -> RowsPerFrame | None:
+        """Return what the motion so far tells of the timing, in camera rows."""
+        found = estimate_rows_per_frame(self._tracker.links, self.grid.shutter)
+        return None if found is None else RowsPerFrame(found.rows * self.scale, found.sigma * self.scale)
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         registrar = self._tracker.registrar
@@ -233,6 +243,48 @@ class Pipeline:
         return TrackPoint(
             frame, time_s, pose.segment, row, col, row * um, col * um, pose.score, pose.sigma * scale, pose.state.value
         )
+
+
+def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) -> tuple[Calibration, str]:
+    """Give a calibration the rows per frame that it lacks, from the motion in a recording.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Returned as it is where it knows the rows per frame.
+    raw_pair : RawPairs
+        The recording; its first frames are tracked.
+    mode : Mode or str
+        Which image is tracked.
+
+    Returns
+    -------
+    calibration : Calibration
+        With the rows per frame, if the motion tells them.
+    said : str
+        What was found, in words; empty if they were known.
+    """
+    known = calibration.optics
+    if known is not None and known.rows_per_frame is not None:
+        return calibration, ""
+    shape = raw_pair(0)[0].shape
+    assumed = _with_rows(calibration, float(shape[0]))
+    tracking = _Ours(assumed, (shape[0], shape[1]), Mode(mode))
+    for index in range(min(len(raw_pair), _TIMING_FRAMES)):
+        tracking.track(*raw_pair(index))
+    found = tracking.rows_per_frame()
+    if found is None:
+        return (
+            calibration,
+            "rows per frame unknown, and the motion does not tell them: rolling shutter uncorrected",
+        )
+    said = f"rows per frame estimated from the motion: {found.rows:.1f} +- {found.sigma:.1f}"
+    return _with_rows(calibration, found.rows), said
+
+
+def _with_rows(calibration: Calibration, rows: float) -> Calibration:
+    optics = (calibration.optics or OpticsSection()).model_copy(update={"rows_per_frame": rows})
+    return calibration.model_copy(update={"optics": optics})
 
 
 def picture(mosaics: list[Mosaic], gap_px: int = 16) -> NDArray[np.float32]:

@@ -71,3 +71,19 @@ def test_the_papers_method_can_be_asked_for(
     assert elsplus(*paper).code == 0
     whole_pixels = np.array([(row.row_px, row.col_px) for row in read_track(track)]) / (214 / 250)
     np.testing.assert_allclose(whole_pixels, np.round(whole_pixels), atol=1e-6)
+
+
+def test_rows_per_frame_are_estimated_where_they_are_unknown(
+    elsplus: Callable[..., Any], recording: tuple[Path, Any], tmp_path: Path
+) -> None:
+    folder, truth = recording
+    write_calibration(tmp_path / "cal.json", truth.calibration.model_copy(update={"optics": None}))
+    track = tmp_path / "track.csv"
+    run = elsplus(
+        "mosaic", folder / "moving.tif", "-c", tmp_path / "cal.json", "-o", tmp_path / "m.tif", "--track", track
+    )
+    assert run.code == 0, run.err
+    assert "rows per frame estimated from the motion: 2" in run.out
+    found = np.array([(row.row_px, row.col_px) for row in read_track(track)])
+    assert np.abs(found - (truth.positions - truth.positions[0])).max() < 0.5
+    assert all(np.isnan(row.row_um) for row in read_track(track))

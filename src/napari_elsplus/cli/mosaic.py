@@ -11,7 +11,7 @@ from napari_elsplus.cli.options import FILE, calibration_option, force_option, o
 from napari_elsplus.io import open_recording, read_calibration, refuse_existing, write_mosaic, write_track
 from napari_elsplus.processing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs, picture
+from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs, picture, with_timing
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,8 +44,11 @@ def command(
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
         rows, cols = recording.shape[1:]
-        pipeline = Pipeline(record, (rows, cols), mode, method=method, insertion=insertion)
         pairs, times = RawPairs(recording, mode), recording.times_s
+        said = ""
+        if method == Method.ELSPLUS:
+            record, said = with_timing(record, pairs, mode)
+        pipeline = Pipeline(record, (rows, cols), mode, method=method, insertion=insertion)
         for index in progress(range(len(pairs)), describe="Tracking"):
             frame = pairs.frame(index)
             confocal, residual = pairs(index)
@@ -57,6 +60,8 @@ def command(
     write_mosaic(output, image, scale, calibration=record, metadata={"method": method, "mode": mode}, force=force)
     if track is not None:
         write_track(track, pipeline.rows, force=force)
+    if said:
+        click.echo(said)
     click.echo(_summary(pipeline))
 
 

@@ -104,7 +104,7 @@ class RollingShutter:
         )
 
     def later_velocity(self, warp: Warp, before: Velocity) -> Velocity:
-        """Velocity during the later frame, over any number of frames, from the stretch and shear and the earlier one's."""
+        """Velocity during the later of two frames, from stretch, shear and the earlier one's; any number apart."""
         r = self.rows_per_frame
         return Velocity(r * ((1 + before.row / r) / warp.a - 1), (before.col - warp.s * r) / warp.a)
 

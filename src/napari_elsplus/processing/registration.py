@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.grid import Grid
 
 LEVELS: Final = 3
-LEAST_EVIDENCE: Final = 0.04
+LEAST_EVIDENCE: Final = 0.1
 """Evidence that a link needs against each of its rivals, in nats per pixel."""
 _CORRELATED_PX: Final = 20.0
 """Pixels that share one noise value: the front end smooths, and the core pattern is correlated."""

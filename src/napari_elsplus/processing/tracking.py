@@ -238,7 +238,7 @@ class Tracker:
         self.links.append((earlier.index, here.index, moved, link))
 
     def _velocity_after_gap(self, earlier: _Placed, here: _Placed, link: Link) -> Velocity:
-        """Velocity of a frame that is linked to one some frames before: from its shear, or from where it came to lie."""
+        """Velocity of a frame linked to one some frames before: from its shear, or from where it came to lie."""
         shutter, motion, last = self.grid.shutter, self._motion, self._last
         assert last is not None
         moved = shutter.displacement(link.warp, motion.next_velocity)
