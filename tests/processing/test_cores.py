@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.cores import CoreFilter, _read_at, core_pitch_px, find_cores
+from napari_elsplus.processing.cores import CoreFilter, core_pitch_px, find_cores
 from napari_elsplus.processing.sectioning import disc
 
 SIDE = 201
@@ -99,13 +99,6 @@ def test_filters_leave_their_input_alone(kind: CoreFilter) -> None:
     image = flat.copy()
     kind.prepared(flat, INSIDE)(image)
     assert np.array_equal(image, flat)
-
-
-def test_as_many_cores_as_a_bundle_has_can_be_read() -> None:
-    rng = np.random.default_rng(0)
-    image = np.arange(700.0, dtype=np.float32) + np.zeros((700, 1), np.float32)
-    row, col = rng.uniform(1, 698, (2, 34_001)).astype(np.float32)
-    assert _read_at(image, row, col) == pytest.approx(col, abs=0.04)
 
 
 def test_pitch_of_a_real_bundle(data_folder: Path) -> None:

@@ -35,7 +35,6 @@ _LEAST_PITCH_PX: Final = 2.0
 _LEAST_PROMINENCE: Final = 3.0
 _DARKEST_CORE: Final = 0.1
 _READING_SIGMA_PITCHES: Final = 0.2
-_POINTS_IN_A_ROW: Final = 1024
 
 
 class CoreFilter(StrEnum):
@@ -234,10 +233,16 @@ class CoreInterpolation:
 
 @kernel
 def _read_at(image: NDArray[np.float32], row: NDArray[np.float32], col: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Linear interpolation at points; OpenCV takes fewer than 32,768 of them in a row, so they go in several."""
-    shape = (ceil(len(row) / _POINTS_IN_A_ROW), _POINTS_IN_A_ROW)
-    values: NDArray[np.float32] = cv2.remap(image, np.resize(col, shape), np.resize(row, shape), cv2.INTER_LINEAR)
-    return values.ravel()[: len(row)]
+    """Bilinear values at points inside of an image, any number of them: cv2.remap takes no more than 32,766."""
+    rows, cols = image.shape
+    values = np.empty(len(row), np.float32)
+    for k in range(len(row)):
+        r, c = min(int(row[k]), rows - 2), min(int(col[k]), cols - 2)
+        down, across = row[k] - np.float32(r), col[k] - np.float32(c)
+        above = image[r, c] + across * (image[r, c + 1] - image[r, c])
+        below = image[r + 1, c] + across * (image[r + 1, c + 1] - image[r + 1, c])
+        values[k] = above + down * (below - above)
+    return values
 
 
 @kernel
