@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.calibration import BundleSection, Calibration
+    from napari_elsplus.viewing.layers import Layer
 
 OUTLINE_COLOURS: Final = ("#56b4e9", "#e69f00")
 """Of the confocal and the residual outline: blue and orange, told apart by everyone."""
@@ -43,11 +44,18 @@ def calibration_layers(path: str | os.PathLike[str]) -> Opened:
     path = Path(path)
     calibration = read_calibration(path)
     note = f"{path.name} is the calibration in force: {summary(calibration)}"
-    bundle = calibration.bundle
-    if bundle is None:
+    if calibration.bundle is None:
         return Opened([], [note])
+    return Opened([outline_layer(calibration, f"{path.name.removesuffix('.json')} bundle", path)], [note])
+
+
+def outline_layer(calibration: Calibration, name: str, path: Path | None = None) -> Layer:
+    """Outline the two bundle images of a calibration that knows them, as a shapes layer."""
+    calibration.require("bundle")
+    assert calibration.bundle is not None
+    bundle = calibration.bundle
     um_per_px = calibration.optics.um_per_px if calibration.optics is not None else None
-    attributes = space(um_per_px) | {"name": f"{path.name.removesuffix('.json')} bundle"}
+    attributes = space(um_per_px) | {"name": name}
     attributes |= {
         "shape_type": "ellipse",
         "edge_color": list(OUTLINE_COLOURS),
@@ -57,7 +65,7 @@ def calibration_layers(path: str | os.PathLike[str]) -> Opened:
         "text": {"string": "{view}", "color": list(OUTLINE_COLOURS), "anchor": "upper_left", "size": 10},
         "metadata": {"elsplus": {"kind": "calibration", "calibration": calibration, "calibration_path": path}},
     }
-    return Opened([(_outlines(bundle), attributes, "shapes")], [note])
+    return _outlines(bundle), attributes, "shapes"
 
 
 def summary(calibration: Calibration) -> str:

@@ -30,7 +30,12 @@ PALETTE: Final = {
     "purple": ("#e6a0c8", "#a3568a"),
 }
 """Okabe and Ito's hues, each on a dark and on a light ground."""
-DASHES: Final = {"solid": Qt.PenStyle.SolidLine, "dashed": Qt.PenStyle.DashLine, "dotted": Qt.PenStyle.DotLine}
+DASHES: Final = {
+    "none": Qt.PenStyle.NoPen,
+    "solid": Qt.PenStyle.SolidLine,
+    "dashed": Qt.PenStyle.DashLine,
+    "dotted": Qt.PenStyle.DotLine,
+}
 EXPORT_WIDTH_PX: Final = 1600
 _SHORT_NAME: Final = 8
 
@@ -61,6 +66,15 @@ class Curve:
     marks: bool = False
 
 
+@dataclass(frozen=True)
+class Band:
+    """A shaded range of x, from one position to the other, in a colour of `PALETTE`."""
+
+    start: float
+    stop: float
+    colour: str
+
+
 class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
     """A plot that follows the viewer's theme.
 
@@ -77,6 +91,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         self._labels = {"bottom": x_label, "left": y_label}
         self._curves: list[Curve] = []
         self._marks: list[tuple[float, str, str]] = []
+        self._bands: list[Band] = []
         self.setMenuEnabled(False)
         self.hideButtons()
         self._legend = pg.LegendItem(colCount=4, labelTextSize="8pt", verSpacing=-4)
@@ -108,13 +123,14 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
             axis.setTickFont(font)
             axis.label.setFont(font)
         self._legend.setLabelTextColor(self._text)
-        self.draw(self._curves, marks=self._marks, **self._labels)
+        self.draw(self._curves, marks=self._marks, bands=self._bands, **self._labels)
 
     def draw(
         self,
         curves: Sequence[Curve],
         *,
         marks: Sequence[tuple[float, str, str]] = (),
+        bands: Sequence[Band] = (),
         bottom: str | None = None,
         left: str | None = None,
     ) -> None:
@@ -126,14 +142,19 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
             What to draw.
         marks : sequence of tuple
             Vertical lines: position, colour, text.
+        bands : sequence of Band
+            Shaded behind the curves.
         bottom, left : str, optional
             New labels of the axes.
         """
-        self._curves, self._marks = list(curves), list(marks)
+        self._curves, self._marks, self._bands = list(curves), list(marks), list(bands)
         self._labels |= {side: text for side, text in (("bottom", bottom), ("left", left)) if text is not None}
         for side, text in self._labels.items():
             self.setLabel(side, text, color=self._text)
         self.plotItem.clear()
+        for band in self._bands:
+            brush = pg.mkBrush(self.ink(band.colour) + "50")
+            self.addItem(pg.LinearRegionItem((band.start, band.stop), brush=brush, pen=pg.mkPen(None), movable=False))
         short = all(len(curve.name) <= _SHORT_NAME for curve in self._curves)
         self._legend.setColumnCount(3 if short else 1)
         for curve in self._curves:

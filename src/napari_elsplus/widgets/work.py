@@ -31,10 +31,13 @@ class Work(QWidget):
     ----------
     ended : callable
         Called whenever work has ended, however it did.
+    cancel : callable
+        Called when the work is cancelled, to end what is done elsewhere.
     """
 
-    def __init__(self, ended: Callable[[], None]) -> None:
+    def __init__(self, ended: Callable[[], None], cancel: Callable[[], None] = lambda: None) -> None:
         super().__init__()
+        self._cancel_elsewhere = cancel
         self._ended = ended
         self._cancelled = Event()
         self._done = 0
@@ -94,9 +97,16 @@ class Work(QWidget):
             yield item
             self._done += 1
 
+    def tell(self, text: str, done: int, total: int) -> None:
+        """Say how far work is that is done elsewhere, with its name in the bar."""
+        self._done = done
+        self._bar.setRange(0, total)
+        self._bar.setFormat(f"{text} %p %")
+
     def cancel(self) -> None:
         """Stop at the next step."""
         self._cancelled.set()
+        self._cancel_elsewhere()
 
     def _take(self, outcome: tuple[Any, Exception | None]) -> None:
         result, error = outcome

@@ -1,0 +1,220 @@
+"""The Calibration panel's fields, buttons and plots; what they do is the panel's."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import (
+    QComboBox,
+    QDoubleSpinBox,
+    QFormLayout,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSpinBox,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from napari_elsplus.acquisition.calibrating import SWEEP_VOLTAGES
+from napari_elsplus.hardware.rigs import rig_names
+from napari_elsplus.optics import PRESETS
+from napari_elsplus.processing.draft import State, Step
+from napari_elsplus.widgets.plots import ThemedPlot
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from napari_elsplus.widgets.calibration.pictures import Picture
+
+MARKS: Final = {State.DONE: "\N{CHECK MARK}", State.STALE: "\N{WARNING SIGN}", State.MISSING: "\N{WHITE CIRCLE}"}
+"""Told apart without colour."""
+PLOTS: Final = 2
+HEADLINE_PT: Final = 17
+
+
+class Form:
+    """Fields, buttons and plots, laid out in a panel.
+
+    Parameters
+    ----------
+    panel : QWidget
+        What it fills.
+    work : QWidget
+        The progress bar.
+    theme : str
+        Name of napari's theme.
+    choose : callable
+        Called with a step that was clicked.
+    """
+
+    def __init__(self, panel: QWidget, work: QWidget, theme: str, choose: Callable[[Step], None]) -> None:
+        self._choose = choose
+        self.rig, self.preset = QComboBox(), QComboBox()
+        self.rig.addItems(rig_names())
+        self.rig.setToolTip("Rigs that are known; the simulated one is always there")
+        self.preset.addItems(list(PRESETS))
+        self.preset.setToolTip("Region of the camera and objective")
+        self.connect_button = QPushButton()
+        self.steps = {step: self._step_button(number, step) for number, step in enumerate(Step, 1)}
+        self.explanation, self.headline, self.numbers = (_text() for _ in range(3))
+        self.headline.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.target, self.voltages = QDoubleSpinBox(), QSpinBox()
+        self.target.setRange(3, 100)
+        self.target.setValue(29)
+        self.target.setSuffix(" \N{MICRO SIGN}m")
+        self.target.setToolTip("Slit offset that is wanted, either sign, 3 to 100 \N{MICRO SIGN}m; green within 1")
+        self.voltages.setRange(20, 4000)
+        self.voltages.setValue(SWEEP_VOLTAGES)
+        self.voltages.setToolTip("Steps of the sweep, 20 to 4000; the paper takes at least 400")
+        self.measure, self.watch, self.from_file = QPushButton(), QPushButton(), QPushButton("From file...")
+        self.accept, self.discard, self.undo = QPushButton("Accept"), QPushButton("Discard"), QPushButton("Undo")
+        self.load, self.save = QPushButton("Load..."), QPushButton("Save...")
+        self.load.setToolTip("Read a calibration and take it into force")
+        self.plots = [ThemedPlot("", "", theme) for _ in range(PLOTS)]
+        self._lay_out(panel, work)
+
+    @property
+    def target_um(self) -> float:
+        """The offset that is wanted."""
+        return float(self.target.value())
+
+    def remembered(self, rig: str, preset: str) -> None:
+        """Choose what was chosen last time, where it still exists."""
+        self.rig.setCurrentText(rig)
+        self.preset.setCurrentText(preset)
+
+    def follow(self, theme: str) -> None:
+        """Take the colours of one of napari's themes."""
+        for plot in self.plots:
+            plot.follow(theme)
+
+    def show_states(self, states: Mapping[Step, tuple[State, str]], now: Step) -> None:
+        """Mark each step as done, stale or missing."""
+        for number, (step, button) in enumerate(self.steps.items(), 1):
+            state, why = states[step]
+            button.setText(f"{MARKS[state]} {number} {step}")
+            button.setToolTip(f"{state}{': ' + why if why else ''}")
+            button.setChecked(step is now)
+
+    def explain(self, what: str, prepare: str) -> None:
+        """Say what the step measures, and what it needs."""
+        self.explanation.setText(f"{what}<br><i>{prepare}</i>")
+
+    def say(self, text: str) -> None:
+        """Say a line in place of the headline."""
+        self.headline.setText(text)
+
+    def show_picture(self, picture: Picture | None) -> None:
+        """Show what was found, or nothing."""
+        if picture is None:
+            self.headline.setText("not measured yet")
+            self.numbers.setText("")
+            plots: list[Any] = []
+        else:
+            ink = {None: "", True: f"color:{self.plots[0].ink('green')}", False: f"color:{self.plots[0].ink('orange')}"}
+            style = f"font-size:{HEADLINE_PT}pt; font-weight:600; {ink[picture.good]}"
+            self.headline.setText(f"<span style='{style}'>{picture.headline}</span>")
+            warn = self.plots[0].ink("vermilion")
+            said = [f"<span style='color:{warn}'>{MARKS[State.STALE]} {line}</span>" for line in picture.warnings]
+            self.numbers.setText("<br>".join([*picture.lines, *said]))
+            plots = list(picture.plots)
+        for index, widget in enumerate(self.plots):
+            if index < len(plots):
+                plot = plots[index]
+                widget.draw(plot.curves, marks=plot.marks, bands=plot.bands, bottom=plot.bottom, left=plot.left)
+            else:
+                widget.draw([])
+            widget.setVisible(index < len(plots))
+
+    def allow(
+        self,
+        *,
+        step: Step,
+        connected: bool,
+        busy: bool,
+        watching: bool,
+        needs: str,
+        candidate: bool,
+        past: bool,
+        state: State,
+    ) -> None:
+        """Enable what may be done now; what may not says why."""
+        self.connect_button.setText("Disconnect" if connected else "Connect")
+        self.connect_button.setEnabled(not busy)
+        self.rig.setEnabled(not busy and not connected)
+        self.preset.setEnabled(not busy and not connected)
+        self.measure.setText("Measure" if state is State.MISSING else "Measure again")
+        why = "connect to a rig first" if not connected else "something is being measured" if busy else needs
+        _allow(self.measure, why, f"Measure the {step} live")
+        self.watch.setVisible(step is Step.OFFSET)
+        self.watch.setText("Stop" if watching else "Watch live")
+        _allow(
+            self.watch, "" if watching else why, "Measure on and on while you turn the tilt mirror; press again to stop"
+        )
+        file_why = "something is being measured" if busy else "a file cannot show it" if step is Step.LAG else ""
+        if step is Step.FLAT:
+            file_why = file_why or needs
+        _allow(self.from_file, file_why, f"Measure the {step} from a recording")
+        nothing = "nothing new was measured" if not candidate else "stop watching first" if watching else ""
+        _allow(self.accept, nothing, "Take it into the calibration")
+        _allow(self.discard, nothing, "Forget it; the calibration stays as it was")
+        _allow(self.undo, "" if past else "nothing was accepted yet", "Go back to before the last step was accepted")
+        _allow(self.save, "", "Write the calibration, for recordings that have none of their own")
+        for plain, shown in ((self.target, Step.OFFSET), (self.voltages, Step.GALVO)):
+            plain.setVisible(step is shown)
+            label = self._options.labelForField(plain)
+            if label is not None:
+                label.setVisible(step is shown)
+
+    def _step_button(self, number: int, step: Step) -> QToolButton:
+        button = QToolButton()
+        button.setCheckable(True)
+        button.setSizePolicy(button.sizePolicy().Policy.Expanding, button.sizePolicy().Policy.Fixed)
+        button.setText(f"{number} {step}")
+        button.clicked.connect(lambda _=False, step=step: self._choose(step))
+        return button
+
+    def _lay_out(self, panel: QWidget, work: QWidget) -> None:
+        layout = QVBoxLayout(panel)
+        layout.setContentsMargins(6, 6, 6, 6)
+        layout.addLayout(_row(self.rig, self.preset, self.connect_button))
+        grid = QGridLayout()
+        for index, button in enumerate(self.steps.values()):
+            grid.addWidget(button, index // 2, index % 2)
+        layout.addLayout(grid)
+        layout.addWidget(self.explanation)
+        self._options = QFormLayout()
+        self._options.addRow("target", self.target)
+        self._options.addRow("voltages", self.voltages)
+        layout.addLayout(self._options)
+        layout.addLayout(_row(self.measure, self.watch, self.from_file))
+        layout.addWidget(work)
+        layout.addWidget(self.headline)
+        for plot in self.plots:
+            plot.setMinimumHeight(120)
+            layout.addWidget(plot, 1)
+        layout.addWidget(self.numbers)
+        layout.addLayout(_row(self.accept, self.discard, self.undo))
+        layout.addLayout(_row(self.load, self.save))
+
+
+def _allow(button: QPushButton, why_not: str, tooltip: str) -> None:
+    button.setEnabled(not why_not)
+    button.setToolTip(why_not or tooltip)
+
+
+def _text() -> QLabel:
+    label = QLabel()
+    label.setWordWrap(True)
+    return label
+
+
+def _row(*widgets: QWidget) -> QHBoxLayout:
+    row = QHBoxLayout()
+    for widget in widgets:
+        row.addWidget(widget)
+    return row

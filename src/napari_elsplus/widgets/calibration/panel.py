@@ -1,0 +1,314 @@
+"""The Calibration panel: leads through the steps, live on a rig or from files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from napari.utils.notifications import show_error, show_info
+from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import QFileDialog
+
+from napari_elsplus.acquisition.guided import GuidedCalibration
+from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.hardware.rigs import SIMULATED
+from napari_elsplus.io import open_recording, read_calibration, read_volts, write_calibration
+from napari_elsplus.processing.draft import Draft, Found, LitPair, Setup, State, Step, step_of
+from napari_elsplus.processing.stepwise import measure_step, setup_of
+from napari_elsplus.settings import put_in_force, recall, remember
+from napari_elsplus.viewing.outlines import outline_layer, summary
+from napari_elsplus.widgets.calibration.explained import EXPLAINED, PREPARE
+from napari_elsplus.widgets.calibration.explained import SIMULATED as SIMULATED_TARGETS
+from napari_elsplus.widgets.calibration.form import Form
+from napari_elsplus.widgets.calibration.pictures import Picture, picture
+from napari_elsplus.widgets.connection import join
+from napari_elsplus.widgets.panel import Panel, told
+from napari_elsplus.widgets.work import Work
+
+if TYPE_CHECKING:
+    import napari.viewer
+
+    Shown = tuple[Found, Setup, Picture]
+
+POLL_MS: Final = 100
+SECTION: Final = "calibration"
+IMAGE, OUTLINES = "calibration: bundle", "calibration: outlines"
+
+
+class CalibrationPanel(Panel):
+    """Calibrate step by step: measure, look, accept or discard, undo; save and load.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        The viewer; the bundle's image and its outlines are shown in it while the bundle pair is looked at.
+    """
+
+    def __init__(self, viewer: napari.viewer.Viewer) -> None:
+        super().__init__(viewer)
+        self.draft = Draft()
+        self.step = Step.OFFSET
+        self.candidate: Shown | None = None
+        self._accepted: dict[Step, Shown] = {}
+        self._past: list[tuple[Draft, dict[Step, Shown]]] = []
+        self._setup: Setup | None = None
+        self._watched: Shown | str | None = None
+        self._watching = False
+        self._refused: BaseException | None = None
+        self.connection = join()
+        self.work = Work(self._refresh, self._cancel)
+        self.form = Form(self, self.work, viewer.theme, self.choose)
+        self._wire()
+        self._poll = QTimer(self)
+        self._poll.setInterval(POLL_MS)
+        self._poll.timeout.connect(self._look)
+        self._poll.start()
+        self._refresh()
+
+    # what the buttons do
+
+    def connect_rig(self) -> None:
+        """Connect to the chosen rig; disconnect if one is connected."""
+        if self.connection.client is not None:
+            self._setup = None
+            self.work.begin(0, self.connection.disconnect, lambda _: None)
+        else:
+            rig, settings = self.form.rig.currentText(), Settings(self.form.preset.currentText())
+
+            def connect() -> Setup:
+                return GuidedCalibration(self.connection.connect(rig, settings)).setup()
+
+            self.work.begin(0, connect, self._connected)
+            remember(SECTION, rig=rig, preset=settings.preset)
+        self._refresh()
+
+    def choose(self, step: Step) -> None:
+        """Turn to a step."""
+        if step is not self.step:
+            self.candidate = None
+        self.step = step
+        self._refresh()
+
+    def measure(self) -> None:
+        """Measure the step live, in a thread of its own."""
+        with told():
+            guided = GuidedCalibration(self.connection.require(), self.form.voltages.value())
+            step, draft, target_um = self.step, self.draft, self.form.target.value()
+
+            def work() -> Shown:
+                setup = guided.setup()
+                found = guided.measure(step, draft)
+                return found, setup, picture(found, draft, setup, target_um)
+
+            self.work.begin(0, work, self._found)
+        self._refresh()
+
+    def watch(self) -> None:
+        """Measure the slit offset again and again until pressed once more; the last one may then be accepted."""
+        if self._watching:
+            self._watching = False
+            return
+        with told():
+            guided, draft = GuidedCalibration(self.connection.require()), self.draft
+            self._watching, self._watched = True, None
+
+            def work() -> None:
+                setup = guided.setup()
+                for found in guided.watch_offset(draft, lambda: self._watching):
+                    if isinstance(found, MeasurementError):
+                        self._watched = str(found)
+                    else:
+                        drawn = picture(found, draft, setup, self.form.target_um)
+                        self._watched = found, setup, drawn
+
+            self.work.begin(0, work, lambda _: None)
+        self._refresh()
+
+    def measure_file(self, path: str | Path, volts: str | Path | None = None) -> None:
+        """Measure the step from a recording, in a thread of its own."""
+        step, draft, target_um = self.step, self.draft, self.form.target.value()
+
+        def work() -> Shown:
+            with open_recording(path) as frames:
+                if len(frames) == 0:
+                    raise InputError(f"{Path(path).name} holds 0 frames", "choose another file")
+                given = None if volts is None else read_volts(volts)
+                setup = setup_of(frames)
+                found = measure_step(step, frames, draft, given, self.work.watch)
+            return found, setup, picture(found, draft, setup, target_um)
+
+        self.work.begin(0, work, self._found)
+        self._refresh()
+
+    def accept(self) -> None:
+        """Take what was found into the calibration, and the calibration into force."""
+        if self.candidate is None:
+            return
+        found, setup, _ = self.candidate
+        with told():
+            draft = self.draft.take(found, setup)
+            self._past.append((self.draft, dict(self._accepted)))
+            self._accepted[self.step] = self.candidate
+            self.candidate = None
+            self._take(draft)
+        self._refresh()
+
+    def discard(self) -> None:
+        """Forget what was found; the calibration stays as it was."""
+        self.candidate = None
+        self._refresh()
+
+    def undo(self) -> None:
+        """Go back to the calibration before the last step was accepted."""
+        if self._past:
+            self.candidate = None
+            draft, self._accepted = self._past.pop()
+            self._take(draft)
+        self._refresh()
+
+    def load(self, path: str | Path) -> None:
+        """Read a calibration and take it into force."""
+        with told():
+            calibration = read_calibration(path)
+            self._past.append((self.draft, dict(self._accepted)))
+            self.candidate, self._accepted = None, {}
+            self._take(Draft(calibration, bundle_um=self.draft.bundle_um))
+            put_in_force(path)
+            show_info(f"{Path(path).name}: {summary(calibration)}")
+        self._refresh()
+
+    def save(self, path: str | Path) -> None:
+        """Write the calibration, and show recordings that have none of their own with it from now on."""
+        with told():
+            written = write_calibration(path, self.draft.calibration, force=True)
+            put_in_force(written)
+            show_info(f"saved {written.name}: {summary(self.draft.calibration)}")
+
+    def cleanup(self) -> None:
+        """Stop measuring, take the layers away, let go of the engine and the viewer."""
+        self._poll.stop()
+        self.work.cancel()
+        self._show_bundle(None)
+        self.connection.leave()
+        super().cleanup()
+
+    # inside
+
+    def _wire(self) -> None:
+        form = self.form
+        remembered = recall(SECTION)
+        form.remembered(remembered.get("rig", SIMULATED), remembered.get("preset", "240hz"))
+        form.connect_button.clicked.connect(self.connect_rig)
+        form.measure.clicked.connect(self.measure)
+        form.watch.clicked.connect(self.watch)
+        form.accept.clicked.connect(self.accept)
+        form.discard.clicked.connect(self.discard)
+        form.undo.clicked.connect(self.undo)
+        form.from_file.clicked.connect(self._ask_for_recording)
+        form.load.clicked.connect(self._ask_what_to_load)
+        form.save.clicked.connect(self._ask_where_to_save)
+        self.listen(self.viewer.events.theme, self._theme_changed)
+
+    def _connected(self, setup: Setup) -> None:
+        self._setup = setup
+        self._take(self.draft)
+
+    def _found(self, shown: Shown) -> None:
+        self.choose(step_of(shown[0]))
+        self.candidate = shown
+
+    def _take(self, draft: Draft) -> None:
+        """Keep a draft, and let the engine work by it where one is connected."""
+        self.draft = draft
+        client = self.connection.client
+        if client is not None and draft.calibration.bundle is not None:
+            future = client.use(draft.calibration)
+            future.add_done_callback(lambda done: setattr(self, "_refused", done.exception()))
+
+    def _cancel(self) -> None:
+        self._watching = False
+        client = self.connection.client
+        if client is not None and self.work.busy:
+            client.cancel()
+
+    def _look(self) -> None:
+        """Ask how far it is, and what the line does; ten times a second."""
+        if self._refused is not None:
+            error, self._refused = self._refused, None
+            show_error(str(error))
+        client = self.connection.client
+        progress = None if client is None else client.status.progress
+        if self.work.busy and progress is not None:
+            self.work.tell(progress.step, progress.done, progress.total)
+        watched, self._watched = self._watched, None
+        if isinstance(watched, str):
+            self.form.say(watched)
+        elif watched is not None and self.step is Step.OFFSET:
+            self.candidate = watched
+            self.form.show_picture(watched[2])
+
+    def _refresh(self) -> None:
+        """Show the step, its state, and what may be done now."""
+        form, busy = self.form, self.work.busy
+        if not busy:
+            self._watching = False
+        connected = self.connection.client is not None
+        form.show_states({step: self.draft.state(step, self._setup) for step in Step}, self.step)
+        prepare = PREPARE[self.step]
+        if connected and self.connection.rig == SIMULATED:
+            prepare = SIMULATED_TARGETS
+        form.explain(EXPLAINED[self.step], prepare)
+        form.allow(
+            step=self.step,
+            connected=connected,
+            busy=busy,
+            watching=self._watching,
+            needs=self.draft.needs(self.step),
+            candidate=self.candidate is not None,
+            past=bool(self._past),
+            state=self.draft.state(self.step, self._setup)[0],
+        )
+        shown = self.candidate or self._accepted.get(self.step)
+        form.show_picture(None if shown is None else shown[2])
+        if shown is None and self.draft.state(self.step)[0] is not State.MISSING:
+            form.say("known from a file; measure it to see more")
+        self._show_bundle(shown)
+
+    def _show_bundle(self, shown: Shown | None) -> None:
+        """Show the bundle's image with both discs outlined while the bundle pair is looked at."""
+        lit = shown[0] if shown is not None and isinstance(shown[0], LitPair) else None
+        for name in (IMAGE, OUTLINES):
+            if name in self.viewer.layers:
+                self.viewer.layers.remove(name)
+        if lit is None or shown is None:
+            return
+        accepted = self.draft if self.draft.found.get(Step.PAIR) is lit else self.draft.take(lit, shown[1])
+        data, attributes, _ = outline_layer(accepted.calibration, OUTLINES)
+        placed = {key: attributes[key] for key in ("scale", "units") if key in attributes}
+        self.viewer.add_image(lit.image, name=IMAGE, **placed)
+        self.viewer.add_shapes(data, **attributes)
+
+    def _theme_changed(self) -> None:
+        self.form.follow(self.viewer.theme)
+        self._refresh()
+
+    def _ask_for_recording(self) -> None:
+        kinds = "Recordings (*.tif *.tiff *.avi *.npy);;All files (*)"
+        path, _ = QFileDialog.getOpenFileName(self, f"Frames for the {self.step}", "", kinds)
+        if not path:
+            return
+        volts = None
+        if self.step is Step.GALVO:
+            volts, _ = QFileDialog.getOpenFileName(self, "Voltages, one per frame", "", "Table (*.csv)")
+        self.measure_file(path, volts or None)
+
+    def _ask_what_to_load(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Load a calibration", "", "Calibration (*.json)")
+        if path:
+            self.load(path)
+
+    def _ask_where_to_save(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Save the calibration", "calibration.json", "Calibration (*.json)")
+        if path:
+            self.save(path)
