@@ -14,6 +14,7 @@ from napari_elsplus.evaluation.sectioning import mean_residual, measure_axial, w
 from napari_elsplus.figures import physics_charts as charts
 from napari_elsplus.figures.files import save_figure
 from napari_elsplus.io import replacing
+from napari_elsplus.processing.axial import fit_saturation
 from napari_elsplus.simulation.axial_response import LINE_MODELS, drop_offs
 from napari_elsplus.simulation.instrument import Instrument
 
@@ -96,7 +97,13 @@ def _offset_table(measured: dict[float, AxialResponse]) -> list[str]:
             f"| {response.els_3db.um:.1f} / {response.els_10db.um:.1f} "
             f"| {_off(response.els_3db.um, paper[0])} / {_off(response.els_10db.um, paper[1])} |"
         )
-    return rows
+    fits = [
+        fit_saturation(list(measured), [getattr(response, name).um for response in measured.values()])
+        for name in ("els_3db", "els_10db")
+    ]
+    ours = " / ".join(f"{fit.limit_um:.0f} (1 - exp(-{fit.rate_per_um:.4f} OF))" for fit in fits)
+    papers = " / ".join(f"{limit:.0f} (1 - exp(-{rate:.4f} OF))" for limit, rate in charts.PAPER_FITS.values())
+    return [*rows, f"| ELS, fit over the offsets OF | {papers} | | {ours} | |"]
 
 
 def _slit_table(measured: dict[float, AxialResponse]) -> list[str]:
