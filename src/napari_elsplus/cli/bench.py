@@ -8,13 +8,15 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from napari_elsplus.cli.options import FILE
+from napari_elsplus.cli.options import FILE, force_option
 from napari_elsplus.evaluation.harness import Chart, verdict
 from napari_elsplus.evaluation.peers import PACKAGES, environment, install
 from napari_elsplus.evaluation.registry import MODULES, benchmark
-from napari_elsplus.evaluation.table import header, lines, write_csv
+from napari_elsplus.evaluation.table import breakdowns, header, lines, markdown, write_csv
+from napari_elsplus.figures import paper
 from napari_elsplus.figures.benchmark import draw_benchmark
 from napari_elsplus.figures.files import save_figure
+from napari_elsplus.figures.pages import fill
 from napari_elsplus.io import refuse_existing
 
 if TYPE_CHECKING:
@@ -23,8 +25,11 @@ if TYPE_CHECKING:
     from napari_elsplus.evaluation.harness import Result
 
 
+PAGES = ("performance.md", "stability.md", "paper.md")
+
+
 class _Benchmarks(click.Group):
-    """``list``, ``peers``, ``docs``, and a command for each benchmark."""
+    """``list``, ``peers``, ``docs``, ``paper``, and a command for each benchmark."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [*super().list_commands(ctx), *MODULES]
@@ -42,7 +47,8 @@ def command() -> None:
 def list_benchmarks() -> None:
     """List the benchmarks."""
     for name in MODULES:
-        click.echo(f"{name:14} {benchmark(name).question}")
+        click.echo(f"{name:19} {benchmark(name).question}")
+    click.echo(f"{'paper':19} The paper's figures on the simulated rig")
 
 
 @command.command()
@@ -50,6 +56,40 @@ def peers() -> None:
     """Install the peers, each into an environment of its own."""
     for name in PACKAGES:
         click.echo(f"{name} {install(name)} in {environment(name)}")
+
+
+@command.command(name="paper")
+@click.option("--out", type=FILE, required=True, help="Folder for the figures.")
+@click.option("--quick", is_flag=True, help="Few frames: whether it runs.")
+@force_option
+def paper_figures(out: Path, quick: bool, force: bool) -> None:
+    """Draw the paper's figures on the simulated rig, and print their numbers."""
+    out.mkdir(parents=True, exist_ok=True)
+    with Console(stderr=True).status("paper") as status:
+        tables = paper.make(out, quick=quick, force=force, tell=status.update)
+    for name, table in tables.items():
+        click.echo(f"{name}\n{table}\n")
+
+
+@command.command()
+@click.option("--docs", "folder", type=FILE, required=True, help="Folder of performance.md, stability.md, paper.md.")
+@click.option("--quick", is_flag=True, help="Small cases: whether it runs, not what the pages should say.")
+@click.option("--only", multiple=True, help="A benchmark, or paper; all by default. May be given more than once.")
+def docs(folder: Path, quick: bool, only: tuple[str, ...]) -> None:
+    """Measure everything and put charts and tables into the documentation's pages."""
+    images = folder / "images"
+    images.mkdir(parents=True, exist_ok=True)
+    with Console(stderr=True).status("docs") as status:
+        for name in only or (*MODULES, "paper"):
+            if name == "paper":
+                blocks = paper.make(images, quick=quick, force=True, tell=status.update)
+            else:
+                result = benchmark(name).run(quick=quick, tell=status.update)
+                save_figure(draw_benchmark(result), images / f"bench-{name}.png", force=True)
+                failures = result.benchmark.chart is Chart.FAILURES
+                blocks = {name: breakdowns(result) if failures else markdown(result), "machine": result.machine}
+            put = [block for page in PAGES for block in fill(folder / page, blocks)]
+            click.echo(f"{name}: {', '.join(put) or 'in no page'}")
 
 
 def _measuring(name: str) -> click.Command:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from itertools import takewhile
 from math import isfinite, isnan
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,10 @@ _NUMBERS = (
     "level", "cost_us", "cost_spread_us", "warm_up_ms", "error", "error_p90",
     "items", "failed", "caught", "flagged", "silent", "false_alarms",
 )  # fmt: skip
+
+
+_OFTEN = 0.1
+"""Failures on more of the inputs than this are a breakdown."""
 
 
 def write_csv(result: Result, path: Path, *, force: bool = False) -> None:
@@ -94,6 +99,31 @@ def markdown(result: Result) -> str:
     )
     gone = [f"- Absent: {name} ({why})." for name, why in result.absent.items()]
     return "\n\n".join(part for part in (text, "\n".join([*said, *gone]), result.benchmark.remarks) if part)
+
+
+def breakdowns(result: Result) -> str:
+    """Tell for each stress and method how much is borne, where it breaks down, and whether it knew; markdown."""
+    rows = [("stress", "method", "borne up to", "at the worst level, failed", "noticed", "silent"), ("---",) * 6]
+    groups = dict.fromkeys((row.group, row.method) for row in result.rows)
+    for group, method in groups:
+        levels = [row for row in result.rows if (row.group, row.method) == (group, method)]
+        borne = [row.level for row in takewhile(lambda row: row.failed <= _OFTEN * row.items, levels)]
+        worst = max(levels, key=lambda row: row.failed / row.items)
+        rows.append(
+            (
+                group, method, f"{borne[-1]:g}" if borne else "nothing tried",
+                f"{_percent(worst.failed, worst.items)} ({worst.level:g})" if worst.failed else "none",
+                _percent(sum(r.caught + r.flagged for r in levels), sum(r.failed for r in levels)),
+                _percent(sum(r.silent for r in levels), sum(r.failed for r in levels)),
+            )
+        )  # fmt: skip
+    gone = [f"Absent: {name} ({why})." for name, why in result.absent.items()]
+    table = "\n".join("| " + " | ".join(row) + " |" for row in rows)
+    return "\n\n".join([table, *gone, result.benchmark.remarks])
+
+
+def _percent(part: int, whole: int) -> str:
+    return f"{100 * part / whole:.0f} %" if whole else "-"
 
 
 def number(value: float) -> str:

@@ -19,6 +19,8 @@ MARKERS: Final = {Role.DEFAULT: "*", Role.OPTION: "o", Role.PAPER: "s", Role.PEE
 _OFTEN: Final = 0.05
 """Methods that fail on more of the inputs than this are drawn hollow."""
 _FIELD_IN: Final = 4.6
+_LINE: Final = 0.035
+"""Height of a line of labels, as a part of the panel."""
 
 
 def draw_benchmark(result: Result) -> Figure:
@@ -76,6 +78,7 @@ def _pareto(result: Result) -> Figure:
         axes.set_ylabel(result.benchmark.error_label)
         axes.margins(x=0.25, y=0.15)
         axes.grid(visible=True, which="major", color="0.92")
+        _label_points(axes, rows)
     return figure
 
 
@@ -86,8 +89,21 @@ def _draw_point(axes: Axes, row: Row) -> None:
         row.cost_us, row.error, MARKERS[row.role], color=colour, markerfacecolor="white" if often else colour,
         markersize=13 if row.role is Role.DEFAULT else 7, zorder=3,
     )  # fmt: skip
-    label = row.method + (f" ({100 * row.failed / row.items:.0f} % fail)" if row.failed else "")
-    axes.annotate(label, (row.cost_us, row.error), (5, 4), textcoords="offset points", fontsize=7, color=colour)
+
+
+def _label_points(axes: Axes, rows: list[Row]) -> None:
+    """Write each method's name beside its point, towards the middle of the panel, and not over another's."""
+    to_panel = axes.transData + axes.transAxes.inverted()
+    places = to_panel.transform([(row.cost_us, row.error) for row in rows])
+    above = -1.0
+    for (x, y), row in sorted(zip(places.tolist(), rows, strict=True), key=lambda placed: placed[0][1]):
+        to_the_left = x > 0.5
+        above = max(y + 0.015, above + _LINE)
+        label = row.method + (f" ({100 * row.failed / row.items:.0f} % fail)" if row.failed else "")
+        axes.text(
+            x + (-0.02 if to_the_left else 0.02), above, label, transform=axes.transAxes, fontsize=7,
+            color=COLOURS[row.role], ha="right" if to_the_left else "left",
+        )  # fmt: skip
 
 
 def _shown(error: float) -> float:
