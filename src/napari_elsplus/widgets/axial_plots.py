@@ -79,7 +79,9 @@ def _bare(drop: DropOff) -> str:
 
 
 def _told(drop: DropOff) -> str:
-    return f"{drop.um:.1f} ± {drop.uncertainty_um:.2g}" if np.isfinite(drop.um) else "beyond the scan"
+    if not np.isfinite(drop.um):
+        return "beyond the scan"
+    return f"{drop.um:.1f} ± {max(drop.uncertainty_um, 0.1):.1f}"
 
 
 def _told_fit(name: str, fit: Saturation) -> str:

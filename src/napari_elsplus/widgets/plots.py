@@ -12,6 +12,7 @@ import pyqtgraph.exporters
 from napari.utils.theme import get_theme
 from qtpy.QtCore import QSize, Qt
 from qtpy.QtGui import QFont
+from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing, write_table
@@ -87,12 +88,14 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
     """
 
     def __init__(self, x_label: str, y_label: str, theme: str) -> None:
-        super().__init__()
+        others = set(QApplication.topLevelWidgets())
+        super().__init__(enableMenu=False)
+        for menu in set(QApplication.topLevelWidgets()) - others - {self}:
+            menu.setParent(self, menu.windowFlags())  # pyqtgraph leaves its menus behind without an owner
         self._labels = {"bottom": x_label, "left": y_label}
         self._curves: list[Curve] = []
         self._marks: list[tuple[float, str, str]] = []
         self._bands: list[Band] = []
-        self.setMenuEnabled(False)
         self.hideButtons()
         self._legend = pg.LegendItem(colCount=4, labelTextSize="8pt", verSpacing=-4)
         self.plotItem.layout.addItem(self._legend, 4, 1)  # below the curves, where it hides none
