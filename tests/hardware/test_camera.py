@@ -204,7 +204,6 @@ def test_unplugged_while_streaming_ends_the_stream_and_keeps_what_came(cameras) 
     begin = time.perf_counter()
     camera.close()
     assert time.perf_counter() - begin < 2
-    assert threading.active_count() < 20
     assert not [thread for thread in threading.enumerate() if thread.name == "camera stream"]
     bench.plug.unplugged = False
     with bench.open() as again:

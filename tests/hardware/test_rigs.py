@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import signal
 import subprocess
 import sys
 import textwrap
@@ -16,7 +14,6 @@ from napari_elsplus.hardware.protocols import Camera, Region, Scanner
 from napari_elsplus.hardware.rig_files import RigSettings, read_rig, write_rig
 from napari_elsplus.hardware.rigs import open_rig, rig_names
 from napari_elsplus.hardware.virtual.bench import Simulation
-from napari_elsplus.hardware.virtual.card_process import RemoteCard
 from napari_elsplus.hardware.virtual.frame_source import Circle
 from napari_elsplus.hardware.waveform import ScanTiming, StrobePhase, els_waveform
 from napari_elsplus.optics import PRESETS
@@ -150,48 +147,6 @@ def test_importing_the_hardware_needs_neither_libusb_nor_nis_driver() -> None:
         assert "nidaqmx" not in sys.modules
     """
     subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=60)
-
-
-DRIVE = """
-    import json, sys, time
-    from napari_elsplus.acquisition.guardian import Guardian
-    from napari_elsplus.hardware.rigs import open_rig
-    from napari_elsplus.hardware.virtual.bench import Simulation
-    from napari_elsplus.hardware.virtual.timeline import StrobeTrain
-    from napari_elsplus.hardware.waveform import ScanTiming, els_waveform
-    from napari_elsplus.optics import PRESETS
-    from napari_elsplus.simulation.scenes import empty
-
-    preset = PRESETS["240hz"]
-    with open_rig("simulated", Simulation(scene=empty(), own_process=True)) as rig, Guardian(rig.park):
-        timing = ScanTiming(preset.optics.line_period_s, preset.optics.rows_per_frame, 3)
-        rig.scanner.scan(els_waveform(rig.bench.optics.calibration(preset), timing, rig.limits))
-        rig.bench.card.strobe(StrobeTrain(time.perf_counter(), preset.optics.frame_period_s))
-        print(json.dumps({**rig.bench.card.place, "park_v": rig.park.volts}), flush=True)
-        time.sleep(60)
-"""
-
-
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_the_mirror_is_parked_however_the_driving_process_dies(wait_for, how) -> None:
-    """The card lives on and goes on sweeping by itself; within half a second the line is off the bundle."""
-    driver = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(DRIVE)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    )
-    place = json.loads(driver.stdout.readline())
-    driver.stdout.close()
-    with RemoteCard(place) as card:
-        wait_for(lambda: len({card.last_volts for _ in range(20)}) > 5)  # it sweeps
-        driver.send_signal(how)
-
-        def at_rest() -> bool:
-            return {card.last_volts for _ in range(5)} == {place["park_v"]}
-
-        took = wait_for(at_rest)
-        assert driver.wait(10) == {signal.SIGKILL: -9, signal.SIGTERM: 143, signal.SIGINT: -2}.get(how)
-        assert at_rest()
-    if how is signal.SIGKILL:
-        assert took < 0.5
 
 
 def test_a_card_in_its_own_process_shows_the_bench_what_it_does() -> None:

@@ -13,7 +13,15 @@ import numpy as np
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.hardware.u3v.discovery import told_by_usb
-from napari_elsplus.hardware.u3v.packets import MONO8, Leader, PacketError, Trailer, parse_leader, parse_trailer
+from napari_elsplus.hardware.u3v.packets import (
+    MONO8,
+    TRAILER_MAGIC,
+    Leader,
+    PacketError,
+    Trailer,
+    parse_leader,
+    parse_trailer,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,7 +36,7 @@ MAX_LEADER, TRANSFER_BYTES, TRANSFER_COUNT, FINAL_1, FINAL_2, MAX_TRAILER = 0x18
 TRANSFER: Final = 1 << 20
 SMALL: Final = 1024
 """Buffers for leader and trailer; a whole packet of a USB 3 bulk endpoint."""
-POLL_MS: Final = 100
+POLL_MS: Final = 50
 DEPTH: Final = 32
 """Frames that wait for their reader: an eighth of a second at 240 Hz, for a computer that is busy elsewhere."""
 SURPLUS: Final = 1 << 16
@@ -249,6 +257,7 @@ class Stream:
         """Read until a packet ends a frame, so that the next one can be a leader."""
         for _ in range(16):
             for transfer in self._spill.transfers:
-                count = self._read_transfer(transfer)
-                if self._stopping.is_set() or count == 0 or transfer[:4].tobytes() == b"U3VT":
+                if self._stopping.is_set():
+                    return
+                if self._read_transfer(transfer) == 0 or transfer[:4].tobytes() == TRAILER_MAGIC:
                     return

@@ -32,7 +32,8 @@ class DaemonPool(futures.Executor):
     """
 
     def __init__(self, threads: int = 4) -> None:
-        self._work: queue.SimpleQueue[tuple[futures.Future[Any], Callable[[], Any]]] = queue.SimpleQueue()
+        self._work: queue.SimpleQueue[tuple[futures.Future[Any], Callable[[], Any]] | None] = queue.SimpleQueue()
+        self._threads = threads
         for _ in range(threads):
             threading.Thread(target=self._serve, name="virtual card", daemon=True).start()
 
@@ -42,9 +43,15 @@ class DaemonPool(futures.Executor):
         self._work.put((future, lambda: fn(*args, **kwargs)))
         return future
 
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Let the threads end once the queued calls are done; nobody waits for them."""
+        del wait, cancel_futures
+        for _ in range(self._threads):
+            self._work.put(None)
+
     def _serve(self) -> None:
-        while True:
-            future, call = self._work.get()
+        while (work := self._work.get()) is not None:
+            future, call = work
             try:
                 future.set_result(call())
             except BaseException as error:  # noqa: BLE001 - handed to whoever waits for the future
@@ -170,7 +177,8 @@ class CardServer:
     """
 
     def __init__(self, card: VirtualCard) -> None:
-        self._server = grpc.server(DaemonPool())
+        self._pool = DaemonPool()
+        self._server = grpc.server(self._pool)
         handlers = {name: self._handler(*answer) for name, answer in answers(card).items()}
         self._server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
         self.address = f"127.0.0.1:{self._server.add_insecure_port('127.0.0.1:0')}"
@@ -178,7 +186,8 @@ class CardServer:
 
     def close(self) -> None:
         """Stop serving."""
-        self._server.stop(None)
+        self._server.stop(None).wait()
+        self._pool.shutdown()
 
     def __enter__(self) -> Self:
         return self

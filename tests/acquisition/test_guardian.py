@@ -1,0 +1,103 @@
+"""However the process that drives the mirror dies, the line is off the bundle within half a second."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+
+import pytest
+
+from napari_elsplus.acquisition.guardian import Guardian, guard
+from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.parking import ParkOrder
+from napari_elsplus.hardware.virtual.card import VirtualCard
+from napari_elsplus.hardware.virtual.card_process import RemoteCard
+from napari_elsplus.hardware.virtual.grpc_server import CardServer
+from napari_elsplus.optics import PRESETS
+from napari_elsplus.simulation.instrument import Instrument
+
+PRESET = PRESETS["240hz"]
+DRIVE = """
+    import json, time
+    from napari_elsplus.acquisition.guardian import Guardian
+    from napari_elsplus.hardware.rigs import open_rig
+    from napari_elsplus.hardware.virtual.bench import Simulation
+    from napari_elsplus.hardware.virtual.timeline import StrobeTrain
+    from napari_elsplus.hardware.waveform import ScanTiming, els_waveform
+    from napari_elsplus.optics import PRESETS
+    from napari_elsplus.simulation.scenes import empty
+
+    preset = PRESETS["240hz"]
+    with open_rig("simulated", Simulation(scene=empty(), own_process=True)) as rig, Guardian(rig.park):
+        timing = ScanTiming(preset.optics.line_period_s, preset.optics.rows_per_frame, 3)
+        rig.scanner.scan(els_waveform(rig.bench.optics.calibration(preset), timing, rig.limits))
+        rig.bench.card.strobe(StrobeTrain(time.perf_counter(), preset.optics.frame_period_s))
+        print(json.dumps(rig.bench.card.place), flush=True)
+        time.sleep(60)
+"""
+
+
+def seconds_until(condition: Callable[[], bool]) -> float:
+    begin = time.perf_counter()
+    while not condition():
+        assert time.perf_counter() - begin < 5, "it never came to that"
+    return time.perf_counter() - begin
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+@pytest.mark.parametrize("how", ["SIGKILL", "SIGTERM", "SIGINT"])
+def test_the_mirror_is_parked_however_the_driving_process_dies(how) -> None:
+    """The card lives on, and goes on sweeping by itself until somebody stops it."""
+    driver = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(DRIVE)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    place = json.loads(driver.stdout.readline())
+    driver.stdout.close()
+    instrument = Instrument.of(PRESET.name)
+    top = instrument.left_centre[0] - instrument.diameter_px / 2
+
+    def clearances_um() -> set[float]:
+        """Where the line stands above the bundle, some milliseconds long."""
+        rows = ((card.last_volts - instrument.volts_at_row_zero) / instrument.volts_per_row for _ in range(20))
+        return {instrument.optics.um(top - row) for row in rows}
+
+    with RemoteCard(place) as card:
+        seconds_until(lambda: len(clearances_um()) > 5)  # it sweeps
+        driver.send_signal(getattr(signal, how))
+        took = seconds_until(lambda: min(clearances_um()) > 99.9)
+        assert driver.wait(10) == {"SIGKILL": -9, "SIGTERM": 143, "SIGINT": -2}[how]
+        assert min(clearances_um()) > 99.9
+    if how == "SIGKILL":
+        assert took < 0.5
+
+
+def test_a_dismissed_guardian_leaves_the_mirror_alone() -> None:
+    card = VirtualCard()
+    with CardServer(card) as server:
+        with Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)) as guardian:
+            assert card.last_volts == 0.0
+        assert card.last_volts == 0.0
+        assert guardian._process.returncode == 0
+
+
+@pytest.mark.parametrize(("end", "volts"), [("", -0.7), ("farewell\n", 0.0)])
+def test_orders_that_end_without_a_farewell_are_carried_out(end, volts) -> None:
+    card = VirtualCard()
+    with CardServer(card) as server:
+        order = json.dumps(asdict(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)))
+        answers = io.StringIO()
+        guard(io.StringIO(f"{order}\n{end}"), answers)
+    assert answers.getvalue() == "ready\n"
+    assert card.last_volts == volts
+
+
+def test_a_guardian_that_cannot_reach_the_card_does_not_pretend_to_watch() -> None:
+    with pytest.raises(DeviceError, match="guardian did not start"):
+        Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, "127.0.0.1:9"))
