@@ -14,6 +14,7 @@ import tifffile
 from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import RecordingWriter, open_recording, read_calibration
+from napari_elsplus.io.pages import PageLayout
 
 CALIBRATION = Calibration.parse(
     {
@@ -210,6 +211,7 @@ def test_a_full_disk_is_said_once_and_keeps_what_was_written(tmp_path):
     assert "ended after 14 frames" in said[0]
     assert closed
     assert run.stderr == ""
+    assert path.stat().st_size == PageLayout((100, 200), np.dtype(np.uint8)).start(14)  # no half page is left
     with open_recording(path) as recording:
         assert len(recording) == count == 14
         assert recording[:].max(axis=(1, 2)).tolist() == list(range(14))
