@@ -133,6 +133,22 @@ def test_a_device_that_always_asks_for_time_does_not_get_all_of_it(monkeypatch) 
         control.Control(Busy([]), ENDS)
 
 
+def test_an_answer_that_comes_too_late_is_not_taken_for_the_next_one() -> None:
+    class Late(Liar):
+        def write(self, endpoint: int, data: bytes, timeout_ms: int) -> int:
+            before = list(self.answers)
+            super().write(endpoint, data, timeout_ms)
+            stale = bytearray(self.answers[0])
+            stale[10:12] = struct.pack("<H", (self.request_id - 1) % 0x10000)  # the request before
+            stale[12:] = b"\x55" * (len(stale) - 12)
+            self.answers = [*before, bytes(stale), *self.answers]
+            return len(data)
+
+    channel = control.Control(Late([0x10000, 512, 512, 0x20000, 4711]), ENDS)
+    assert channel.sirm == 0x20000
+    assert channel.read_number(0x1000) == 4711
+
+
 def test_a_refused_register_says_why() -> None:
     with pytest.raises(control.RegisterError, match="invalid address"):
         control.Control(Liar([], status=0x8003), ENDS)
