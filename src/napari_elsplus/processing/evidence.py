@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 RIVAL_PX: Final = 4.0
 """Distance of the nearest rivals of a shift."""
 _HELD: Final = 1e8
+_BEST_CORRELATION: Final = 0.995
 _ROW_STEP: Final = 2
 _BEYOND_DOUBT: Final = 1.0
 """Evidence against the nearest rivals, nats per pixel, that makes farther ones needless."""
@@ -91,8 +92,11 @@ def rival_evidence(
 
 @kernel
 def evidence_between(found: float, other: float) -> float:
-    """Evidence of one correlation against another, nats per pixel; perfect agreement counts as 0.999."""
-    explained, rival = min(max(found, 0.0), 0.999), min(max(other, 0.0), 0.999)
+    """Evidence of one correlation against another, nats per pixel.
+
+    Better agreement than what is left of the core pattern allows is chance, and not counted.
+    """
+    explained, rival = min(max(found, 0.0), _BEST_CORRELATION), min(max(other, 0.0), _BEST_CORRELATION)
     return float(0.5 * np.log((1 - rival**2) / (1 - explained**2)))
 
 

@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.evaluation.against_truth import TrackErrors
+from napari_elsplus.evaluation.mosaicing import METHODS, Judged, Outcome, Scenario
+from napari_elsplus.figures.mosaicing import draw_errors, draw_gate, draw_mosaics, make, table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
+
+
+def made() -> dict[str, Outcome]:
+    image = np.random.default_rng(0).random((50, 400)).astype(np.float32)
+    errors = TrackErrors(10, 9, 1, 0.0123, 2, 0.0456, 100.0)
+    return {method: Outcome(errors, np.linspace(0, 2, 10), image, image, 0.987) for method in METHODS}
+
+
+@pytest.mark.parametrize(
+    "figure", [draw_mosaics(made()), draw_errors(made()), draw_gate([Judged(0.5, 0.99, 0.1), Judged(0.0, 0.98, 9.0)])]
+)
+def test_pictures_are_drawn(figure: Figure, tmp_path: Path) -> None:
+    figure.savefig(tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").stat().st_size > 5000
+
+
+def test_table_has_a_line_for_every_method() -> None:
+    lines = table({Scenario("fibres", "spiral", 16_000.0, 80): made()})
+    assert len(lines) == 2 + len(METHODS)
+    assert lines[-1] == "| fibres, spiral, 16 mm/s | ours | 0.012 | 0.046 | 2 | 9 of 10 | 0.987 |"
+
+
+def test_a_page_without_a_place_for_the_table_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no"):
+        make(tmp_path)
+    (tmp_path / "mosaicing.md").write_text("# Tracking")
+    with pytest.raises(InputError, match="no place for its table"):
+        make(tmp_path)
