@@ -10,7 +10,8 @@ import sys
 from pathlib import Path
 
 from napari_elsplus.acquisition.process import run
-from napari_elsplus.hardware.daq import CardSettings, DaqScanner
+from napari_elsplus.hardware.card_output import CardSettings
+from napari_elsplus.hardware.daq import DaqScanner
 from napari_elsplus.hardware.parking import park_order
 
 small = runpy.run_path(str(Path(__file__).with_name("conftest.py")))

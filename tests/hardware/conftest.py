@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from napari_elsplus.calibration import Calibration
-from napari_elsplus.hardware.daq import CardSettings
+from napari_elsplus.hardware.card_output import CardSettings
 from napari_elsplus.hardware.flea3 import Flea3
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera

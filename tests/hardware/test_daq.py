@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.daq import CardSettings, DaqScanner
+from napari_elsplus.hardware.card_output import CardSettings
+from napari_elsplus.hardware.daq import DaqScanner
 from napari_elsplus.hardware.protocols import Scanner
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain, volts_at
 from napari_elsplus.hardware.waveform import MirrorLimits, ScanTiming, Waveform, els_waveform, elsa_waveform
@@ -214,7 +215,8 @@ def test_an_exception_in_the_caller_parks(cards, ramp, wait_for) -> None:
 
 def test_a_program_that_ends_without_closing_parks_at_exit() -> None:
     code = """
-        from napari_elsplus.hardware.daq import CardSettings, DaqScanner
+        from napari_elsplus.hardware.card_output import CardSettings
+from napari_elsplus.hardware.daq import DaqScanner
         from napari_elsplus.hardware.virtual.card import VirtualCard
         from napari_elsplus.hardware.virtual.grpc_server import CardServer
         from napari_elsplus.hardware.waveform import MirrorLimits

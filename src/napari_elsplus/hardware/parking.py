@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.daq import CardSettings, Output, open_options
+from napari_elsplus.hardware.card_output import CardSettings, Output, open_options
 from napari_elsplus.hardware.daq_errors import told_by_the_card
 from napari_elsplus.hardware.waveform import MirrorLimits
 

@@ -13,7 +13,7 @@ from platformdirs import user_config_path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.daq import CardSettings
+from napari_elsplus.hardware.card_output import CardSettings
 from napari_elsplus.hardware.flea3 import Flea3
 from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase
 from napari_elsplus.optics import LINE_RATE_HZ

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.scan_path import LEAD_IN_S, TURN_S, ScanPath
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,9 +33,6 @@ MIN_SAMPLE_RATE_HZ: Final = 20_000.0
 REARM_S: Final = 16e-6
 """The counter is deaf for so long before the next strobe; the last sample is held."""
 BRIDGE_SAMPLES: Final = 24
-TURN_S: Final = 0.9e-3
-LEAD_IN_S: Final = 0.5e-3
-"""With time to spare the mirror turns, rests above the image and runs up again, instead of flying through."""
 
 
 class StrobePhase(StrEnum):
@@ -254,7 +252,7 @@ def ramp_waveform(
     begin, end = timing.time_s(rows[0] - 0.5 * timing.slit_rows), timing.time_s(rows[1] + 0.5 * timing.slit_rows)
     spare = period - (end - begin) - TURN_S - LEAD_IN_S
     guard = min(max(galvo.lag_s, 0.0), max(spare, 0.0) / 5)  # the ramp goes on while the mirror forgets the flyback
-    path = _Path(begin - 4 * guard, end + guard, timing, shifts_rows)
+    path = ScanPath(begin - 4 * guard, end + guard, timing, shifts_rows)
     fine = ceil(period * rate)  # samples of a card that were never deaf
     middles = (np.arange(fine) + 0.5) / rate  # a sample's value stands for its middle
     times = (np.arange(count)[:, None] * period + middles).ravel() + galvo.lag_s - carried
@@ -285,78 +283,6 @@ def _bridge(drive: Volts, samples: int, period: float) -> Volts:
     wrong = moments @ drive[:, first:].T - merged @ short[:, first:].T
     short[:, first:] += (np.linalg.pinv(merged) @ wrong).T
     return short
-
-
-class _Path:
-    """Row of the line against time over all ramps: on the slit while rows are exposed, smooth throughout."""
-
-    def __init__(self, begin_s: float, end_s: float, timing: ScanTiming, shifts_rows: tuple[float, ...]) -> None:
-        self.timing, self.shifts = timing, shifts_rows
-        self.begin_s, self.end_s = begin_s, end_s
-        self.speed = 1 / timing.line_period_s
-        self.free_s = timing.frame_period_s - (end_s - begin_s)
-        if self.free_s <= 0:
-            raise InputError(
-                f"{(end_s - begin_s) * self.speed:.0f} rows are exposed in a frame of {timing.rows_per_frame:.1f}",
-                "nothing is left for the flyback: choose a lower frame rate",
-            )
-
-    def __call__(self, times_s: Volts) -> tuple[Volts, Volts, Volts]:
-        """Row, rows per second, rows per second squared."""
-        period = self.timing.frame_period_s
-        frame = np.floor((times_s - self.begin_s) / period)
-        t = times_s - frame * period  # from begin_s on
-        shift = np.asarray(self.shifts)
-        here = shift[frame.astype(int) % len(shift)]
-        there = shift[(frame.astype(int) + 1) % len(shift)]
-        on_slit = self.timing.slit_row(t)
-        top, bottom = self.timing.slit_row(np.array([self.begin_s, self.end_s]))
-        back = t - self.end_s
-        turn = (back >= 0) & (back < self._turn_s)
-        lead = back >= self.free_s - self._lead_s
-        rest = (back >= self._turn_s) & ~lead
-        row, speed, bend = on_slit + here, np.full_like(t, self.speed), np.zeros_like(t)
-        if not self._rests:
-            fly = back >= 0
-            row[fly], speed[fly], bend[fly] = _quintic(
-                back[fly] / self.free_s, self.free_s, bottom + here[fly], self.speed, top + there[fly], self.speed
-            )
-            return row, speed, bend
-        resting = top + there - self.speed * self._lead_s / 2
-        row[turn], speed[turn], bend[turn] = _quintic(
-            back[turn] / self._turn_s, self._turn_s, bottom + here[turn], self.speed, resting[turn], 0.0
-        )
-        row[rest], speed[rest] = resting[rest], 0.0
-        run = (back[lead] - (self.free_s - self._lead_s)) / self._lead_s
-        row[lead], speed[lead], bend[lead] = _quintic(
-            run, self._lead_s, resting[lead], 0.0, top + there[lead], self.speed
-        )
-        return row, speed, bend
-
-    @property
-    def _rests(self) -> bool:
-        return self.free_s >= TURN_S + LEAD_IN_S
-
-    @property
-    def _turn_s(self) -> float:
-        return TURN_S if self._rests else self.free_s
-
-    @property
-    def _lead_s(self) -> float:
-        return LEAD_IN_S if self._rests else 0.0
-
-
-def _quintic(
-    u: Volts, span_s: float, start: Volts, start_speed: float, end: Volts, end_speed: float
-) -> tuple[Volts, Volts, Volts]:
-    """Smoothest path (least jerk) between two rows and speeds, unaccelerated at both ends; `u` runs from 0 to 1."""
-    v0, v1 = start_speed * span_s, end_speed * span_s
-    way = end - start
-    c3, c4, c5 = 10 * way - 6 * v0 - 4 * v1, -15 * way + 8 * v0 + 7 * v1, 6 * way - 3 * v0 - 3 * v1
-    row = start + u * (v0 + u * u * (c3 + u * (c4 + u * c5)))
-    speed = (v0 + u * u * (3 * c3 + u * (4 * c4 + 5 * u * c5))) / span_s
-    bend = u * (6 * c3 + u * (12 * c4 + 20 * u * c5)) / span_s**2
-    return row, speed, bend
 
 
 def _refuse_too_fast(slew: float, acceleration: float, limits: MirrorLimits) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.daq import CardSettings, DaqScanner
+from napari_elsplus.hardware.card_output import CardSettings
+from napari_elsplus.hardware.daq import DaqScanner
 from napari_elsplus.hardware.flea3 import Flea3
 from napari_elsplus.hardware.parking import park_order
 from napari_elsplus.hardware.rigs import SIMULATED, Rig, VirtualBench
