@@ -216,7 +216,7 @@ def test_an_exception_in_the_caller_parks(cards, ramp, wait_for) -> None:
 def test_a_program_that_ends_without_closing_parks_at_exit() -> None:
     code = """
         from napari_elsplus.hardware.card_output import CardSettings
-from napari_elsplus.hardware.daq import DaqScanner
+        from napari_elsplus.hardware.daq import DaqScanner
         from napari_elsplus.hardware.virtual.card import VirtualCard
         from napari_elsplus.hardware.virtual.grpc_server import CardServer
         from napari_elsplus.hardware.waveform import MirrorLimits
