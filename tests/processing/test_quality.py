@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.quality import alignment_error, contrast, white_level
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.quality import alignment_error, contrast, edge_artefact, white_level
 from napari_elsplus.processing.sectioning import disc
 
 
@@ -36,3 +37,13 @@ def test_contrast_falls_with_a_pedestal() -> None:
     assert contrast(image, inside).michelson == pytest.approx(0.8, abs=0.02)
     assert contrast(image + 100, inside).michelson == pytest.approx(0.8 / 3, abs=0.02)
     assert contrast(image - 20, inside).michelson == 1
+
+
+def test_edge_artefact_is_the_mean_over_its_middle() -> None:
+    shading = np.linspace(0, 2, 301) + np.zeros((301, 1))
+    noisy = (shading * level for level in (10.0, 30.0))
+    assert edge_artefact(noisy) == pytest.approx(shading, abs=0.01)
+    with pytest.raises(MeasurementError, match="0 residual images"):
+        edge_artefact([])
+    with pytest.raises(MeasurementError, match="dark"):
+        edge_artefact([np.zeros((150, 150))])

@@ -50,6 +50,7 @@ def command(raw: Path, calibration: Path, mode: str, cores: str, flat_field: boo
             progress(images, describe=mode, total=len(images)),
             um_per_px=None if optics is None else optics.um_per_px,
             frame_period_s=frame_period_s,
+            metadata={"mode": mode},
             calibration=record,
             force=force,
         )

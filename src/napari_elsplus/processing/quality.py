@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.sectioning import disc
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
 SATURATED_FRACTION: Final = 1e-4
@@ -101,3 +104,37 @@ def contrast(image: NDArray[np.floating], inside: NDArray[np.bool_]) -> Contrast
     """
     background, structure = np.quantile(image[inside], (0.1, 0.9))
     return Contrast(float(background), float(structure))
+
+
+def edge_artefact(residuals: Iterable[NDArray[np.floating]]) -> NDArray[np.float64]:
+    """Mean residual image over its central level: where the clipped line leaves the residual short of light.
+
+    Parameters
+    ----------
+    residuals : iterable of numpy.ndarray
+        Residual images (n, n) of a moving probe; the paper averages about 300.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n, n) float64; 1 in the central 100 x 100 pixels, 0 where no line reaches.
+
+    Raises
+    ------
+    MeasurementError
+        If there is no image, or no light in the middle.
+
+    References
+    ----------
+    Thrapp and Hughes, "Edge Effect Artefacts".
+    """
+    total: NDArray[np.float64] | None = None
+    for image in residuals:
+        total = image.astype(np.float64) if total is None else total + image
+    if total is None:
+        raise MeasurementError("there are 0 residual images", "record a moving probe")
+    low = max(0, len(total) // 2 - 50)
+    middle = float(total[low : low + 100, low : low + 100].mean())
+    if not middle > 0:
+        raise MeasurementError(f"the middle of the residual images is dark ({middle:g})", "is the laser on?")
+    return total / middle
