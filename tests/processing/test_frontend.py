@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.calibration import Calibration
-from napari_elsplus.errors import CalibrationError
+from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.processing.frontend import FrontEnd
 from napari_elsplus.processing.grid import Grid
 from napari_elsplus.processing.sectioning import Mode
@@ -107,3 +107,11 @@ def test_views_outside_of_the_frame_are_refused() -> None:
         FrontEnd(calibration(), (400, 1328))
     with pytest.raises(CalibrationError, match="background"):
         FrontEnd(calibration().model_copy(update={"background": np.zeros((9, 9), np.float32)}), SHAPE)
+
+
+def test_frames_of_another_size_are_refused() -> None:
+    front_end = FrontEnd(calibration(), SHAPE)
+    out = np.empty((front_end.grid.side,) * 2, np.float32)
+    for frames in ((np.zeros((300, 600), np.uint8),), (np.zeros(SHAPE, np.uint8), out, np.zeros((9, 9), np.uint8))):
+        with pytest.raises(InputError, match="all frames of a recording must have one size"):
+            front_end.image(frames[0], out, *frames[2:])

@@ -108,3 +108,13 @@ def test_one_frame_is_a_track_of_one() -> None:
     pipeline = track(truth)
     assert [(row.state, row.row_px, row.col_px) for row in pipeline.rows] == [(State.TRACKED, 0.0, 0.0)]
     assert len(pipeline.mosaics) == 1
+
+
+def test_frames_of_nan_are_lost_and_spoil_no_others() -> None:
+    truth = record(texture(1000, 4), smooth_path(12, 12.0, 1000, 4))
+    frames = truth.frames.astype(np.float32)
+    frames[6] = np.nan
+    broken = Truth(frames, truth.calibration, truth.positions, truth.starts, truth.scene)  # type: ignore[arg-type]
+    pipeline = track(broken)
+    assert [row.state for row in pipeline.rows] == ["tracked"] * 6 + ["predicted"] + ["tracked"] * 5
+    assert np.isfinite(pipeline.mosaics[0].read()[0]).all()

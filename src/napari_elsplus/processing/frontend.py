@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.compiled import kernel
-from napari_elsplus.errors import CalibrationError
+from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.processing.grid import Grid
 from napari_elsplus.processing.sectioning import Mode
 
@@ -46,6 +46,7 @@ class FrontEnd:
 
     def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode = Mode.ELS) -> None:
         self.grid = grid = Grid.of(calibration)
+        self._frame_shape = (int(frame_shape[0]), int(frame_shape[1]))
         assert calibration.bundle is not None
         bundle, q = calibration.bundle, grid.binning
         to_residual = np.linalg.inv(np.vstack([bundle.residual_to_confocal, (0.0, 0.0, 1.0)]))[:2]
@@ -80,7 +81,28 @@ class FrontEnd:
     def image(
         self, raw: NDArray[Any], out: NDArray[np.float32], raw_residual: NDArray[Any] | None = None
     ) -> NDArray[np.float32]:
-        """Fill `out` (n, n) with signed grey levels; ELSA takes the residual from another frame, `raw_residual`."""
+        """Make the tracking image of a raw frame.
+
+        Parameters
+        ----------
+        raw : numpy.ndarray
+            (rows, cols) raw frame, integer or float.
+        out : numpy.ndarray
+            (n, n) float32: filled with signed grey levels.
+        raw_residual : numpy.ndarray, optional
+            The frame that the residual is taken from, in ELSA.
+
+        Raises
+        ------
+        InputError
+            If a frame has another size.
+        """
+        for frame in (raw, raw_residual):
+            if frame is not None and frame.shape != self._frame_shape:
+                raise InputError(
+                    f"a frame has {frame.shape} pixels, the calibration is for {self._frame_shape}",
+                    "all frames of a recording must have one size",
+                )
         self._accumulate(raw, raw if raw_residual is None else raw_residual)
         smooth(self._sum, self._scale, self._offset, self._line, out)
         return out
