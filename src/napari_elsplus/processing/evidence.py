@@ -60,7 +60,7 @@ def rival_evidence(
         Nats per pixel of the overlap, 0.5 ln((1 - rival^2) / (1 - found^2)) of the correlations; 0 where nothing is
         known.
     """
-    across, along, a_follows, s_follows = weakest_direction(information)
+    _, across, along, a_follows, s_follows = weakest_direction(information)
     if across == 0.0 and along == 0.0:
         return 0.0
     unit = np.array([1.0, 2.0, 1.0, 2.0])  # from half to full resolution
@@ -101,15 +101,16 @@ def evidence_between(found: float, other: float) -> float:
 
 
 @kernel
-def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Direction (rows, cols) in which a shift is known least; and what stretch and shear do per pixel along it.
+def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
+    """How well a shift is known in the direction in which it is known least.
 
-    All zero where nothing is known.
+    Returns one standard deviation in pixels, the direction (rows, cols), and what stretch and shear do per pixel along
+    it; infinite and zero where nothing is known.
     """
     aa, shear, ss = information[0, 0], information[0, 2], information[2, 2]
     determinant = aa * ss - shear * shear
     if not determinant > 0:
-        return 0.0, 0.0, 0.0, 0.0
+        return np.inf, 0.0, 0.0, 0.0, 0.0
     # follow: how stretch and shear make up for a shift; what is left is known of the shift itself
     follow = np.empty((2, 2))
     for n, t in enumerate((1, 3)):
@@ -119,10 +120,12 @@ def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, f
     both = information[1, 3] + information[1, 0] * follow[0, 1] + information[1, 2] * follow[1, 1]
     cols = information[3, 3] + information[3, 0] * follow[0, 1] + information[3, 2] * follow[1, 1]
     if not (rows > 0 and cols > 0):
-        return 0.0, 0.0, 0.0, 0.0
+        return np.inf, 0.0, 0.0, 0.0, 0.0
     angle = 0.5 * np.arctan2(2 * both, rows - cols)  # of the direction known best
     across, along = -np.sin(angle), np.cos(angle)
+    known = across * across * rows + 2 * across * along * both + along * along * cols
     return (
+        1 / np.sqrt(known) if known > 0 else np.inf,
         across,
         along,
         follow[0, 0] * across + follow[0, 1] * along,

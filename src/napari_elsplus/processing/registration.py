@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.compiled import kernel
-from napari_elsplus.processing.evidence import RIVAL_PX, evidence_between, rival_evidence
+from napari_elsplus.processing.evidence import RIVAL_PX, evidence_between, rival_evidence, weakest_direction
 from napari_elsplus.processing.lucas_kanade import align
 from napari_elsplus.processing.motion import Warp
 from napari_elsplus.processing.shift_search import LEAST_OVERLAP, ShiftSearch, prior, support
@@ -74,6 +74,11 @@ class Link(NamedTuple):
     def observed(self) -> bool:
         """Whether the frames themselves say that this is the shift, and no other near it."""
         return self.evidence >= LEAST_EVIDENCE and self.overlap >= LEAST_OVERLAP
+
+    @property
+    def sigma(self) -> float:
+        """Larger axis of the shift's uncertainty, one standard deviation in pixels."""
+        return float(weakest_direction(self.information)[0])
 
     @property
     def covariance(self) -> NDArray[np.float64]:
@@ -183,8 +188,7 @@ class Registrar:
         expected = warp.copy()
         scores = (0.0, 0.0)
         for level, steps, tolerance_px, row_step, stiff in _SCHEDULE:
-            scale = 2.0**level
-            unit = np.array([1.0, scale, 1.0, scale])
+            unit, units = _UNITS[level]
             scaled = warp / unit
             first, last = self._spans[level]
             scores = align(
@@ -197,8 +201,8 @@ class Registrar:
                 steps,
                 tolerance_px,
                 expected / unit,
-                _RIGID if stiff else stiffness * np.outer(unit, unit),
-                _CORRELATED_PX / row_step / scale**2 if level == 0 else _CORRELATED_PX / scale**2,
+                _RIGID if stiff else stiffness * units,
+                _CORRELATED_PX / row_step / 4**level,
                 scaled,
                 information,
             )
@@ -230,6 +234,9 @@ class Registrar:
 
 
 _ROW_STEP: Final = 2
+_UNIT: Final = [np.array([1.0, 2.0**level, 1.0, 2.0**level]) for level in range(LEVELS)]
+_UNITS: Final = [(unit, np.outer(unit, unit)) for unit in _UNIT]
+"""What a warp and its information are counted in at each level of the pyramid."""
 _RIGID: Final = np.diag([1e12, 0.0, 1e12, 0.0])
 _SCHEDULE: Final = ((2, 12, 0.2, 1, True), (1, 10, 0.1, 1, False), (0, 6, 0.02, _ROW_STEP, False))
 """Level of the pyramid, steps, tolerance, every how many rows, whether only the translation is free."""

@@ -258,5 +258,4 @@ class Tracker:
         self._last = here
         known = isfinite(self._usual)
         self._usual = self._usual + _MEMORY * (link.correlation - self._usual) if known else link.correlation
-        sigma = float(np.sqrt(np.linalg.eigvalsh(link.covariance)[-1]))
-        return Pose(self._segment, here.row, here.col, here.velocity, link.correlation, sigma, State.TRACKED)
+        return Pose(self._segment, here.row, here.col, here.velocity, link.correlation, link.sigma, State.TRACKED)
