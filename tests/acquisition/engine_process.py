@@ -18,7 +18,7 @@ small = runpy.run_path(str(Path(__file__).with_name("conftest.py")))
 
 
 def open_rig(name: str) -> object:
-    if name != "small":
+    if name not in ("small", "simulated"):
         raise small["DeviceError"](f"there is no rig {name!r}", "choose small")
     rig = small["SmallRig"]()
     if len(sys.argv) > 2:

@@ -20,7 +20,7 @@ from napari_elsplus.acquisition.status import Status
 from napari_elsplus.errors import DeviceError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -66,6 +66,7 @@ class EngineClient:
         self._waiting: dict[int, Future[Any]] = {}
         self._lock = Lock()
         self._status = Status()
+        self._calibration: Calibration | None = None
         self._died: DeviceError | None = None
         self._closing = False
         self._ring: SharedRing | None = None
@@ -84,7 +85,9 @@ class EngineClient:
 
     def use(self, calibration: Calibration | None) -> Future[None]:
         """Take a calibration into force."""
-        return self._ask("use", calibration)
+        asked = self._ask("use", calibration)
+        asked.add_done_callback(lambda done: self._keep(done, lambda _: calibration))
+        return asked
 
     def show(self, view: View) -> Future[None]:
         """Choose how live images are made."""
@@ -147,7 +150,9 @@ class EngineClient:
 
     def calibrate_simulated(self) -> Future[tuple[Findings, ScanLag]]:
         """Let the simulated rig calibrate itself."""
-        return self._ask("calibrate_simulated")
+        asked = self._ask("calibrate_simulated")
+        asked.add_done_callback(lambda done: self._keep(done, lambda found: found[0].calibration))
+        return asked
 
     def setup(self) -> Future[Setup]:
         """Say what frames are taken with now."""
@@ -187,6 +192,11 @@ class EngineClient:
     def pid(self) -> int:
         """Of the engine's process."""
         return self._process.pid
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """The calibration in force, as far as this client has put it there."""
+        return self._calibration
 
     @property
     def died(self) -> DeviceError | None:
@@ -265,6 +275,10 @@ class EngineClient:
             with suppress(OSError):  # the reader notices, too, and answers every future
                 self._connection.send(Command(number, name, arguments))
         return future
+
+    def _keep(self, done: Future[Any], calibration_of: Callable[[Any], Calibration | None]) -> None:
+        if done.exception() is None:
+            self._calibration = calibration_of(done.result())
 
     def _listen(self) -> None:
         while True:

@@ -176,28 +176,32 @@ class Server:
             "calibrate_simulated": partial(calibrate_simulated, rig, engine, watch=self._watch),
         }
         if name in steps:
-            self._cancelled.clear()
-            return steps[name]
+            return partial(self._go_through, name, steps[name])
         if name not in COMMANDS:
             raise ValueError(f"there is no command {name!r}")
         method: Callable[..., Any] = getattr(engine, name)
         return method
 
+    def _go_through(self, name: str, step: Callable[..., Any], *arguments: Any) -> Any:
+        self._cancelled.clear()
+        self._progress = Progress(name.replace("_", " "), 0, 1)
+        try:
+            return step(*arguments)
+        finally:
+            self._progress = None
+
     def _watch(self, step: str) -> Watch:
         """Make what tells the progress of a step, and ends it when it was cancelled."""
 
-        def go_through(numbers: Iterable[int]) -> Iterator[int]:
+        def counted(numbers: Iterable[int]) -> Iterator[int]:
             every = list(numbers)
-            try:
-                for done, number in enumerate(every):
-                    if self._cancelled.is_set():
-                        raise InputError(f"the {step} was cancelled", "start it again when you like")
-                    self._progress = Progress(step, done, len(every))
-                    yield number
-            finally:
-                self._progress = None
+            for done, number in enumerate(every):
+                if self._cancelled.is_set():
+                    raise InputError(f"the {step} was cancelled", "start it again when you like")
+                self._progress = Progress(step, done, len(every))
+                yield number
 
-        return go_through
+        return counted
 
     def _tell(self) -> None:
         while not self._ended.wait(STATUS_PERIOD_S):

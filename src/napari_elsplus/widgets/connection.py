@@ -36,6 +36,11 @@ class Connection:
         client = self._client
         return client if client is not None and self.rig is not None and client.died is None else None
 
+    @property
+    def died(self) -> DeviceError | None:
+        """What happened, if the engine's process ended without being told to."""
+        return self._client.died if self._client is not None else None
+
     def require(self) -> EngineClient:
         """Return the engine.
 

@@ -1,0 +1,125 @@
+"""The layers that live images are shown in: made once, filled in place, kept as the user has set them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from napari.layers import Image
+
+from napari_elsplus import __version__
+from napari_elsplus.acquisition.live_images import RAW
+from napari_elsplus.processing.quality import white_level
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.viewing.layers import TITLES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import napari.viewer
+    from numpy.typing import NDArray
+
+    from napari_elsplus.acquisition.ring import Ring, Stamp
+    from napari_elsplus.calibration import Calibration
+
+KINDS: Final = {RAW: "raw", **{mode.value: TITLES[mode] for mode in Mode}}
+"""What can be shown, by the names of the display ring's fields."""
+GAP_PX: Final = 20
+
+
+class LiveLayers:
+    """One image layer per kind, in the user's viewer.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        The viewer.
+    """
+
+    def __init__(self, viewer: napari.viewer.Viewer) -> None:
+        self._viewer = viewer
+        self._layers: dict[str, Image] = {}
+        self._seen = -1
+        self._fresh: set[str] = set()
+
+    @property
+    def images(self) -> dict[str, Image]:
+        """Layers that are in the viewer, by kind."""
+        return {kind: layer for kind, layer in self._layers.items() if layer in self._viewer.layers}
+
+    def arrange(self, kinds: Sequence[str], ring: Ring, calibration: Calibration | None, *, side_by_side: bool) -> None:
+        """Show these kinds and hide the others; a layer is made only where there is none of that kind and size."""
+        shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
+        um = calibration.optics.um_per_px if calibration is not None and calibration.optics is not None else None
+        first = not self.images
+        left_px = 0
+        for kind in KINDS:
+            layer = self.images.get(kind)
+            if kind not in kinds or kind not in shapes:
+                if layer is not None:
+                    layer.visible = False
+                continue
+            shape, dtype = shapes[kind]
+            if layer is not None and layer.data.shape != shape:
+                self._viewer.layers.remove(layer)
+                layer = None
+            place: dict[str, Any] = {
+                "scale": (um or 1.0,) * 2,
+                "units": ("um" if um else "pixel",) * 2,
+                "translate": (0.0, left_px * (um or 1.0)),
+            }
+            if layer is None:
+                layer = self._add(kind, shape, dtype, place)
+            layer.visible = True
+            for name, value in place.items():
+                setattr(layer, name, value)
+            layer.metadata["elsplus"] = {
+                "kind": f"live {kind}", "calibration": calibration, "software": f"napari-elsplus {__version__}"
+            }  # fmt: skip
+            left_px += shape[1] + GAP_PX if side_by_side else 0
+        self._seen = -1
+        if first and self.images:
+            self._viewer.reset_view()
+            self._viewer.canvas.overlays.scale_bar.visible = True
+
+    def update(self, ring: Ring, *, whole: bool) -> Stamp | None:
+        """Copy the newest frame into the visible layers; None if there is none that was not shown.
+
+        Parameters
+        ----------
+        ring : Ring
+            Where the engine shows images.
+        whole : bool
+            Also redraw thumbnails and what follows from the layer's extent.
+        """
+        known = {name for name, _, _ in ring.layout.fields}
+        shown = {kind: layer for kind, layer in self.images.items() if layer.visible and kind in known}
+        stamp = ring.newest_after(self._seen, {kind: layer.data for kind, layer in shown.items()})
+        if stamp is None:
+            return None
+        self._seen = stamp.sequence
+        for kind, layer in shown.items():
+            if kind in self._fresh:
+                self._fresh.discard(kind)
+                self.stretch(kind)
+            layer.refresh(thumbnail=whole, extent=whole, highlight=whole)
+        return stamp
+
+    def stretch(self, kind: str) -> None:
+        """Set the contrast of a layer by what it shows: 0.01 % of the pixels white, as the paper does it."""
+        layer = self.images[kind]
+        if kind == RAW:
+            layer.contrast_limits = (0, 255)
+            return
+        image = np.asarray(layer.data)
+        white = white_level(image, np.ones(image.shape, bool))
+        layer.contrast_limits = (0.0, max(float(white), 1.0))
+
+    def _add(self, kind: str, shape: tuple[int, ...], dtype: str, place: dict[str, Any]) -> Image:
+        buffer: NDArray[Any] = np.zeros(shape, dtype)
+        words = {"name": f"live {KINDS[kind]}", "colormap": "gray", "contrast_limits": (0, 255), "cache": False}
+        layer = Image(buffer, **words, **place)
+        self._layers[kind] = layer
+        self._fresh.add(kind)
+        self._viewer.layers.append(layer)
+        return layer
