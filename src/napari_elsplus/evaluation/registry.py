@@ -21,6 +21,7 @@ MODULES: dict[str, str] = {  # the module, and its benchmark where that is not c
     "live": "choices.live",
     "recording": "choices.recording",
     "motion": "parsimony.motion",
+    "parsimony-line": "parsimony.line",
     "parsimony-galvo": "parsimony.calibration:GALVO",
     "parsimony-pair": "parsimony.calibration:PAIR",
     "parsimony-axial": "parsimony.axial",

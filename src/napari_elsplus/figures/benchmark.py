@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from napari_elsplus.evaluation.harness import Chart, Role, pareto
 
@@ -19,6 +20,8 @@ MARKERS: Final = {Role.DEFAULT: "*", Role.OPTION: "o", Role.PAPER: "s", Role.PEE
 _OFTEN: Final = 0.05
 """Methods that fail on more of the inputs than this are drawn hollow."""
 _FIELD_IN: Final = 4.6
+_NARROW: Final = 50
+"""Logarithmic axes that span less than this factor are marked at 1, 2 and 5."""
 _LINE: Final = 0.035
 """Height of a line of labels, as a part of the panel."""
 
@@ -78,7 +81,14 @@ def _pareto(result: Result) -> Figure:
         axes.set_ylabel(result.benchmark.error_label)
         axes.margins(x=0.25, y=0.15)
         axes.grid(visible=True, which="major", color="0.92")
+        axes.autoscale_view()
         _label_points(axes, rows)
+        for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+            if axis.get_scale() == "log":
+                narrow = limits[1] < _NARROW * limits[0]
+                axis.set_major_locator(LogLocator(subs=(1, 2, 5) if narrow else (1,)))
+                axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+                axis.set_minor_formatter(NullFormatter())
     return figure
 
 
