@@ -79,7 +79,7 @@ def moving_frames(
 
 def lens_paper(frames: int = 4) -> MovingFrames:
     """Move a hand-held probe over lens paper at 10 Hz, as the paper shows ELSA's motion artefacts."""
-    return moving_frames("120hz", 10.0, "fibres", HandHeld(150.0, tremor_um=2.0, seed=2), frames)
+    return moving_frames("120hz", 10.0, "fibres", HandHeld(400.0, tremor_um=2.0, seed=2), frames)
 
 
 def lens_paper_mosaic(frames: int = 168) -> MovingFrames:

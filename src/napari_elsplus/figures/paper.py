@@ -155,7 +155,8 @@ def _haze(image: Image) -> float:
 def draw_images(images: dict[str, Image], columns: int) -> Figure:
     """Draw grey images, each to its own white, 0.01 % saturated."""
     rows = -(-len(images) // columns)
-    figure = Figure(figsize=(6 * columns, 4.4 * rows), layout="constrained")
+    tallest = max(image.shape[0] / image.shape[1] for image in images.values())
+    figure = Figure(figsize=(6 * columns, (6 * min(tallest, 0.75) + 0.4) * rows), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, (name, image) in zip(panels, images.items(), strict=True):
         axes.imshow(image, cmap="gray", vmin=0, vmax=white_level(image, image != 0), interpolation="nearest")
