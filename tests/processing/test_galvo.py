@@ -22,6 +22,8 @@ def line(row: float, chord: float = 200.0, slope: float = 0.0) -> Line:
         slope=slope,
         width_rows=2.0,
         amplitude=100.0,
+        level=0.0,
+        ramp=0.0,
         columns=(int(150 - half), int(150 + half)),
         profile=np.zeros(3),
         profile_rows=np.arange(3.0),

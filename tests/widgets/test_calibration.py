@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
-import pytest
+import os
+import signal
+import threading
+from dataclasses import replace
 
+import numpy as np
+import pytest
+from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import QApplication
+
+from napari_elsplus.acquisition.calibrating import Target
+from napari_elsplus.acquisition.engine import Engine
+from napari_elsplus.acquisition.guided import TARGETS
+from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.hardware.rigs import open_rig
+from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.io import read_calibration
+from napari_elsplus.optics import preset
 from napari_elsplus.processing.draft import State, Step
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.widgets.calibration.panel import CalibrationPanel
+from napari_elsplus.processing.sectioning import Sectioner, disc
+from napari_elsplus.settings import calibration_in_force
+from napari_elsplus.simulation.renderer import Renderer
+from napari_elsplus.simulation.scenes import scene
+from napari_elsplus.simulation.trajectories import Still
+from napari_elsplus.widgets.calibration.panel import IMAGE, OUTLINES, CalibrationPanel
 
 PLUGIN = "napari-elsplus"
-LONG_MS = 90_000
+LONG_MS = 30_000
+AVERAGED = 12
 
 
 @pytest.fixture
@@ -22,8 +42,16 @@ def viewer(make_napari_viewer_proxy):
 def panel(viewer):
     _, widget = viewer.window.add_plugin_dock_widget(PLUGIN, "Calibration")
     assert isinstance(widget, CalibrationPanel)
-    yield widget
-    viewer.window.remove_dock_widget(widget)
+    return widget
+
+
+@pytest.fixture
+def live(panel, qtbot):
+    """Connected to the simulated rig."""
+    panel.form.connect_button.click()
+    idle(qtbot, panel)
+    panel.form.voltages.setValue(40)
+    return panel
 
 
 def idle(qtbot, panel):
@@ -41,21 +69,210 @@ def measure(qtbot, panel, step):
     idle(qtbot, panel)
 
 
-def test_calibrating_the_simulated_rig_by_clicking(viewer, panel, qtbot, said, tmp_path):
-    form = panel.form
+def from_file(qtbot, panel, step, path, volts=None):
+    panel.form.steps[step].click()
+    panel.measure_file(path, volts)
+    idle(qtbot, panel)
+
+
+def test_calibrated_by_clicking_the_simulated_rig_shows_a_scene_as_it_is(viewer, live, qtbot, said, tmp_path):
+    form = live.form
+    for step in Step:
+        measure(qtbot, live, step)
+        assert not said(), step
+        assert (IMAGE in viewer.layers) == (OUTLINES in viewer.layers) == (step is Step.PAIR)
+        form.accept.click()
+        assert state(live, step) is State.DONE
+        assert "✓" in form.steps[step].text()
+    live.save(tmp_path / "cal.json")
+    found = read_calibration(tmp_path / "cal.json")
+    assert calibration_in_force() == tmp_path / "cal.json"
+    assert live.connection.client.status.live is False
+
+    paper = Simulation(scene=scene("paper"), trajectory=Still(), real_time=False)
+    with open_rig("simulated", paper) as rig, Engine(rig) as engine:
+        engine.configure(Settings("240hz"))
+        engine.use(found)
+        engine.start()
+        raw = engine.fresh_frames(AVERAGED).mean(axis=0)
+        engine.stop()
+        instrument = rig.bench.optics.instrument(preset("240hz"))
+        true = rig.bench.optics.calibration(preset("240hz"))
+    perfect = Renderer(instrument, paper.scene, noise=False).render(0)
+    expected = Sectioner(true, perfect.shape).els(perfect)
+    seen = Sectioner(found, perfect.shape).els(raw.astype(np.float32))
+    side = min(len(expected), len(seen))
+    inside = disc(side, 0.95 * found.bundle.diameter_px)
+    assert np.corrcoef(middle(expected, side)[inside], middle(seen, side)[inside])[0, 1] >= 0.99
+
+
+def middle(image, side):
+    first = (len(image) - side) // 2
+    return image[first : first + side, first : first + side]
+
+
+def test_watching_the_offset_goes_on_until_stopped_and_what_was_seen_can_be_accepted(live, qtbot):
+    form = live.form
+    form.watch.click()
+    seen = set()
+
+    def several():
+        if live.candidate is not None:
+            seen.add(live.candidate[0].rows)
+        return len(seen) >= 3
+
+    qtbot.waitUntil(several, timeout=LONG_MS)
+    assert form.watch.text() == "Stop"
+    assert not form.accept.isEnabled()
+    assert not form.measure.isEnabled()
+    assert "rows" in form.headline.text()
+    assert "drop-offs" in form.numbers.text()
+    assert [curve.name for curve in form.plots[0].curves] == ["left", "left fit", "right", "right fit"]
+    (band,) = live.candidate[2].plots[0].bands
+    assert band.start < live.candidate[0].rows < band.stop
+    form.watch.click()
+    idle(qtbot, live)
+    assert live.connection.client.status.live is False
+    form.accept.click()
+    assert state(live, Step.OFFSET) is State.DONE
+
+
+def test_a_failed_step_keeps_what_was_known_and_says_why_in_one_line(live, qtbot, said, monkeypatch):
+    form = live.form
+    measure(qtbot, live, Step.OFFSET)
+    form.accept.click()
+    known = live.draft
+    for step, wrong, words in (
+        (Step.OFFSET, Target.DARK_TUBE, "no voltage from"),
+        (Step.PAIR, Target.DARK_TUBE, "two bundle images expected"),
+    ):
+        monkeypatch.setitem(TARGETS, step, wrong)
+        monkeypatch.setattr("napari_elsplus.acquisition.guided.GuidedCalibration._middle", search)
+        measure(qtbot, live, step)
+        assert live.candidate is None
+        assert live.draft is known
+        severity, message = said()[-1]
+        assert severity == "error"
+        assert words in message
+        assert "\n" not in message
+    os.kill(live.connection.client.pid, signal.SIGKILL)
+    qtbot.waitUntil(lambda: live.connection.client is None, timeout=LONG_MS)
+    form.steps[Step.GALVO].click()
+    assert live.draft is known
     assert not form.measure.isEnabled()
     assert "connect" in form.measure.toolTip()
-    form.connect_button.click()
+
+
+def seen_something(qtbot, panel):
+    qtbot.waitUntil(lambda: panel.candidate is not None, timeout=LONG_MS)
+
+
+def search(guided, _):
+    low, high = guided._client.find_span().result()
+    return (low + high) / 2
+
+
+def test_a_sweep_is_cancelled_and_the_mirror_parked(live, qtbot, said):
+    live.form.voltages.setValue(2000)
+    live.form.steps[Step.GALVO].click()
+    live.form.measure.click()
+    client = live.connection.client
+    qtbot.waitUntil(lambda: (p := client.status.progress) is not None and p.total == 2000, timeout=LONG_MS)
+    live.work.cancel()
+    idle(qtbot, live)
+    assert live.candidate is None
+    assert not said()
+    assert not client.status.live
+    assert live.form.measure.isEnabled()
+
+
+def test_from_files_accepted_discarded_and_undone(viewer, panel, qtbot, open_recording, said):
+    form = panel.form
+    from_file(qtbot, panel, Step.OFFSET, open_recording / "line.tif")
+    form.discard.click()
+    assert panel.candidate is None
+    assert state(panel, Step.OFFSET) is State.MISSING
+    from_file(qtbot, panel, Step.OFFSET, open_recording / "line.tif")
+    form.accept.click()
+    first = panel.draft
+    from_file(qtbot, panel, Step.GALVO, open_recording / "sweep.tif", open_recording / "sweep_volts.csv")
+    assert len(form.plots[1].curves[0].x) > 20
+    form.accept.click()
+    from_file(qtbot, panel, Step.PAIR, open_recording / "transmission.tif")
+    assert viewer.layers[IMAGE].data.shape == (300, 600)
+    form.accept.click()
+    from_file(qtbot, panel, Step.BACKGROUND, open_recording / "background.tif")
+    form.accept.click()
+    assert [state(panel, step) for step in Step] == [
+        State.DONE, State.DONE, State.DONE, State.MISSING, State.DONE, State.DONE,
+    ]  # fmt: skip
+    for _ in range(3):
+        form.undo.click()
+    assert panel.draft is first
+    form.undo.click()
+    assert not form.undo.isEnabled()
+    assert state(panel, Step.OFFSET) is State.MISSING
+    from_file(qtbot, panel, Step.PAIR, open_recording / "line.tif")
+    assert panel.candidate is None
+    assert said()[-1][0] == "error"
+
+
+def test_closing_the_window_leaves_no_engine(make_napari_viewer_proxy, qtbot):
+    viewer = make_napari_viewer_proxy()
+    _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Calibration")
+    panel.form.connect_button.click()
     idle(qtbot, panel)
-    form.voltages.setValue(40)
-    for step in Step:
-        measure(qtbot, panel, step)
-        assert not said(), step
-        assert form.headline.text() != "not measured yet"
-        form.accept.click()
-        assert state(panel, step) is State.DONE
+    pid = panel.connection.client.pid
+    viewer.close()
+    QApplication.processEvents()
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_an_offset_that_moved_makes_the_pair_stale(panel, qtbot, open_recording):
+    from_file(qtbot, panel, Step.OFFSET, open_recording / "line.tif")
+    found, setup, drawn = panel.candidate
+    panel.form.accept.click()
+    from_file(qtbot, panel, Step.PAIR, open_recording / "transmission.tif")
+    panel.form.accept.click()
+    assert state(panel, Step.PAIR) is State.DONE
+    panel.choose(Step.OFFSET)
+    turned = replace(found, rows=found.rows + 3, right=replace(found.right, row=found.right.row + 3))
+    before = panel.draft.calibration.offset.rows
+    panel.candidate = turned, setup, drawn
+    panel.accept()
+    assert state(panel, Step.PAIR) is State.STALE
+    assert "the offset has moved by" in panel.form.steps[Step.PAIR].toolTip()
+    assert panel.draft.calibration.offset.rows == pytest.approx(before + 3)
+
+
+def test_themes_and_loading(viewer, panel, qtbot, open_recording, tmp_path):
+    from_file(qtbot, panel, Step.OFFSET, open_recording / "line.tif")
+    for theme in ("light", "dark"):
+        viewer.theme = theme
+        assert panel.form.plots[0].curves
+    panel.form.accept.click()
     panel.save(tmp_path / "cal.json")
-    found = read_calibration(tmp_path / "cal.json")
-    true = Instrument.of("240hz", offset_um=-29.0)
-    assert found.galvo.volts_per_row == pytest.approx(true.volts_per_row, rel=5e-4)
-    assert found.bundle.confocal_centre == pytest.approx(true.left_centre, abs=0.15)
+    panel.form.undo.click()
+    panel.load(tmp_path / "cal.json")
+    assert state(panel, Step.OFFSET) is State.DONE
+    assert "from a file" in panel.form.headline.text()
+    panel.form.undo.click()
+    assert state(panel, Step.OFFSET) is State.MISSING
+
+
+def test_closing_the_dock_while_it_measures_leaves_no_engine_no_thread_and_no_timer(viewer, qtbot, said):
+    before = set(threading.enumerate())
+    _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Calibration")
+    panel.form.connect_button.click()
+    idle(qtbot, panel)
+    pid = panel.connection.client.pid
+    panel.form.watch.click()
+    seen_something(qtbot, panel)
+    viewer.window.remove_dock_widget(panel)
+    idle(qtbot, panel)
+    assert not [one for one in set(threading.enumerate()) - before if "engine" in one.name]
+    assert not [timer for timer in panel.findChildren(QTimer) if timer.isActive()]
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    assert not said()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
+from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.resampling import resampled
 from napari_elsplus.processing.uncertainty import clustered
 
@@ -211,7 +212,13 @@ class CoreMatcher:
             scores = (of_found * target[:, None] - of_target * found[:, None]) / 2
             step = np.linalg.lstsq(curvature, scores.sum(axis=0), rcond=None)[0]
             motion = motion + np.tensordot(step, model.matrices, 1)
-            if np.abs(np.tensordot(step, moves, 1)).max() < 1e-3:
+            moved_px = float(np.abs(np.tensordot(step, moves, 1)).max())
+            if moved_px > self.side / 4:
+                raise MeasurementError(
+                    f"the two views do not show the same cores: laid onto one another they slip by {moved_px:.0f} px",
+                    "is the bundle lit from its far end, and in focus in both views?",
+                )
+            if moved_px < 1e-3:
                 break
         tile, count = tiles(self.rows, self.cols)
         influence = clustered(scores, curvature, tile, count)

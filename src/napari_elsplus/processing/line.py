@@ -51,6 +51,8 @@ class Line:
         Standard deviation of its Gaussian.
     amplitude : float
         Grey levels above the background.
+    level, ramp : float
+        Background of the fit at the line, and its slope in grey levels per row.
     columns : tuple of int
         First lit column and the one after the last.
     profile : numpy.ndarray
@@ -66,6 +68,8 @@ class Line:
     slope: float
     width_rows: float
     amplitude: float
+    level: float
+    ramp: float
     columns: tuple[int, int]
     profile: Floats
     profile_rows: Floats
@@ -80,6 +84,12 @@ class Line:
     def tilt_uncertainty_deg(self) -> float:
         """One standard deviation of the tilt."""
         return float(np.degrees(np.linalg.norm(self.influence[:, 1])))
+
+    @property
+    def fitted(self) -> Floats:
+        """The Gaussian and its background at ``profile_rows``, shape (rows,); good near the line only, as fitted."""
+        bell = np.exp(-0.5 * np.square(self.profile_rows / self.width_rows))
+        return np.asarray(self.level + self.ramp * self.profile_rows + self.amplitude * bell, np.float64)
 
     def row_at(self, column: float) -> float:
         """Row of the line at a column."""
@@ -172,7 +182,7 @@ def _fit(image: Image, streak: Streak) -> Line:
     x = np.broadcast_to((edges[:-1] + edges[1:] - 1) / 2 - middle, data.shape)[seen]
     run = np.broadcast_to(np.arange(RUNS), data.shape)[seen]
     parameters, influence = _gauss_newton(data[seen], u, x, run, width)
-    amplitude, _, log_width, shift, turn, _ = (float(value) for value in parameters)
+    amplitude, level, log_width, shift, turn, ramp = (float(value) for value in parameters)
     fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2 - spread, 0.1)))
     misfit = _misfit(data, seen, parameters, u, x)
     _must_be_a_line(amplitude, float(np.linalg.norm(influence[:, 0])), shift, reach, misfit)
@@ -182,6 +192,8 @@ def _fit(image: Image, streak: Streak) -> Line:
         slope=streak.slope + turn,
         width_rows=fitted,
         amplitude=amplitude * float(np.exp(log_width)) / fitted,
+        level=level + ramp * shift,
+        ramp=ramp,
         columns=(first, stop),
         profile=profiles.mean(axis=1),
         profile_rows=np.arange(len(profiles), dtype=np.float64) - (len(profiles) - 1) / 2 - shift,

@@ -57,6 +57,8 @@ class Curve:
         A key of `DASHES`: told apart without colour.
     marks : bool
         Whether each point is marked.
+    listed : bool
+        Whether the legend lists it.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Curve:
     colour: str
     dash: str = "solid"
     marks: bool = False
+    listed: bool = True
 
 
 @dataclass(frozen=True)
@@ -153,7 +156,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         self._curves, self._marks, self._bands = list(curves), list(marks), list(bands)
         self._labels |= {side: text for side, text in (("bottom", bottom), ("left", left)) if text is not None}
         for side, text in self._labels.items():
-            self.setLabel(side, text, color=self._text)
+            self.setLabel(side, text, siPrefixEnableRanges=(), color=self._text)  # no scale that is not told
         self.plotItem.clear()
         for band in self._bands:
             brush = pg.mkBrush(self.ink(band.colour) + "50")
@@ -164,7 +167,9 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
             ink = self.ink(curve.colour)
             pen = pg.mkPen(ink, width=2, style=DASHES[curve.dash])
             symbol = {"symbol": "o", "symbolSize": 5, "symbolBrush": ink, "symbolPen": None} if curve.marks else {}
-            self.plot(np.asarray(curve.x), np.asarray(curve.y), pen=pen, name=curve.name, **symbol)
+            self.plot(
+                np.asarray(curve.x), np.asarray(curve.y), pen=pen, name=curve.name if curve.listed else None, **symbol
+            )
         for index, (position, colour, text) in enumerate(self._marks):
             options: dict[str, Any] = {"position": 0.92 - 0.13 * (index % 4), "color": self.ink(colour), "fill": None}
             pen = pg.mkPen(self.ink(colour), width=1, style=Qt.PenStyle.DotLine)

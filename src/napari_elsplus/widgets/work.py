@@ -92,10 +92,20 @@ class Work(QWidget):
     def watch(self, items: Iterable[Item]) -> Iterator[Item]:
         """Go through items in the thread: count them, and stop when cancelled."""
         for item in items:
-            if self._cancelled.is_set():
-                raise Cancelled
+            self.stop_if_cancelled()
             yield item
             self._done += 1
+
+    def stop_if_cancelled(self) -> None:
+        """In the thread: end the work if it was cancelled.
+
+        Raises
+        ------
+        Cancelled
+            If so.
+        """
+        if self._cancelled.is_set():
+            raise Cancelled
 
     def tell(self, text: str, done: int, total: int) -> None:
         """Say how far work is that is done elsewhere, with its name in the bar."""

@@ -22,4 +22,4 @@ PREPARE: Final = {
     Step.BACKGROUND: "Probe in the dark tube, laser on.",
     Step.FLAT: "Probe on an evenly fluorescent target, laser on.",
 }
-SIMULATED: Final = "The simulated rig puts this before the probe by itself."
+SIMULATED: Final = "The simulated rig does this by itself."

@@ -26,7 +26,7 @@ from napari_elsplus.processing.draft import State, Step
 from napari_elsplus.widgets.plots import ThemedPlot
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from napari_elsplus.widgets.calibration.pictures import Picture
 
@@ -34,6 +34,8 @@ MARKS: Final = {State.DONE: "\N{CHECK MARK}", State.STALE: "\N{WARNING SIGN}", S
 """Told apart without colour."""
 PLOTS: Final = 2
 HEADLINE_PT: Final = 17
+PLOT_STRETCH: Final = 1000
+"""A plot takes all the room there is; without one, nothing else grows."""
 
 
 class Form:
@@ -47,12 +49,9 @@ class Form:
         The progress bar.
     theme : str
         Name of napari's theme.
-    choose : callable
-        Called with a step that was clicked.
     """
 
-    def __init__(self, panel: QWidget, work: QWidget, theme: str, choose: Callable[[Step], None]) -> None:
-        self._choose = choose
+    def __init__(self, panel: QWidget, work: QWidget, theme: str) -> None:
         self.rig, self.preset = QComboBox(), QComboBox()
         self.rig.addItems(rig_names())
         self.rig.setToolTip("Rigs that are known; the simulated one is always there")
@@ -76,6 +75,7 @@ class Form:
         self.load.setToolTip("Read a calibration and take it into force")
         self.plots = [ThemedPlot("", "", theme) for _ in range(PLOTS)]
         self._lay_out(panel, work)
+        self.follow(theme)
 
     @property
     def target_um(self) -> float:
@@ -91,6 +91,10 @@ class Form:
         """Take the colours of one of napari's themes."""
         for plot in self.plots:
             plot.follow(theme)
+        ink = self.plots[0].ink("blue")
+        style = f"QToolButton {{padding: 3px}} QToolButton:checked {{border: 1px solid {ink}; font-weight: 600}}"
+        for button in self.steps.values():
+            button.setStyleSheet(style)
 
     def show_states(self, states: Mapping[Step, tuple[State, str]], now: Step) -> None:
         """Mark each step as done, stale or missing."""
@@ -175,7 +179,6 @@ class Form:
         button.setCheckable(True)
         button.setSizePolicy(button.sizePolicy().Policy.Expanding, button.sizePolicy().Policy.Fixed)
         button.setText(f"{number} {step}")
-        button.clicked.connect(lambda _=False, step=step: self._choose(step))
         return button
 
     def _lay_out(self, panel: QWidget, work: QWidget) -> None:
@@ -196,7 +199,8 @@ class Form:
         layout.addWidget(self.headline)
         for plot in self.plots:
             plot.setMinimumHeight(120)
-            layout.addWidget(plot, 1)
+            layout.addWidget(plot, PLOT_STRETCH)
+        layout.addStretch(1)
         layout.addWidget(self.numbers)
         layout.addLayout(_row(self.accept, self.discard, self.undo))
         layout.addLayout(_row(self.load, self.save))

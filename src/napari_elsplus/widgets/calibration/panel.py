@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from napari.utils.notifications import show_error, show_info
-from qtpy.QtCore import QTimer
+from qtpy.QtCore import QEvent, QTimer
 from qtpy.QtWidgets import QFileDialog
 
 from napari_elsplus.acquisition.guided import GuidedCalibration
 from napari_elsplus.acquisition.status import Settings
-from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.errors import ElsPlusError, InputError, MeasurementError
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import open_recording, read_calibration, read_volts, write_calibration
 from napari_elsplus.processing.draft import Draft, Found, LitPair, Setup, State, Step, step_of
@@ -28,6 +28,7 @@ from napari_elsplus.widgets.work import Work
 
 if TYPE_CHECKING:
     import napari.viewer
+    from qtpy.QtCore import QObject
 
     Shown = tuple[Found, Setup, Picture]
 
@@ -54,11 +55,11 @@ class CalibrationPanel(Panel):
         self._past: list[tuple[Draft, dict[Step, Shown]]] = []
         self._setup: Setup | None = None
         self._watched: Shown | str | None = None
-        self._watching = False
+        self._watching = self._left = self._in_window = False
         self._refused: BaseException | None = None
         self.connection = join()
         self.work = Work(self._refresh, self._cancel)
-        self.form = Form(self, self.work, viewer.theme, self.choose)
+        self.form = Form(self, self.work, viewer.theme)
         self._wire()
         self._poll = QTimer(self)
         self._poll.setInterval(POLL_MS)
@@ -98,7 +99,11 @@ class CalibrationPanel(Panel):
 
             def work() -> Shown:
                 setup = guided.setup()
-                found = guided.measure(step, draft)
+                try:
+                    found = guided.measure(step, draft)
+                except ElsPlusError as error:
+                    self._excuse(error)
+                    raise
                 return found, setup, picture(found, draft, setup, target_um)
 
             self.work.begin(0, work, self._found)
@@ -115,12 +120,15 @@ class CalibrationPanel(Panel):
 
             def work() -> None:
                 setup = guided.setup()
-                for found in guided.watch_offset(draft, lambda: self._watching):
-                    if isinstance(found, MeasurementError):
-                        self._watched = str(found)
-                    else:
-                        drawn = picture(found, draft, setup, self.form.target_um)
-                        self._watched = found, setup, drawn
+                try:
+                    for found in guided.watch_offset(draft, lambda: self._watching):
+                        if isinstance(found, MeasurementError):
+                            self._watched = str(found)
+                        else:
+                            self._watched = found, setup, picture(found, draft, setup, self.form.target_um)
+                except ElsPlusError as error:
+                    self._excuse(error)
+                    raise
 
             self.work.begin(0, work, lambda _: None)
         self._refresh()
@@ -185,8 +193,20 @@ class CalibrationPanel(Panel):
             put_in_force(written)
             show_info(f"saved {written.name}: {summary(self.draft.calibration)}")
 
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
+        """Leave the engine when the window closes: it is hidden then, by the program and not by the screen."""
+        window = self.window()
+        if event is not None and window is not None and watched is window:
+            hides = event.type() == QEvent.Type.Hide and not event.spontaneous()
+            if hides or (event.type() == QEvent.Type.Close and not window.isVisible()):
+                self.cleanup()
+        return bool(super().eventFilter(watched, event))
+
     def cleanup(self) -> None:
         """Stop measuring, take the layers away, let go of the engine and the viewer."""
+        if self._left:
+            return
+        self._left = True
         self._poll.stop()
         self.work.cancel()
         self._show_bundle(None)
@@ -206,9 +226,19 @@ class CalibrationPanel(Panel):
         form.discard.clicked.connect(self.discard)
         form.undo.clicked.connect(self.undo)
         form.from_file.clicked.connect(self._ask_for_recording)
+        for button in form.steps.values():
+            button.clicked.connect(self._step_clicked)
         form.load.clicked.connect(self._ask_what_to_load)
         form.save.clicked.connect(self._ask_where_to_save)
         self.listen(self.viewer.events.theme, self._theme_changed)
+
+    def _step_clicked(self) -> None:
+        self.choose(next(step for step, button in self.form.steps.items() if button is self.sender()))
+
+    def _excuse(self, error: ElsPlusError) -> None:
+        """In the thread: say nothing of an error that the user has asked for, by Cancel or by closing the panel."""
+        if isinstance(error, InputError) or self._left:
+            self.work.stop_if_cancelled()
 
     def _connected(self, setup: Setup) -> None:
         self._setup = setup
@@ -234,6 +264,10 @@ class CalibrationPanel(Panel):
 
     def _look(self) -> None:
         """Ask how far it is, and what the line does; ten times a second."""
+        window = self.window()
+        if not self._in_window and window is not None and window is not self:
+            self._in_window = True
+            window.installEventFilter(self)
         if self._refused is not None:
             error, self._refused = self._refused, None
             show_error(str(error))
@@ -257,7 +291,7 @@ class CalibrationPanel(Panel):
         form.show_states({step: self.draft.state(step, self._setup) for step in Step}, self.step)
         prepare = PREPARE[self.step]
         if connected and self.connection.rig == SIMULATED:
-            prepare = SIMULATED_TARGETS
+            prepare += f" {SIMULATED_TARGETS}"
         form.explain(EXPLAINED[self.step], prepare)
         form.allow(
             step=self.step,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from math import floor, inf, log10
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -29,6 +30,8 @@ TOLERANCE_UM: Final = 1.0
 PAPER_ERRORS: Final = (5.5, 0.74)
 """Alignment error in per cent that the paper reports, before and after its core filter."""
 _SLIT_ROWS: Final = 3.0
+_FIT_WIDTHS: Final = 2.5
+"""Standard deviations of the line to which its fit is drawn."""
 
 
 @dataclass(frozen=True)
@@ -117,20 +120,32 @@ def scale_of(draft: Draft, setup: Setup) -> float | None:
     return draft.um_per_px or setup.um_per_px
 
 
+def _told(value: float, spread: float) -> str:
+    """Write a value to the first digit of its uncertainty, but no finer than a millionth.
+
+    Examples
+    --------
+    >>> _told(-21.7474, 0.0067), _told(1.74836831, 0.00011)
+    ('-21.747 ± 0.007', '1.7484 ± 0.0001')
+    """
+    digits = min(max(-floor(log10(spread)), 2), 6) if 0 < spread < inf else 2
+    return f"{value:.{digits}f} ± {spread:.{digits}f}"
+
+
 def _offset(found: SlitOffset, draft: Draft, setup: Setup, target_um: float) -> Picture:
     scale = scale_of(draft, setup)
     slit_rows = setup.acquired_with.slit_rows or _SLIT_ROWS
-    headline = f"{found.rows:.2f} ± {found.uncertainty_rows:.2f} rows"
+    headline = f"{_told(found.rows, found.uncertainty_rows)} rows"
     lines, warnings, bands, good = [], [], [], None
     radius_px = (BUNDLE_UM / scale if scale else found.left.columns[1] - found.left.columns[0]) / 2
     tilt, spread = found.left.tilt_deg, found.left.tilt_uncertainty_deg
     cost = abs(np.tan(np.radians(tilt))) * radius_px
-    lines.append(f"tilt {tilt:.2f} ± {spread:.2f}°: {cost:.1f} rows at the rim")
+    lines.append(f"tilt {_told(tilt, spread)}°: {cost:.1f} rows at the rim")
     if cost > slit_rows / 2:
         warnings.append(f"the tilt costs more than half the slit of {slit_rows:g} rows: turn the line level")
     if scale is not None:
         offset_um = found.rows * scale
-        headline += f"<br>{offset_um:.2f} ± {found.uncertainty_rows * scale:.2f} µm"
+        headline += f"<br>{_told(offset_um, found.uncertainty_rows * scale)} µm"
         good = abs(abs(offset_um) - target_um) <= TOLERANCE_UM
         sign = -1 if found.rows < 0 else 1
         ends = sorted(sign * (target_um + side) / scale for side in (-TOLERANCE_UM, TOLERANCE_UM))
@@ -156,12 +171,11 @@ def _trade(offset_um: float, slit_um: float) -> list[str]:
 
 
 def _profile(name: str, line: Line, at_rows: float, colour: str) -> list[Curve]:
-    rows = np.asarray(line.profile_rows, np.float64)
-    floor = float(np.min(line.profile)) if len(rows) else 0.0
-    fitted = floor + line.amplitude * np.exp(-0.5 * np.square(rows / line.width_rows))
+    rows = line.profile_rows
+    near = np.abs(rows) < _FIT_WIDTHS * line.width_rows
     return [
         Curve(name, rows + at_rows, line.profile, colour, "none", marks=True),
-        Curve(f"{name}, Gaussian", rows + at_rows, fitted, colour),
+        Curve(f"{name} fit", rows[near] + at_rows, line.fitted[near], colour, listed=False),
     ]
 
 
@@ -170,7 +184,7 @@ def _galvo(found: GalvoMap) -> Picture:
     misses = found.rows - (found.volts - found.volts_at_row_zero) / found.volts_per_row
     frames = len(found.volts) + found.dark
     lines = [
-        f"{1e3 * found.volts_at_row_zero:.2f} ± {1e3 * found.volts_at_row_zero_uncertainty:.2f} mV at row 0, "
+        f"{_told(1e3 * found.volts_at_row_zero, 1e3 * found.volts_at_row_zero_uncertainty)} mV at row 0, "
         f"tilt {found.tilt_deg:.2f}°",
         f"R² {found.r_squared:.6f}, residuals {found.rms_rows:.3f} rows RMS",
         f"{found.lines} of {frames} voltages fitted, {found.dark} without a whole line, {found.outliers} outliers",
@@ -193,11 +207,11 @@ def _galvo(found: GalvoMap) -> Picture:
         Plot(
             "voltage / V",
             "residual / rows",
-            [Curve("residual", found.volts[used], misses[used], "blue", "none", marks=True)],
+            [Curve("residual", found.volts[used], misses[used], "blue", "none", marks=True, listed=False)],
         ),
     ]
-    per_row = f"{1e3 * found.volts_per_row:.4f} ± {1e3 * found.volts_per_row_uncertainty:.4f} mV per row"
-    return Picture(per_row, lines, warnings, plots)
+    per_row = _told(1e3 * found.volts_per_row, 1e3 * found.volts_per_row_uncertainty)
+    return Picture(f"{per_row}<br>mV per row", lines, warnings, plots)
 
 
 def _pair(found: LitPair, draft: Draft, setup: Setup) -> Picture:
@@ -206,18 +220,18 @@ def _pair(found: LitPair, draft: Draft, setup: Setup) -> Picture:
     alignment = pair.alignment
     evidence = ", ".join(f"{name} {extra:+.0f}" for name, extra in alignment.evidence.items())
     lines = [
-        f"{name}: row {disc.centre[0]:.2f}, column {disc.centre[1]:.2f} ± {disc.centre_uncertainty_px:.2f}, "
-        f"diameter {disc.diameter_px:.2f} ± {disc.diameter_uncertainty_px:.2f} px"
+        f"{name}: {disc.centre[0]:.2f}, {disc.centre[1]:.2f} ± {disc.centre_uncertainty_px:.2f}, "
+        f"Ø {disc.diameter_px:.2f} ± {disc.diameter_uncertainty_px:.2f} px"
         for name, disc in (("confocal", pair.left), ("residual", pair.right))
     ]
     lines.append(f"right onto left: {alignment.model} to {alignment.uncertainty_px:.3f} px (BIC: {evidence})")
-    lines.append(f"gain of the right view {alignment.gain:.4f} ± {alignment.gain_uncertainty:.4f}")
+    lines.append(f"gain of the right view {_told(alignment.gain, alignment.gain_uncertainty)}")
     warnings = []
     if known.offset is not None:
         apart = known.offset.rows - found.offset_rows
         lines.append(
-            f"offset: {known.offset.rows:.2f} ± {known.offset.uncertainty_rows:.2f} rows by the line, "
-            f"{found.offset_rows:.2f} ± {found.offset_uncertainty_rows:.2f} by the bundle"
+            f"offset: {_told(known.offset.rows, known.offset.uncertainty_rows)} rows by the line, "
+            f"{_told(found.offset_rows, found.offset_uncertainty_rows)} by the bundle"
         )
         if abs(apart) > MOVED_ROWS:
             warnings.append(f"the two offsets differ by {apart:.1f} rows: measure the slit offset again")
@@ -251,20 +265,18 @@ def _lag(found: ScanLag, setup: Setup) -> Picture:
     lines = []
     if setup.line_period_s is not None:
         rows, spread = found.lag_s / setup.line_period_s, found.uncertainty_s / setup.line_period_s
-        lines.append(f"{rows:.2f} ± {spread:.2f} rows: so far the scan runs ahead of the slit")
-    curve = Curve("signal", 1e6 * found.leads_s[order], found.signal[order], "blue", marks=True)
+        lines.append(f"{_told(rows, spread)} rows: so far the scan runs ahead of the slit")
+    curve = Curve("signal", 1e6 * found.leads_s[order], found.signal[order], "blue", marks=True, listed=False)
     mark = (1e6 * found.lag_s, "orange", f"{1e6 * found.lag_s:.1f} µs")
     plot = Plot("lead / µs", "confocal signal / grey levels", [curve], [mark])
-    return Picture(f"{1e6 * found.lag_s:.1f} ± {1e6 * found.uncertainty_s:.1f} µs", lines, (), [plot])
+    return Picture(f"{_told(1e6 * found.lag_s, 1e6 * found.uncertainty_s)} µs", lines, (), [plot])
 
 
 def _background(found: Background) -> Picture:
-    lines = [f"{found.frames} frames, drift {100 * found.drift:.2f} %, no pixel block saturated"]
+    lines = [f"{found.frames} frames, drift {100 * found.drift:.2f} %, less than 1 % saturated"]
     curves = [
-        Curve("mean of each row", np.arange(float(len(found.mean))), found.mean.mean(axis=1), "blue"),
-        Curve(
-            "mean of each column", np.arange(float(found.mean.shape[1])), found.mean.mean(axis=0), "orange", "dotted"
-        ),
+        Curve("rows", np.arange(float(len(found.mean))), found.mean.mean(axis=1), "blue"),
+        Curve("columns", np.arange(float(found.mean.shape[1])), found.mean.mean(axis=0), "orange", "dotted"),
     ]
     plot = Plot("row, column", "grey levels", curves)
     return Picture(f"{float(found.mean.mean()):.2f} grey levels", lines, (), [plot])
@@ -275,8 +287,8 @@ def _flat(found: Flat) -> Picture:
     middle = len(image) // 2
     at = np.arange(len(image)) - (len(image) - 1) / 2
     curves = [
-        Curve("along the rows", at, _band(image, middle), "blue"),
-        Curve("along the columns", at, _band(image.T, middle), "orange", "dotted"),
+        Curve("rows", at, _band(image, middle), "blue"),
+        Curve("columns", at, _band(image.T, middle), "orange", "dotted"),
     ]
     inside = np.hypot(at[:, None], at) < 0.45 * len(image)
     unevenness = float(image[inside].std())
