@@ -35,7 +35,9 @@ def test_one_wrong_link_among_right_ones_moves_nothing() -> None:
     truth, edges = walk(2)
     right = [closing(truth, 0, 30), closing(truth, 3, 35), closing(truth, 0, 39), closing(truth, 6, 33)]
     found = least_squares_positions([*edges, *right, closing(truth, 2, 37, error=12.0)])
-    assert np.hypot(*(np.array(found[39]) - truth[39])) < 0.05
+    misses = np.array([found[k] for k in range(40)]) - truth
+    assert np.hypot(*misses[39]) < 0.05
+    assert np.abs(misses).max() < 0.5
 
 
 def test_frames_that_nothing_connects_are_left_out() -> None:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _ROUNDS: Final = 8
+_UNPROVEN: Final = 1e-6
+"""First weight of links that close loops: they are judged by where the others put the frames."""
 _TAIL: Final = 3.0
 """Residual, in standard deviations, at which a link loses half of its weight."""
 
@@ -47,7 +49,8 @@ def least_squares_positions(edges: Sequence[Edge], fixed: int = 0) -> dict[int, 
     Parameters
     ----------
     edges : sequence of Edge
-        Links; frames that no chain of them connects to `fixed` are left out.
+        Links, those that are trusted most first: they judge those that close loops with them. Frames that no chain of
+        them connects to `fixed` are left out.
     fixed : int
         Frame at (0, 0).
 
@@ -76,7 +79,7 @@ def least_squares_positions(edges: Sequence[Edge], fixed: int = 0) -> dict[int, 
     measured = np.array([edge.displacement for edge in edges])
     root = np.stack([np.linalg.cholesky(np.linalg.inv(edge.covariance)).T for edge in edges])
     free = [k for k in range(2 * len(number)) if k // 2 != number[fixed]]
-    weight = np.ones(len(edges))
+    weight = np.where(_closing(edges), _UNPROVEN, 1.0)
     places = np.zeros((len(number), 2))
     for _ in range(_ROUNDS):
         scaled = root * np.sqrt(weight)[:, None, None]
@@ -86,6 +89,23 @@ def least_squares_positions(edges: Sequence[Edge], fixed: int = 0) -> dict[int, 
         miss = np.einsum("eij,ej->ei", root, places[to] - places[from_] - measured)
         weight = 1 / (1 + (miss**2).sum(axis=1) / _TAIL**2)
     return {frame: (float(places[k, 0]), float(places[k, 1])) for frame, k in number.items()}
+
+
+def _closing(edges: Sequence[Edge]) -> list[bool]:
+    """Whether each link closes a loop of links before it."""
+    root: dict[int, int] = {}
+
+    def find(frame: int) -> int:
+        while root.setdefault(frame, frame) != frame:
+            frame = root[frame] = root[root[frame]]
+        return frame
+
+    closing = []
+    for edge in edges:
+        a, b = find(edge.earlier), find(edge.later)
+        closing.append(a == b)
+        root[b] = a
+    return closing
 
 
 def _connected(edges: Sequence[Edge], start: int) -> set[int]:
