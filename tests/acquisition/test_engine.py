@@ -178,6 +178,28 @@ def test_a_slow_consumer_is_counted_and_does_not_hold_the_camera_up(engine: Engi
     assert status.acquired == status.processed + status.dropped["processing slow"]
 
 
+def test_a_slow_disk_costs_recorded_frames_and_says_so(
+    engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append = RecordingWriter.append
+
+    def slowly(writer: RecordingWriter, *arguments: Any, **options: Any) -> None:
+        time.sleep(0.1 if len(writer) < 40 else 0)
+        append(writer, *arguments, **options)
+
+    monkeypatch.setattr(RecordingWriter, "append", slowly)
+    engine.start()
+    engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
+    until(lambda: "recorder slow" in engine.status().dropped)
+    engine.stop()
+    engine.finish_recording()
+    status = engine.status()
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        missing = int((np.diff(recording.frame_numbers) - 1).sum())
+    assert missing == status.dropped["recorder slow"]
+    assert status.processed == status.acquired
+
+
 def test_an_unplugged_camera_parks_the_mirror_and_keeps_the_data(
     engine: Engine, rig: Any, calibration: Calibration, tmp_path: Path
 ) -> None:

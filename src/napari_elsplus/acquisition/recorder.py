@@ -154,3 +154,4 @@ class Recorder(Thread):
                 return
             self._writer.append(frame, stamp.exposed_s, stamp.frame_number)
             self._tally.recorded += 1
+            self._tally.skipped("recorder slow", self._cursor.skipped)
