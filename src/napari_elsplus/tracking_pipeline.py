@@ -67,6 +67,8 @@ class _Ours:
 
     def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
         image = self._front_end.image(raw, self._tracker.slot(), raw_residual)
+        if self._front_end.saturated(raw):
+            image[:] = 0
         return self._tracker.add(), image
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:

@@ -118,3 +118,9 @@ def test_frames_of_nan_are_lost_and_spoil_no_others() -> None:
     pipeline = track(broken)
     assert [row.state for row in pipeline.rows] == ["tracked"] * 6 + ["predicted"] + ["tracked"] * 5
     assert np.isfinite(pipeline.mosaics[0].read()[0]).all()
+
+
+def test_a_saturated_recording_is_lost_though_the_flat_field_has_structure() -> None:
+    truth = record(texture(600, 6), np.full((6, 2), 300.0), gain=0.9)
+    pipeline = track(blinded(truth, 0, 5, 255))
+    assert [row.state for row in pipeline.rows] == ["tracked"] + ["lost"] * 4

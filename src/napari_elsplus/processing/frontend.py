@@ -107,6 +107,16 @@ class FrontEnd:
         smooth(self._sum, self._scale, self._offset, self._line, out)
         return out
 
+    def saturated(self, raw: NDArray[Any]) -> bool:
+        """Whether most of the confocal view is at the camera's limit, so that only the flat field has structure."""
+        if raw.dtype.kind != "u":
+            return False
+        grid = self.grid
+        top, left = grid.origin
+        reach = grid.side * grid.binning
+        view = raw[top + reach // 4 : top + 3 * reach // 4 : 8, left + reach // 4 : left + 3 * reach // 4 : 8]
+        return bool(np.count_nonzero(view == np.iinfo(raw.dtype).max) > 0.5 * view.size)
+
     def _accumulate(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> None:
         self._sum[:] = 0
         first, last = self.lit
