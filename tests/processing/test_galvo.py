@@ -121,3 +121,13 @@ def test_what_is_no_sweep_is_refused() -> None:
         fit_galvo(volts, [line(100.0)] * 200)
     with pytest.raises(MeasurementError, match="out of step"):
         fit_galvo(random.permutation(volts), lines)
+
+
+@pytest.mark.parametrize("column", [90.0, 210.0])
+def test_a_map_taken_at_another_column_is_the_map_fitted_there(column: float) -> None:
+    volts = 0.002 * ROWS - 0.3
+    here, there = (fitted(ROWS, volts, column=at, slope=0.01) for at in (150.0, column))
+    moved = here.at_column(column)
+    assert moved.row(0.1) == pytest.approx(there.row(0.1), abs=1e-9)
+    assert moved.rows == pytest.approx(there.rows, abs=1e-9)
+    assert abs(moved.row(0.1) - here.row(0.1)) == pytest.approx(0.6, abs=1e-6)
