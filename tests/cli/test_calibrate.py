@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 import tifffile
 
+from napari_elsplus.evaluation.against_truth import calibration_errors
 from napari_elsplus.io import read_calibration, write_column
+from napari_elsplus.simulation.instrument import Instrument
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -124,3 +126,30 @@ def test_bad_input_is_one_line_and_leaves_nothing(elsplus: Elsplus, bad: Path, a
     assert word in ran.err
     assert len(ran.err.splitlines()) == 1
     assert sorted(bad.iterdir()) == before
+
+
+def test_the_simulated_rig_is_calibrated_live(elsplus: Elsplus, tmp_path: Path) -> None:
+    out = tmp_path / "live.json"
+    run = elsplus("calibrate", "--rig", "simulated", "-o", out)
+    assert run.code == 0, run.err
+    assert "scan lag" in run.out
+    calibration = read_calibration(out)
+    calibration.require("frame", "acquired_with", "offset", "galvo", "bundle", "optics", "quality")
+    errors = calibration_errors(calibration, Instrument.of("240hz"))
+    assert abs(errors.offset_rows) < 0.05
+    assert abs(errors.galvo_slope_percent) < 0.1
+    assert calibration.background is not None
+
+
+def test_files_and_a_rig_together_are_refused(elsplus: Elsplus, tmp_path: Path) -> None:
+    run = elsplus("calibrate", "--rig", "simulated", "--line", "line.tif", "-o", tmp_path / "cal.json")
+    assert run.code == 2
+    assert "both --rig and --line" in run.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unknown_rig_is_one_line(elsplus: Elsplus, tmp_path: Path) -> None:
+    run = elsplus("calibrate", "--rig", "nowhere", "-o", tmp_path / "cal.json")
+    assert run.code == 2
+    assert "nowhere" in run.err
+    assert len(run.err.splitlines()) == 1

@@ -48,9 +48,11 @@ def open_live(name: str, *, own_process: bool = False) -> Rig:
 
 
 def calibrate_simulated(
-    rig: Rig, engine: Engine, *, watch: Callable[[str], Watch] = lambda _: iter
+    rig: Rig, engine: Engine, *, voltages: int = QUICK_VOLTAGES, watch: Callable[[str], Watch] = lambda _: iter
 ) -> tuple[Findings, ScanLag]:
     """Calibrate the simulated rig by itself, and put the probe onto moving lens tissue.
+
+    Parameters and results are those of :func:`napari_elsplus.acquisition.calibrating.calibrate_rig`.
 
     Raises
     ------
@@ -70,6 +72,6 @@ def calibrate_simulated(
             case Target.DARK_TUBE:
                 bench.optics.show(empty())
 
-    found = calibrate_rig(engine, prepare, voltages=QUICK_VOLTAGES, watch=watch)
+    found = calibrate_rig(engine, prepare, voltages=voltages, watch=watch)
     bench.optics.show(fibres(), PATH)
     return found

@@ -7,15 +7,23 @@ from typing import TYPE_CHECKING
 
 import click
 
+from napari_elsplus.acquisition.calibrating import SWEEP_VOLTAGES, Target, calibrate_rig
+from napari_elsplus.acquisition.engine import Engine
+from napari_elsplus.acquisition.guardian import Guardian
+from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
+from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.cli.options import FILE, force_option, progress
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_volts, refuse_existing, write_calibration
+from napari_elsplus.optics import BUNDLE_UM, PRESETS
 from napari_elsplus.processing.calibrate import Findings, measure
 from napari_elsplus.processing.galvo import PAPER_VOLTAGES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
+
+    from napari_elsplus.acquisition.procedures import Watch
 
 INPUTS = ("line", "sweep", "bundle", "background", "flat")
 
@@ -31,9 +39,13 @@ INPUTS = ("line", "sweep", "bundle", "background", "flat")
 @click.option("--bundle-um", type=float, help="Diameter of the bundle's image in micrometres, instead of --um-per-px.")
 @click.option("--line-period-s", type=float, help="Seconds from one row's readout to the next.")
 @click.option("--rows-per-frame", type=float, help="Line periods from one frame to the next.")
+@click.option("--rig", help="Measure everything live on this rig instead; `simulated` needs nobody's hands.")
+@click.option("--preset", type=click.Choice(list(PRESETS)), default="240hz", show_default=True, help="With --rig.")
 @click.option("-o", "--output", type=FILE, required=True, help="Calibration file to write, NAME.json.")
 @force_option
 def command(
+    rig: str | None,
+    preset: str,
     volts: Path | None,
     um_per_px: float | None,
     bundle_um: float | None,
@@ -43,26 +55,58 @@ def command(
     force: bool,
     **files: Path | None,
 ) -> None:
-    """Measure a calibration from any subset of the inputs; say what was found, with its uncertainty."""
+    """Measure a calibration from any subset of the inputs, or live on a rig; say what was found, how surely."""
     refuse_existing(output, force=force)
     refuse_existing(output.with_suffix(".npz"), force=force)
-    if not any(files.values()):
-        raise InputError("there is nothing to measure", f"give one of {', '.join('--' + name for name in INPUTS)}")
-    with ExitStack() as stack:
-        recordings = {name: stack.enter_context(open_recording(path)) for name, path in files.items() if path}
-        findings = measure(
-            **recordings,
-            volts=None if volts is None else read_volts(volts),
-            um_per_px=um_per_px,
-            bundle_um=bundle_um,
-            line_period_s=line_period_s,
-            rows_per_frame=rows_per_frame,
-            watch=lambda numbers: progress(numbers, describe="sweep"),
+    given = [name for name, path in files.items() if path]
+    if rig is not None:
+        if given:
+            raise InputError(f"both --rig and --{given[0]}", "measure live or from files, not both")
+        findings = _live(rig, preset, bundle_um)
+    elif not given:
+        raise InputError(
+            "there is nothing to measure", f"give one of {', '.join('--' + name for name in INPUTS)}, or --rig"
         )
+    else:
+        with ExitStack() as stack:
+            recordings = {name: stack.enter_context(open_recording(path)) for name, path in files.items() if path}
+            findings = measure(
+                **recordings,
+                volts=None if volts is None else read_volts(volts),
+                um_per_px=um_per_px,
+                bundle_um=bundle_um,
+                line_period_s=line_period_s,
+                rows_per_frame=rows_per_frame,
+                watch=lambda numbers: progress(numbers, describe="sweep"),
+            )
     write_calibration(output, findings.calibration, force=force)
     for found in summary(findings):
         click.echo(found)
     click.echo(f"wrote {output}")
+
+
+def _live(rig_name: str, preset: str, bundle_um: float | None) -> Findings:
+    """Calibrate on a rig, asking for each target; the mirror is parked on every way out."""
+
+    def ask(target: Target) -> None:
+        click.confirm(f"Please {target.value}. Is it so?", abort=True, err=True, default=True)
+
+    def watch(step: str) -> Watch:
+        return lambda numbers: progress(numbers, describe=f"Calibrating: {step}")
+
+    with ExitStack() as held:
+        rig = open_live(rig_name)
+        held.callback(rig.close)
+        if rig.park is not None and rig.bench is None:
+            held.enter_context(Guardian(rig.park))
+        engine = held.enter_context(Engine(rig))
+        engine.configure(Settings(preset))
+        if rig.bench is not None:
+            findings, lag = calibrate_simulated(rig, engine, voltages=SWEEP_VOLTAGES, watch=watch)
+        else:
+            findings, lag = calibrate_rig(engine, ask, bundle_um=bundle_um or BUNDLE_UM, watch=watch)
+    click.echo(f"scan lag: {1e6 * lag.lag_s:.2f} +- {1e6 * lag.uncertainty_s:.2f} us")
+    return findings
 
 
 def summary(findings: Findings) -> Iterable[str]:
