@@ -41,7 +41,7 @@ from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Straight, trajectory
 from napari_elsplus.simulation.truth import motion
-from napari_elsplus.tracking_pipeline import Pipeline, picture
+from napari_elsplus.tracking_pipeline import Pipeline, RawPairs, picture
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -194,7 +194,8 @@ def _process(
         for mode in (Mode.LS, Mode.ELS):
             pipeline = Pipeline(calibration, stage.instrument.frame_shape, mode)
             for k in stage.watch(range(len(recording)), f"mosaic of {mode.value}"):
-                pipeline.add(recording[k], k, k * optics.frame_period_s)
+                pipeline.track(recording[k], k, k * optics.frame_period_s)
+            pipeline.finish(RawPairs(recording, mode))
             tracks[mode] = track_errors(pipeline.rows, true_px)
             mosaics[mode] = picture(list(pipeline.mosaics.values()))
             scale = optics.um_per_px * pipeline.camera_px_per_pixel
