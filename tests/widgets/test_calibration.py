@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.acquisition.calibrating import Target
@@ -261,7 +260,7 @@ def test_themes_and_loading(viewer, panel, qtbot, open_recording, tmp_path):
     assert state(panel, Step.OFFSET) is State.MISSING
 
 
-def test_closing_the_dock_while_it_measures_leaves_no_engine_no_thread_and_no_timer(viewer, qtbot, said):
+def test_closing_the_dock_while_it_measures_leaves_no_panel_no_engine_and_no_thread(viewer, qtbot, said):
     before = set(threading.enumerate())
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Calibration")
     panel.form.connect_button.click()
@@ -269,10 +268,11 @@ def test_closing_the_dock_while_it_measures_leaves_no_engine_no_thread_and_no_ti
     pid = panel.connection.client.pid
     panel.form.watch.click()
     seen_something(qtbot, panel)
+    gone = []
+    panel.destroyed.connect(lambda: gone.append(True))
     viewer.window.remove_dock_widget(panel)
-    idle(qtbot, panel)
+    qtbot.waitUntil(lambda: bool(gone), timeout=LONG_MS)
     assert not [one for one in set(threading.enumerate()) - before if "engine" in one.name]
-    assert not [timer for timer in panel.findChildren(QTimer) if timer.isActive()]
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
     assert not said()

@@ -50,7 +50,7 @@ class AxialScan:
     Examples
     --------
     >>> scan = AxialScan(lit_for_plate(Instrument.of("120hz")), scan_depths_um())
-    >>> len(scan), bool(scan[0].mean() > 5 * scan[-1].mean())
+    >>> len(scan), bool(scan[0].mean() > 3 * scan[-1].mean())
     (137, True)
     """
 

@@ -128,5 +128,6 @@ class Work(QWidget):
     def _end(self) -> None:
         self._poll.stop()
         self._worker = None
+        del self._finished
         self.hide()
         self._ended()

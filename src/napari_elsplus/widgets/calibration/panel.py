@@ -58,7 +58,7 @@ class CalibrationPanel(Panel):
         self._watching = self._left = self._in_window = False
         self._refused: BaseException | None = None
         self.connection = join()
-        self.work = Work(self._refresh, self._cancel)
+        self.work = Work(self._work_ended, self._cancel)
         self.form = Form(self, self.work, viewer.theme)
         self._wire()
         self._poll = QTimer(self)
@@ -239,6 +239,12 @@ class CalibrationPanel(Panel):
         """In the thread: say nothing of an error that the user has asked for, by Cancel or by closing the panel."""
         if isinstance(error, InputError) or self._left:
             self.work.stop_if_cancelled()
+
+    def _work_ended(self) -> None:
+        if self._left:  # the dock is gone, and only the work still held the panel
+            self.deleteLater()
+        else:
+            self._refresh()
 
     def _connected(self, setup: Setup) -> None:
         self._setup = setup
