@@ -72,7 +72,10 @@ def ended(panel):
 
 def start(panel, qtbot):
     panel.start.native.click()
-    qtbot.waitUntil(lambda: panel.live and len(panel.layers.images) >= 2, timeout=30_000)
+    qtbot.waitUntil(
+        lambda: panel.live and len(panel.layers.images) >= 2 and panel.snapping.enabled and panel.record.enabled,
+        timeout=30_000,
+    )
 
 
 def stop(panel, qtbot):
