@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from depth_scan import DEPTH_UM, calibration, frames
 from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import open_recording, write_calibration, write_column, write_stack
@@ -24,35 +25,6 @@ from napari_elsplus.viewing.axial import (
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.stack import Stack
 
-DEPTH_UM = np.array([0.0, 10, 20, 30, 40, 60, 90, 150])
-SHAPE = (300, 640)
-PEDESTAL = 8000.0  # the residual of this model dips below zero
-
-
-def calibration():
-    content = {
-        "frame": {"shape": SHAPE},
-        "acquired_with": {"slit_rows": 2},
-        "offset": {"rows": -10.0, "uncertainty_rows": 0.01},
-        "bundle": {
-            "confocal_centre": [150.0, 150.0],
-            "residual_centre": [150.0, 480.0],
-            "diameter_px": 280,
-            "residual_to_confocal": [[1, 0, 0], [0, 1, -330]],
-        },
-        "optics": {"um_per_px": 2.0},
-    }
-    return Calibration.parse(content).model_copy(update={"background": np.full(SHAPE, PEDESTAL, np.float32)})
-
-
-def frames():
-    """Left falls as 1 / (1 + z / 60), left minus right as 1 / (1 + (z / 30)^2)."""
-    ls, els = 1 / (1 + DEPTH_UM / 60), 1 / (1 + (DEPTH_UM / 30) ** 2)
-    stack = np.empty((len(DEPTH_UM), *SHAPE), np.uint16)
-    stack[..., :320] = np.round(PEDESTAL + 40000 * ls)[:, None, None]
-    stack[..., 320:] = np.round(PEDESTAL + 40000 * (ls - els))[:, None, None]
-    return stack
-
 
 def stack():
     raw = frames()
@@ -62,7 +34,7 @@ def stack():
 def test_a_stack_and_frames_taken_by_hand_in_any_order_agree():
     seen = []
     measured = measure_scan(stack(), calibration(), watch=lambda numbers: (seen.append(k) or k for k in numbers))
-    assert seen == list(range(8))
+    assert seen == list(range(len(DEPTH_UM)))
     by_hand = HandScan()
     for k in (3, 0, 1, 2, 7, 6, 5, 4):
         by_hand.take(frames()[k], calibration(), DEPTH_UM[k])
@@ -132,5 +104,5 @@ def test_the_script_runs_and_says_the_same(tmp_path):
 def test_depths_that_do_not_fit_the_frames_are_refused(tmp_path):
     write_stack(tmp_path / "scan.tif", frames())
     write_column(tmp_path / "scan.depths.csv", "depth_um", DEPTH_UM[:-1])
-    with open_recording(tmp_path / "scan.tif") as recording, pytest.raises(InputError, match="7 depths"):
+    with open_recording(tmp_path / "scan.tif") as recording, pytest.raises(InputError, match="8 depths"):
         Stack.of(recording)

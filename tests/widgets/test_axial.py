@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from napari.layers import Image
 
-from napari_elsplus.calibration import Calibration
+from depth_scan import DEPTH_UM, calibration, frames
 from napari_elsplus.io import write_calibration, write_column, write_stack
 from napari_elsplus.processing.axial import axial_response
 from napari_elsplus.viewing import axial as viewing_axial
@@ -16,32 +16,6 @@ from napari_elsplus.viewing.axial import Scan
 from napari_elsplus.widgets.axial import BY_HAND, SIMULATED, STACK
 
 PLUGIN = "napari-elsplus"
-SHAPE = (300, 640)
-DEPTH_UM = np.array([0.0, 10, 20, 30, 40, 60, 90, 150, 700])
-PEDESTAL = 8000.0
-
-
-def calibration():
-    content = {
-        "frame": {"shape": SHAPE},
-        "offset": {"rows": -10.0, "uncertainty_rows": 0.01},
-        "bundle": {
-            "confocal_centre": [150.0, 150.0],
-            "residual_centre": [150.0, 480.0],
-            "diameter_px": 280,
-            "residual_to_confocal": [[1, 0, 0], [0, 1, -330]],
-        },
-        "optics": {"um_per_px": 2.0},
-    }
-    return Calibration.parse(content).model_copy(update={"background": np.full(SHAPE, PEDESTAL, np.float32)})
-
-
-def frames():
-    ls, els = 1 / (1 + DEPTH_UM / 60), 1 / (1 + (DEPTH_UM / 30) ** 2)
-    stack = np.empty((len(DEPTH_UM), *SHAPE), np.uint16)
-    stack[..., :320] = np.round(PEDESTAL + 40000 * ls)[:, None, None]
-    stack[..., 320:] = np.round(PEDESTAL + 40000 * (ls - els))[:, None, None]
-    return stack
 
 
 @pytest.fixture

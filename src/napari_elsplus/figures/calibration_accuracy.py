@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -12,19 +11,18 @@ import click
 import numpy as np
 from matplotlib.figure import Figure
 
-from napari_elsplus.errors import ElsPlusError, InputError
+from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.evaluation.calibration_accuracy import CENTRE, GAIN, OFFSET, Survey, survey
 from napari_elsplus.evaluation.choices.line import BENCHMARK, frame
 from napari_elsplus.evaluation.rigs import Rig
 from napari_elsplus.figures.files import save_figure
-from napari_elsplus.io import replacing
+from napari_elsplus.figures.pages import fill, require_marks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LIGHTS: Final = (5.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Electrons in the brightest pixel of an evenly lit bundle."""
-BETWEEN: Final = re.compile(r"(<!-- measured -->\n).*?(<!-- /measured -->)", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,18 +106,14 @@ def tables(measured: Survey, voltages: int, estimators: list[Timed]) -> str:
 def main(folder: Path, rigs: int, voltages: int, processes: int) -> None:
     """Measure anew, and put tables and charts into FOLDER/calibration.md and FOLDER/images."""
     page = folder / "calibration.md"
-    text = page.read_text(encoding="utf-8")
-    if not BETWEEN.search(text):
-        raise InputError(f"{page.name} has no place for the tables", "keep its two `measured` marks")
+    require_marks(page, ("measured",))
     measured = survey([Rig.draw(seed) for seed in range(rigs)], voltages, processes)
     few = range(max(2, rigs // 16))
     lights = [survey([Rig.draw(seed).with_photons(light) for seed in few], 0, processes) for light in LIGHTS]
     estimators = compare_estimators(len(few))
-    written = tables(measured, voltages, estimators)
     (folder / "images").mkdir(exist_ok=True)
     save_figure(draw(lights, estimators), folder / "images" / "calibration.png", force=True)
-    with replacing(page, force=True) as unfinished:
-        unfinished.write_text(BETWEEN.sub(lambda found: f"{found[1]}{written}\n{found[2]}", text), encoding="utf-8")
+    fill(page, {"measured": tables(measured, voltages, estimators)})
 
 
 if __name__ == "__main__":

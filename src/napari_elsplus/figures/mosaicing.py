@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from napari_elsplus.errors import InputError
 from napari_elsplus.evaluation.mosaicing import TRANSLATION, Judged, Outcome, Scenario, judged_links, outcomes
 from napari_elsplus.figures.files import save_figure
-from napari_elsplus.io import replacing
+from napari_elsplus.figures.pages import fill, require_marks
 from napari_elsplus.processing.registration import LEAST_EVIDENCE
 from napari_elsplus.tracking_pipeline import Method
 
@@ -49,20 +47,13 @@ def make(docs: Path) -> None:
         If there is no ``mosaicing.md`` in it, or the table's place is missing there.
     """
     page = docs / "mosaicing.md"
-    if not page.is_file():
-        raise InputError(f"there is no {page}", "name the folder of mosaicing.md")
-    text = page.read_text(encoding="utf-8")
-    marks = re.compile(r"(<!-- methods -->\n).*?(<!-- end -->)", re.DOTALL)
-    if not marks.search(text):
-        raise InputError("mosaicing.md has no place for its table", "mark it <!-- methods --> <!-- end -->")
+    require_marks(page, ("methods",))
     measured = {scenario: outcomes(scenario) for scenario in SCENARIOS}
     images = docs / "images"
     save_figure(draw_mosaics(measured[FAST]), images / "mosaicing-mosaics.png", force=True)
     save_figure(draw_errors(measured[FAST]), images / "mosaicing-errors.png", force=True)
     save_figure(draw_gate(judged_links(JUDGED_UM_S, JUDGED_FRAMES, SEEDS)), images / "mosaicing-gate.png", force=True)
-    rows = "\n".join(table(measured))
-    with replacing(page, force=True) as path:
-        path.write_text(marks.sub(lambda found: f"{found[1]}\n{rows}\n\n{found[2]}", text), encoding="utf-8")
+    fill(page, {"methods": "\n".join(table(measured))})
 
 
 def draw_mosaics(made: dict[str, Outcome]) -> Figure:

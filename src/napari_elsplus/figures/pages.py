@@ -9,8 +9,29 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
+
+
+def require_marks(page: Path, names: Iterable[str]) -> None:
+    """Make sure, before anything is measured for it, that a page has a place for each block.
+
+    Parameters
+    ----------
+    page : pathlib.Path
+        A markdown file.
+    names : iterable of str
+        The blocks that :func:`fill` will be given.
+
+    Raises
+    ------
+    InputError
+        If there is no such page, or it does not mark one of the blocks.
+    """
+    text = _read(page)
+    for name in names:
+        if not _marks(name).search(text):
+            raise InputError(f"{page.name} has no place for {name!r}", f"mark it <!-- {name} --> <!-- end -->")
 
 
 def fill(page: Path, blocks: Mapping[str, str]) -> list[str]:
@@ -50,16 +71,23 @@ def fill(page: Path, blocks: Mapping[str, str]) -> list[str]:
     <!-- end -->
     <BLANKLINE>
     """
-    if not page.is_file():
-        raise InputError(f"there is no {page.name} in {page.parent}", "name the folder of the documentation")
-    text = page.read_text(encoding="utf-8")
+    text = _read(page)
     put = []
     for name, block in blocks.items():
-        marks = re.compile(rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
-        parts = marks.split(text)
+        parts = _marks(name).split(text)
         if len(parts) > 1:
             text = f"{parts[0]}{parts[1]}\n{block}\n\n{parts[2]}{parts[3]}"
             put.append(name)
     with replacing(page, force=True) as path:
         path.write_text(text, encoding="utf-8")
     return put
+
+
+def _read(page: Path) -> str:
+    if not page.is_file():
+        raise InputError(f"there is no {page.name} in {page.parent}", "name the folder of the documentation")
+    return page.read_text(encoding="utf-8")
+
+
+def _marks(name: str) -> re.Pattern[str]:
+    return re.compile(rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.errors import InputError
 from napari_elsplus.evaluation.sectioning import mean_residual, measure_axial, weigh_offset
 from napari_elsplus.figures import physics_charts as charts
 from napari_elsplus.figures.files import save_figure
-from napari_elsplus.io import replacing
+from napari_elsplus.figures.pages import fill, require_marks
 from napari_elsplus.processing.axial import fit_saturation
 from napari_elsplus.simulation.axial_response import LINE_MODELS, drop_offs
 from napari_elsplus.simulation.instrument import Instrument
@@ -30,6 +28,7 @@ SEEDS: Final = 10
 WEIGHED_UM: Final = (3, 6, 9, 12, 16, 20, 25, 29, 35, 40, 50, 58, 67, 77, 90)
 STRIPS_UM: Final = ((-295.0, -260.0), (-285.0, -275.0), (260.0, 295.0))
 EDGE_UM: Final = (-74.0, -12.0)
+TABLES: Final = ("offsets", "slits", "seeds", "edge")
 
 
 def make(docs: Path) -> None:
@@ -46,8 +45,7 @@ def make(docs: Path) -> None:
         If there is no ``physics.md`` in it, or a table's place is missing there.
     """
     page = docs / "physics.md"
-    if not page.is_file():
-        raise InputError(f"there is no {page}", "name the folder of physics.md")
+    require_marks(page, TABLES)
     by_offset = {offset: measure_axial(_instrument(offset)) for offset in OFFSETS_UM}
     by_slit = {slit: measure_axial(_instrument(29.0, slit)) for slit in SLITS_UM}
     sharp = {slit: measure_axial(_instrument(77.0, slit, "b")) for slit in SHARP_SLITS_UM}
@@ -64,16 +62,8 @@ def make(docs: Path) -> None:
     }
     for name, figure in figures.items():
         save_figure(figure, docs / "images" / f"physics-{name}.png", force=True)
-    text = page.read_text(encoding="utf-8")
-    for name, table in (
-        ("offsets", _offset_table(by_offset)),
-        ("slits", _slit_table(by_slit)),
-        ("seeds", _seed_table(by_seed)),
-        ("edge", _edge_table(residuals)),
-    ):
-        text = _put(text, name, table)
-    with replacing(page, force=True) as path:
-        path.write_text(text, encoding="utf-8")
+    tables = (_offset_table(by_offset), _slit_table(by_slit), _seed_table(by_seed), _edge_table(residuals))
+    fill(page, {name: "\n".join(table) for name, table in zip(TABLES, tables, strict=True)})
 
 
 def _instrument(offset_um: float, slit_um: float = 2.9, state: str = "a") -> Instrument:
@@ -158,15 +148,6 @@ def _share(image: NDArray[np.float32], um_per_px: float, first_um: float, last_u
 
 def _off(value: float, target: float) -> str:
     return f"{100 * (value / target - 1):+.1f} %"
-
-
-def _put(text: str, name: str, rows: list[str]) -> str:
-    """Put a table between its two marks."""
-    marks = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-    if not marks.search(text):
-        raise InputError(f"physics.md has no place for the table {name!r}", f"mark it <!-- {name} --> <!-- end -->")
-    table = "\n".join(rows)
-    return marks.sub(lambda found: f"{found[1]}\n{table}\n\n{found[2]}", text)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from abc import ABC, abstractmethod
 from contextlib import contextmanager
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
@@ -21,7 +22,7 @@ LARGEST_FRAME: Final = 1 << 30
 """Bytes; a header that asks for more is taken to be broken."""
 
 
-class FrameSource:
+class FrameSource(ABC):
     """Frames of one format, read one at a time and from any thread.
 
     Parameters
@@ -59,9 +60,9 @@ class FrameSource:
         self.dtype = np.dtype(np.float32) if dtype.kind == "f" else dtype.newbyteorder("=")
         self.metadata: dict[str, Any] = metadata or {}
 
+    @abstractmethod
     def frame(self, index: int) -> NDArray[Any]:
         """Read one frame, (rows, cols), as the file holds it."""
-        raise NotImplementedError
 
     def block(self, indices: range) -> NDArray[Any]:
         """Read several frames, (len(indices), rows, cols)."""
@@ -97,7 +98,7 @@ class FrameSource:
         """Camera's number of each frame; gaps are dropped frames."""
         return np.arange(self.shape[0], dtype=np.int64)
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - some formats hold nothing open
         """Let go of the file."""
 
 
