@@ -43,7 +43,7 @@ def main(seconds: float, name: str, record: Path | None, track: bool) -> None:
         engine.configure(Settings(name))
         engine.use(rig.bench.optics.calibration(preset(name)))
         if track:
-            engine.track(LiveTrack(engine.calibration, engine.frame_shape))
+            engine.track(LiveTrack(engine.calibration, engine.setup.frame_shape))
         engine.start()
         if record is not None:
             engine.record(RecordingPlan(record, earlier_s=2.0, force=True))

@@ -26,12 +26,12 @@ def test_the_simulated_rig_is_calibrated_to_its_truth_and_scans_by_it() -> None:
         assert found.galvo is not None
         assert found.galvo.row(0.1) == pytest.approx(true.galvo.row(0.1), abs=0.1)  # type: ignore[union-attr]
         assert lag.lag_s == found.galvo.lag_s
-        assert lag.lag_s / engine.line_period_s == pytest.approx(
-            true.galvo.lag_s / engine.line_period_s,  # type: ignore[union-attr]
+        assert lag.lag_s / engine.setup.line_period_s == pytest.approx(
+            true.galvo.lag_s / engine.setup.line_period_s,  # type: ignore[union-attr]
             abs=0.3,
         )
         assert found.background is not None
-        assert found.acquired_with == engine.acquired_with
+        assert found.acquired_with == engine.setup.acquired_with
         assert not engine.status().stale
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.acquisition import procedures
-from napari_elsplus.calibration import FrameSection
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.optics import BUNDLE_UM
 from napari_elsplus.processing.calibrate import Findings, measure, measure_background
@@ -104,15 +103,15 @@ def _calibrate(
         volts=volts,
         bundle=lit,
         bundle_um=bundle_um,
-        line_period_s=engine.line_period_s,
-        rows_per_frame=engine.frame_period_s / engine.line_period_s,
+        line_period_s=engine.setup.line_period_s,
+        rows_per_frame=engine.setup.rows_per_frame,
         watch=watch("fit"),
     )
     calibration = findings.calibration
     calibration = calibration.model_copy(
         update={
-            "acquired_with": engine.acquired_with,
-            "frame": FrameSection(shape=engine.frame_shape, sensor_origin=engine.sensor_origin),
+            "acquired_with": engine.setup.acquired_with,
+            "frame": engine.setup.frame,
         }
     )
     engine.use(calibration)
@@ -136,7 +135,7 @@ def span_of_the_bundle(engine: Engine, watch: Watch = iter) -> tuple[float, floa
     MeasurementError
         If no voltage puts a line onto the bundle.
     """
-    volts = np.linspace(engine.limits.min_v, engine.limits.max_v, SEARCH_VOLTAGES)
+    volts = np.linspace(engine.mirror.limits.min_v, engine.mirror.limits.max_v, SEARCH_VOLTAGES)
     dark = procedures.take_parked(engine, procedures.LINE_FRAMES).mean(axis=0)
     heights = _heights(procedures.take_sweep(engine, volts, watch), dark)
     seen = np.flatnonzero(heights > _VISIBLE * heights.max())
@@ -149,7 +148,7 @@ def span_of_the_bundle(engine: Engine, watch: Watch = iter) -> tuple[float, floa
         )
     step = volts[1] - volts[0]
     low, high = volts[seen[0]] - step, volts[seen[-1]] + step
-    return max(float(low), engine.limits.min_v), min(float(high), engine.limits.max_v)
+    return max(float(low), engine.mirror.limits.min_v), min(float(high), engine.mirror.limits.max_v)
 
 
 def _heights(frames: NDArray[np.uint8], dark: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,7 +11,6 @@ import numpy as np
 
 from napari_elsplus.acquisition import procedures
 from napari_elsplus.acquisition.calibrating import SWEEP_VOLTAGES, Target
-from napari_elsplus.calibration import FrameSection
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.hardware.virtual.frame_source import Circle
 from napari_elsplus.optics import preset
@@ -24,8 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from napari_elsplus.acquisition.client import EngineClient
-    from napari_elsplus.acquisition.engine import Engine, Rig
+    from napari_elsplus.acquisition.engine import Engine
     from napari_elsplus.acquisition.procedures import Watch
+    from napari_elsplus.acquisition.rig import Rig
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.processing.calibrate import SlitOffset
     from napari_elsplus.processing.lag import ScanLag
@@ -43,12 +43,12 @@ TARGETS: Final = {
 
 def setup(engine: Engine) -> Setup:
     """Say what frames are taken with now."""
-    chosen = preset(engine.settings.preset)
+    chosen = preset(engine.setup.settings.preset)
     return Setup(
-        FrameSection(shape=engine.frame_shape, sensor_origin=engine.sensor_origin),
-        engine.acquired_with,
-        engine.line_period_s,
-        engine.frame_period_s / engine.line_period_s,
+        engine.setup.frame,
+        engine.setup.acquired_with,
+        engine.setup.line_period_s,
+        engine.setup.rows_per_frame,
         chosen.optics.um_per_px,
     )
 

@@ -67,7 +67,7 @@ def take_sweep(engine: Engine, volts: NDArray[np.floating], watch: Watch = iter)
         Wraps the numbers of the voltages, to show how far it is, or to give up.
     """
     with _streaming(engine):
-        rows, cols = engine.frame_shape
+        rows, cols = engine.setup.frame_shape
         frames = np.empty((len(volts), rows, cols), np.uint8)
         for number in watch(range(len(volts))):
             frames[number] = take_standing(engine, float(volts[number]), 1)[0]
@@ -170,9 +170,9 @@ class _LagScan:
         assert calibration is not None
         assert calibration.galvo is not None
         self._engine, self._calibration, self._galvo = engine, calibration, calibration.galvo
-        self._sectioner = Sectioner(calibration, engine.frame_shape)
+        self._sectioner = Sectioner(calibration, engine.setup.frame_shape)
         self._inside = disc(self._sectioner.side, 0.9 * self._sectioner.diameter_px)
-        self.line_period_s = engine.line_period_s
+        self.line_period_s = engine.setup.line_period_s
         self.leads_s: list[float] = []
         self.signal: list[float] = []
 

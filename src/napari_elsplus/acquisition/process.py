@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.acquisition import guided, procedures, shared
 from napari_elsplus.acquisition.calibrating import span_of_the_bundle
-from napari_elsplus.acquisition.engine import Engine, Rig
+from napari_elsplus.acquisition.engine import Engine
 from napari_elsplus.acquisition.guardian import Guardian
 from napari_elsplus.acquisition.priority import keep_pace
 from napari_elsplus.acquisition.shared import SharedRing
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from napari_elsplus.acquisition.procedures import Watch
+    from napari_elsplus.acquisition.rig import Rig
     from napari_elsplus.acquisition.ring import Layout, Ring
 
 STATUS_PERIOD_S: Final = 0.1

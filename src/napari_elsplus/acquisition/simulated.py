@@ -14,8 +14,9 @@ from napari_elsplus.simulation.scenes import distal_light, empty, fibres, unifor
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from napari_elsplus.acquisition.engine import Engine, Rig
+    from napari_elsplus.acquisition.engine import Engine
     from napari_elsplus.acquisition.procedures import Watch
+    from napari_elsplus.acquisition.rig import Rig
     from napari_elsplus.processing.calibrate import Findings
     from napari_elsplus.processing.lag import ScanLag
 

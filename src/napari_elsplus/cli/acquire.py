@@ -26,7 +26,7 @@ from napari_elsplus.tracking_pipeline import picture
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from napari_elsplus.acquisition.engine import Rig
+    from napari_elsplus.acquisition.rig import Rig
     from napari_elsplus.acquisition.status import Status
     from napari_elsplus.tracking_pipeline import Pipeline
 
@@ -79,7 +79,7 @@ def command(
         assert engine.calibration is not None
         tracker = None
         if mosaic is not None or track is not None:
-            tracker = LiveTrack(engine.calibration, engine.frame_shape)
+            tracker = LiveTrack(engine.calibration, engine.setup.frame_shape)
             engine.track(tracker)
         try:
             _stream(
