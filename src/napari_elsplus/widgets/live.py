@@ -132,7 +132,6 @@ class Live(EnginePanel):
 
     def refresh(self) -> None:
         """Say how it goes, and what can be done."""
-        super().refresh()
         client = self.connection.client
         status = client.status if client is not None else None
         live, busy = self.live, self.asking.busy

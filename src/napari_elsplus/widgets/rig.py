@@ -108,7 +108,6 @@ class Rig(EnginePanel):
 
     def refresh(self) -> None:
         """Show how the rig is, and what can be done."""
-        super().refresh()
         client, busy = self.connection.client, self.asking.busy
         connected = client is not None
         simulated = self.connection.rig == SIMULATED

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from napari.utils.notifications import show_error, show_info
-from qtpy.QtCore import QEvent, QTimer
+from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog
 
 from napari_elsplus.acquisition.guided import GuidedCalibration
@@ -24,11 +24,11 @@ from napari_elsplus.widgets.calibration.form import Form
 from napari_elsplus.widgets.calibration.pictures import Picture, picture
 from napari_elsplus.widgets.connection import join
 from napari_elsplus.widgets.panel import Panel, told
+from napari_elsplus.widgets.window_end import WindowEnd
 from napari_elsplus.widgets.work import Work
 
 if TYPE_CHECKING:
     import napari.viewer
-    from qtpy.QtCore import QObject
 
     Shown = tuple[Found, Setup, Picture]
 
@@ -55,7 +55,8 @@ class CalibrationPanel(Panel):
         self._past: list[tuple[Draft, dict[Step, Shown]]] = []
         self._setup: Setup | None = None
         self._watched: Shown | str | None = None
-        self._watching = self._left = self._in_window = False
+        self._watching = self._left = False
+        self._window_end = WindowEnd(self, self.cleanup)
         self._refused: BaseException | None = None
         self.connection = join()
         self.work = Work(self._work_ended, self._cancel)
@@ -193,15 +194,6 @@ class CalibrationPanel(Panel):
             put_in_force(written)
             show_info(f"saved {written.name}: {summary(self.draft.calibration)}")
 
-    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """Leave the engine when the window closes: it is hidden then, by the program and not by the screen."""
-        window = self.window()
-        if event is not None and window is not None and watched is window:
-            hides = event.type() == QEvent.Type.Hide and not event.spontaneous()
-            if hides or (event.type() == QEvent.Type.Close and not window.isVisible()):
-                self.cleanup()
-        return bool(super().eventFilter(watched, event))
-
     def cleanup(self) -> None:
         """Stop measuring, take the layers away, let go of the engine and the viewer."""
         if self._left:
@@ -270,10 +262,6 @@ class CalibrationPanel(Panel):
 
     def _look(self) -> None:
         """Ask how far it is, and what the line does; ten times a second."""
-        window = self.window()
-        if not self._in_window and window is not None and window is not self:
-            self._in_window = True
-            window.installEventFilter(self)
         if self._refused is not None:
             error, self._refused = self._refused, None
             show_error(str(error))
