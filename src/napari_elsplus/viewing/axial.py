@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
+from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.axial import AxialResponse, Saturation, axial_profiles, axial_response, fit_saturation
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.lazy import LazyPlanes
-from napari_elsplus.viewing.stack import Stack
+from napari_elsplus.viewing.stack import Stack, files_for_script
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -233,7 +234,7 @@ def simulated_scan(
     return Stack(name, planes, known, depth_um=depths), true_calibration(instrument, background)
 
 
-def axial_script(stack: Stack, calibration: str) -> str:
+def axial_script(stack: Stack, calibration: Path | str | None) -> str:
     """Write a script that makes the same measurement.
 
     Raises
@@ -243,18 +244,15 @@ def axial_script(stack: Stack, calibration: str) -> str:
     CalibrationError
         If the calibration lies in no file of its own.
     """
-    if stack.recording is None:
-        raise InputError(f"{stack.name} is simulated and lies in no file", "use `napari-elsplus simulate axial`")
-    if not calibration:
-        raise CalibrationError("the calibration lies in no file of its own", "save it beside the scan")
-    return f'''"""Axial response of {stack.recording.path.name}."""
+    frames_file, calibration_file = files_for_script(stack, calibration)
+    return f'''"""Axial response of {stack.file_name}."""
 
 from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.viewing.axial import measure_scan
 from napari_elsplus.viewing.stack import Stack
 
-with open_recording({str(stack.recording.path)!r}) as recording:
-    scan = measure_scan(Stack.of(recording), read_calibration({calibration!r}))
+with open_recording({frames_file!r}) as recording:
+    scan = measure_scan(Stack.of(recording), read_calibration({calibration_file!r}))
 
 response = scan.response
 print(f"LS: 3 dB at {{response.ls_3db.um:.1f}} um, 10 dB at {{response.ls_10db.um:.1f}} um")

@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from skimage.measure import profile_line
 
-from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.errors import InputError
 from napari_elsplus.processing.cores import CoreFilter
 from napari_elsplus.processing.quality import USED_DIAMETER, contrast, white_level
 from napari_elsplus.processing.sectioning import Mode, disc
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
+from napari_elsplus.viewing.stack import files_for_script
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -239,7 +241,7 @@ def difference_planes(comparison: Comparison, minuend: Mode, subtrahend: Mode) -
     return LazyPlanes(lambda index: first[index] - second[index], first.shape, first.dtype)
 
 
-def comparison_script(stack: Stack, calibration: str, cores: str, scaling: str, frame: int) -> str:
+def comparison_script(stack: Stack, calibration: Path | str | None, cores: str, scaling: str, frame: int) -> str:
     """Write a script that makes the same comparison.
 
     Raises
@@ -249,18 +251,15 @@ def comparison_script(stack: Stack, calibration: str, cores: str, scaling: str, 
     CalibrationError
         If the calibration lies in no file of its own.
     """
-    if stack.recording is None:
-        raise InputError(f"{stack.name} is simulated and lies in no file", "save its raw layer, and open that")
-    if not calibration:
-        raise CalibrationError("the calibration lies in no file of its own", "save it beside the recording")
-    return f'''"""LS, ELSA and ELS+ of one moment of {stack.recording.path.name}."""
+    frames_file, calibration_file = files_for_script(stack, calibration)
+    return f'''"""LS, ELSA and ELS+ of one moment of {stack.file_name}."""
 
 from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.viewing.comparison import compare_stack, figures, white_levels
 from napari_elsplus.viewing.stack import Stack
 
-with open_recording({str(stack.recording.path)!r}) as recording:
-    calibration = read_calibration({calibration!r})
+with open_recording({frames_file!r}) as recording:
+    calibration = read_calibration({calibration_file!r})
     comparison = compare_stack(Stack.of(recording), calibration, cores={cores!r})
     images = comparison.at({frame})
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from magicgui.widgets import ComboBox, Container, FloatSpinBox, PushButton
-from napari.utils.notifications import show_info
-from qtpy.QtWidgets import QApplication, QFileDialog, QHBoxLayout, QLabel, QVBoxLayout
+from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QVBoxLayout
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing
@@ -23,7 +22,8 @@ from napari_elsplus.viewing.axial import (
     simulated_scan,
 )
 from napari_elsplus.widgets.axial_plots import drop_off_curves, response_curves, table
-from napari_elsplus.widgets.panel import Panel, told
+from napari_elsplus.widgets.choosing import calibrated_recordings, shown_index
+from napari_elsplus.widgets.panel import Panel, copy_as_script, told
 from napari_elsplus.widgets.plots import ThemedPlot
 from napari_elsplus.widgets.work import Work
 
@@ -134,11 +134,8 @@ class AxialResponse(Panel):
         """Copy Python that measures the chosen stack to the clipboard."""
         with told():
             known = self._chosen(self.stack).metadata["elsplus"]
-            text = axial_script(known["stack"], str(known["calibration_path"] or ""))
-            clipboard = QApplication.clipboard()
-            if clipboard is not None:
-                clipboard.setText(text)
-                show_info("the script is on the clipboard")
+            text = axial_script(known["stack"], known["calibration_path"])
+            copy_as_script(text)
 
     def cleanup(self) -> None:
         """Stop measuring and let go of the viewer."""
@@ -201,8 +198,7 @@ class AxialResponse(Panel):
         """Return the raw frame of a layer that is shown: of a stack, the one at the slider."""
         if layer.ndim == 2:
             return np.asarray(layer.data)
-        steps = (self.viewer.dims.point[0] - layer.translate[0]) / layer.scale[0]
-        return np.asarray(layer.data[int(np.clip(round(steps), 0, layer.data.shape[0] - 1))])
+        return np.asarray(layer.data[shown_index(self.viewer, layer)])
 
     def _chosen(self, choice: ComboBox) -> Image:
         if choice.value is None:
@@ -211,8 +207,7 @@ class AxialResponse(Panel):
         return layer
 
     def _raws(self, _: Any = None) -> list[str]:
-        known = {layer.name: layer.metadata.get("elsplus", {}) for layer in self.viewer.layers}
-        return [name for name, facts in known.items() if facts.get("kind") == "raw" and facts.get("calibration")]
+        return calibrated_recordings(self.viewer)
 
     def _stacks(self, _: Any = None) -> list[str]:
         stacks = {name: self.viewer.layers[name].metadata["elsplus"].get("stack") for name in self._raws()}

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from magicgui.widgets import ComboBox, Container, PushButton
 from napari.layers import Image
-from napari.utils.notifications import show_info
 from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QApplication, QFileDialog, QHBoxLayout, QLabel, QVBoxLayout
+from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QVBoxLayout
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.cores import CoreFilter
@@ -28,7 +27,8 @@ from napari_elsplus.viewing.comparison import (
     white_levels,
 )
 from napari_elsplus.viewing.layers import TITLES
-from napari_elsplus.widgets.panel import Panel, told
+from napari_elsplus.widgets.choosing import calibrated_recordings, shown_index
+from napari_elsplus.widgets.panel import Panel, copy_as_script, told
 from napari_elsplus.widgets.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.stage import Exhibit, Stage
 
@@ -157,15 +157,18 @@ class Compare(Panel):
         """Copy Python that makes this comparison to the clipboard."""
         with told():
             known = self._chosen().metadata["elsplus"]
-            calibration = str(known["calibration_path"] or "")
-            text = comparison_script(known["stack"], calibration, self.cores.value, self.scaling.value, self._index())
-            clipboard = QApplication.clipboard()
-            if clipboard is not None:
-                clipboard.setText(text)
-                show_info("the script is on the clipboard")
+            calibration_file = known["calibration_path"]
+            text = comparison_script(
+                known["stack"], calibration_file, self.cores.value, self.scaling.value, self._index()
+            )
+            copy_as_script(text)
 
     def _build(self) -> None:
-        self.recording = ComboBox(label="recording", choices=self._recordings, tooltip="Raw layers with a calibration")
+        self.recording = ComboBox(
+            label="recording",
+            choices=lambda _: calibrated_recordings(self.viewer),
+            tooltip="Raw layers with a calibration",
+        )
         self.cores = ComboBox(label="core filter", choices=[kind.value for kind in CoreFilter])
         self.cores.tooltip = "How the honeycomb of the cores is suppressed, in all of them alike"
         self.scaling = ComboBox(label="scaling", choices=[kind.value for kind in Scaling])
@@ -198,10 +201,6 @@ class Compare(Panel):
         assert isinstance(layer, Image)
         return layer
 
-    def _recordings(self, _: Any = None) -> list[str]:
-        known = {layer.name: layer.metadata.get("elsplus", {}) for layer in self.viewer.layers}
-        return [name for name, facts in known.items() if facts.get("kind") == "raw" and facts.get("calibration")]
-
     def _exhibits(self, comparison: Comparison) -> list[Exhibit]:
         if self.view.value == DIFFERENCE:
             ink = self.plot.ink("grey")
@@ -215,8 +214,7 @@ class Compare(Panel):
 
     def _index(self) -> int:
         layer = self.stage.images[0] if self.stage.images else self._chosen()
-        steps = (self.viewer.dims.point[0] - layer.translate[0]) / layer.scale[0]
-        return int(np.clip(round(steps), 0, layer.data.shape[0] - 1))
+        return shown_index(self.viewer, layer)
 
     def _again(self) -> None:
         if self.comparing:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from napari.utils.notifications import show_error
+from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QEvent
-from qtpy.QtWidgets import QWidget
+from qtpy.QtWidgets import QApplication, QWidget
 
 from napari_elsplus.errors import ElsPlusError
 
@@ -56,3 +56,11 @@ def told() -> Iterator[None]:
         yield
     except ElsPlusError as error:
         show_error(str(error))
+
+
+def copy_as_script(text: str) -> None:
+    """Put a script on the clipboard, and say so."""
+    clipboard = QApplication.clipboard()
+    if clipboard is not None:
+        clipboard.setText(text)
+        show_info("the script is on the clipboard")
