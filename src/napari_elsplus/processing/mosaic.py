@@ -166,12 +166,7 @@ class Mosaic:
                     continue
                 tile, at = self._store.tile(*key), tile_rectangle(*key)
                 shared = part.within(at)
-                here = np.s_[
-                    shared.top - part.top : shared.bottom - part.top, shared.left - part.left : shared.right - part.left
-                ]
-                there = np.s_[
-                    shared.top - at.top : shared.bottom - at.top, shared.left - at.left : shared.right - at.left
-                ]
+                here, there = shared.slices(part), shared.slices(at)
                 image[here], weight[here] = tile.value[there], tile.weight[there]
         if self.insertion is Insertion.FEATHERED:
             np.divide(image, weight, out=image, where=weight > 0)

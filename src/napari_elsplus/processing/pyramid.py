@@ -6,14 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.processing.tiles import HeapTiles, Rectangle, TileStore, tile_rectangle
+from napari_elsplus.compiled import kernel
+from napari_elsplus.processing.tiles import TILE_PX, HeapTiles, Rectangle, TileStore, tile_rectangle
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.mosaic import Mosaic
+    from napari_elsplus.processing.tiles import Canvas
 
 
 class Pyramid:
@@ -21,67 +22,81 @@ class Pyramid:
 
     Parameters
     ----------
-    mosaic : Mosaic
+    canvas : Canvas
         Level 0; the pyramid takes its dirty rectangles.
     levels : int
-        Number of levels, the mosaic itself included.
+        Number of levels, the canvas itself included.
     new_store : callable
         Makes the store of a level's tiles.
     """
 
-    def __init__(self, mosaic: Mosaic, levels: int, new_store: Callable[[], TileStore] = HeapTiles) -> None:
-        self._mosaic = mosaic
+    def __init__(self, canvas: Canvas, levels: int, new_store: Callable[[], TileStore] = HeapTiles) -> None:
+        self._canvas = canvas
         self._stores = [new_store() for _ in range(levels - 1)]
+        self._half = np.empty((TILE_PX, TILE_PX), np.float32)
+        self._count = np.empty((TILE_PX, TILE_PX), np.float32)
 
     def refresh(self) -> list[Rectangle]:
         """Bring all levels up to date; return what changed on each, an empty list if nothing did."""
-        dirty = self._mosaic.take_dirty()
+        dirty = self._canvas.take_dirty()
         if dirty is None:
             return []
         changed = [dirty]
-        for level, store in enumerate(self._stores):
+        for level in range(1, len(self._stores) + 1):
             below = changed[-1]
             here = Rectangle(below.top // 2, below.left // 2, -(-below.bottom // 2), -(-below.right // 2))
-            image, weight = self.read(level, Rectangle(2 * here.top, 2 * here.left, 2 * here.bottom, 2 * here.right))
-            _draw(store, here, *_halved(image, weight))
+            self._halve(level, here)
             changed.append(here)
         return changed
 
     def read(self, level: int, part: Rectangle) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Copy a part of a level: grey levels, and 0 or more where nothing or something was drawn."""
         if level == 0:
-            return self._mosaic.read(part)
+            return self._canvas.read(part)
         store = self._stores[level - 1]
         image, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
         existing = set(store.keys())
         for key in part.tiles():
             if key in existing:
-                here, there = _overlap(part, key)
-                image[here], weight[here] = store.tile(*key).value[there], store.tile(*key).weight[there]
+                at, tile = tile_rectangle(*key), store.tile(*key)
+                shared = part.within(at)
+                here, there = shared.slices(part), shared.slices(at)
+                image[here], weight[here] = tile.value[there], tile.weight[there]
         return image, weight
 
+    def _halve(self, level: int, part: Rectangle) -> None:
+        """Compute a part of a level from the one below, tile by tile, so that no more than a tile is held."""
+        store = self._stores[level - 1]
+        existing = set(store.keys())
+        for key in part.tiles():
+            at = tile_rectangle(*key)
+            block = part.within(at)
+            rows, cols = block.shape
+            image, weight = self.read(
+                level - 1, Rectangle(2 * block.top, 2 * block.left, 2 * block.bottom, 2 * block.right)
+            )
+            half, count = self._half[:rows, :cols], self._count[:rows, :cols]
+            if not halve(image, weight, half, count) and key not in existing:
+                continue
+            tile, there = store.tile(*key), block.slices(at)
+            tile.value[there], tile.weight[there] = half, count
 
-def _halved(image: NDArray[np.float32], weight: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    rows, cols = image.shape
-    drawn = (weight > 0).astype(np.float32)
-    total = (image * drawn).reshape(rows // 2, 2, cols // 2, 2).sum(axis=(1, 3))
-    count = drawn.reshape(rows // 2, 2, cols // 2, 2).sum(axis=(1, 3))
-    return np.divide(total, count, out=np.zeros_like(total), where=count > 0), count
 
-
-def _draw(store: TileStore, part: Rectangle, image: NDArray[np.float32], weight: NDArray[np.float32]) -> None:
-    for key in part.tiles():
-        here, there = _overlap(part, key)
-        tile = store.tile(*key)
-        tile.value[there], tile.weight[there] = image[here], weight[here]
-
-
-def _overlap(part: Rectangle, key: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Where a rectangle and a tile meet, in the pixels of each."""
-    at = tile_rectangle(*key)
-    shared = part.within(at)
-    here, there = (
-        (slice(shared.top - o.top, shared.bottom - o.top), slice(shared.left - o.left, shared.right - o.left))
-        for o in (part, at)
-    )
-    return here, there
+@kernel
+def halve(
+    image: NDArray[np.float32], weight: NDArray[np.float32], half: NDArray[np.float32], count: NDArray[np.float32]
+) -> bool:
+    """Write to `half` the means of those of 2 x 2 pixels that have a weight, and to `count` how many have."""
+    any_drawn = False
+    for row in range(half.shape[0]):
+        for col in range(half.shape[1]):
+            total, drawn = np.float32(0), np.float32(0)
+            for down in range(2):
+                for across in range(2):
+                    if weight[2 * row + down, 2 * col + across] > 0:
+                        total += image[2 * row + down, 2 * col + across]
+                        drawn += np.float32(1)
+            count[row, col] = drawn
+            half[row, col] = total / drawn if drawn > 0 else np.float32(0)
+            any_drawn = any_drawn or drawn > 0
+    return any_drawn

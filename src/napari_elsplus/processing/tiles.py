@@ -46,6 +46,17 @@ class Rectangle(NamedTuple):
             max(self.right, other.right),
         )
 
+    def moved(self, rows: int, cols: int) -> Rectangle:
+        """Return the rectangle so many rows lower and columns further right."""
+        return Rectangle(self.top + rows, self.left + cols, self.bottom + rows, self.right + cols)
+
+    def slices(self, whole: Rectangle) -> tuple[slice, slice]:
+        """Where it lies in an array that holds another rectangle, within which it is."""
+        return (
+            slice(self.top - whole.top, self.bottom - whole.top),
+            slice(self.left - whole.left, self.right - whole.left),
+        )
+
     def tiles(self) -> Iterator[tuple[int, int]]:
         """Keys (row, col) of the tiles that the rectangle touches."""
         for row in range(self.top // TILE_PX, -(-self.bottom // TILE_PX)):
@@ -84,6 +95,20 @@ class TileStore(Protocol):
         ...
 
 
+class Canvas(Protocol):
+    """Something that is drawn on while others look at it."""
+
+    @property
+    def extent(self) -> Rectangle | None:
+        """What has been drawn on."""
+
+    def take_dirty(self) -> Rectangle | None:
+        """Return what changed since the last call, or None."""
+
+    def read(self, part: Rectangle | None = None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Copy a part: grey levels, and weights that are 0 where nothing was drawn."""
+
+
 class HeapTiles:
     """Tiles in ordinary memory.
 
@@ -113,6 +138,20 @@ class HeapTiles:
     def clear(self) -> None:
         """Forget all tiles."""
         self._tiles.clear()
+
+
+def around_all(parts: Iterable[Rectangle]) -> Rectangle | None:
+    """Return the smallest rectangle that holds all of them; None if there is none.
+
+    Examples
+    --------
+    >>> around_all([Rectangle(0, 0, 2, 2), Rectangle(5, -1, 6, 1)])
+    Rectangle(top=0, left=-1, bottom=6, right=2)
+    """
+    whole: Rectangle | None = None
+    for part in parts:
+        whole = part if whole is None else whole.around(part)
+    return whole
 
 
 def tile_rectangle(row: int, col: int) -> Rectangle:

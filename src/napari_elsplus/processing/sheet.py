@@ -1,0 +1,125 @@
+"""The mosaics of all segments on one sheet, below one another, each where it stays while it grows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.processing.tiles import TILE_PX, Canvas, Rectangle, around_all
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+GAP_PX: Final = 16
+"""Empty rows between the rooms of two segments."""
+
+
+class _Place(NamedTuple):
+    canvas: Canvas
+    row: int
+    col: int
+    room: Rectangle
+    """What the segment may fill before those below it have to move, in its own pixels."""
+
+    def on_sheet(self, part: Rectangle) -> Rectangle:
+        return part.moved(self.row, self.col)
+
+
+class Sheet:
+    """Canvases put below one another in the order of their numbers; itself a canvas.
+
+    The first keeps its own pixels. Each has room up to whole tiles, so that the others move seldom.
+
+    Examples
+    --------
+    >>> from napari_elsplus.processing.grid import Grid
+    >>> from napari_elsplus.processing.mosaic import Mosaic
+    >>> from napari_elsplus.processing.motion import RollingShutter
+    >>> grid = Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0))
+    >>> first, second = Mosaic(grid), Mosaic(grid)
+    >>> for mosaic in (first, second):
+    ...     _ = mosaic.insert(np.ones((120, 120), np.float32), 0.0, 0.0)
+    >>> sheet = Sheet()
+    >>> _ = sheet.arrange({0: first, 1: second})
+    >>> sheet.place(0), sheet.place(1)
+    ((0, 0), (1040, 0))
+    """
+
+    def __init__(self) -> None:
+        self._places: dict[int, _Place] = {}
+        self._dirty: Rectangle | None = None
+
+    def arrange(self, canvases: Mapping[int, Canvas]) -> bool:
+        """Take the segments' canvases with what changed on them, and make room where one has grown.
+
+        Returns
+        -------
+        bool
+            Whether any that was there before has moved or is gone.
+        """
+        before, self._places = self._places, {}
+        top: int | None = None
+        left, moved = 0, False
+        for number in sorted(canvases):
+            canvas, known = canvases[number], before.pop(number, None)
+            dirty, extent = canvas.take_dirty(), canvas.extent
+            if extent is None:
+                continue
+            stays = known is not None and known.canvas is canvas
+            room = _room(extent.around(known.room) if known is not None and stays else extent)
+            if top is None:
+                top, left = room.top, room.left
+            row = top - room.top if self._places else 0
+            col = 0 if not self._places else known.col if known is not None else left - room.left
+            place = self._places[number] = _Place(canvas, row, col, room)
+            top = row + room.bottom + GAP_PX
+            if known is not None and (not stays or (row, col) != (known.row, known.col)):
+                moved = True
+                self._soil(known.on_sheet(known.room))
+            if not stays or (known is not None and (row, col) != (known.row, known.col)):
+                self._soil(place.on_sheet(room))
+            elif dirty is not None:
+                self._soil(place.on_sheet(dirty))
+        for gone in before.values():
+            moved = True
+            self._soil(gone.on_sheet(gone.room))
+        return moved
+
+    def place(self, number: int) -> tuple[int, int]:
+        """Row and column of the sheet where a segment's (0, 0) lies; (0, 0) for one that is not there."""
+        found = self._places.get(number)
+        return (0, 0) if found is None else (found.row, found.col)
+
+    @property
+    def extent(self) -> Rectangle | None:
+        """What may have been drawn on."""
+        return around_all(place.on_sheet(place.room) for place in self._places.values())
+
+    def take_dirty(self) -> Rectangle | None:
+        """Return what changed up to the last arrangement, or None if that was taken already."""
+        dirty, self._dirty = self._dirty, None
+        return dirty
+
+    def read(self, part: Rectangle | None = None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Copy a part of the sheet: grey levels and weights, as a mosaic's."""
+        part = part or self.extent or Rectangle(0, 0, 0, 0)
+        image, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
+        for place in self._places.values():
+            shared = part.within(place.on_sheet(place.room))
+            if 0 not in shared.shape:
+                here = shared.slices(part)
+                image[here], weight[here] = place.canvas.read(shared.moved(-place.row, -place.col))
+        return image, weight
+
+    def _soil(self, part: Rectangle) -> None:
+        self._dirty = part if self._dirty is None else self._dirty.around(part)
+
+
+def _room(extent: Rectangle) -> Rectangle:
+    """Round outwards to whole tiles."""
+    top, left = (TILE_PX * (first // TILE_PX) for first in (extent.top, extent.left))
+    bottom, right = (-TILE_PX * (-last // TILE_PX) for last in (extent.bottom, extent.right))
+    return Rectangle(top, left, bottom, right)
