@@ -206,6 +206,10 @@ class Pipeline:
         self._note(pose, frame, time_s)
         return self.rows[-1]
 
+    def lay(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
+        """Lay a raw frame down where another pipeline, of another mode, has found it to be."""
+        self._lay(self._tracking.image(raw, raw if raw_residual is None else raw_residual), pose)
+
     def finish(
         self,
         raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],

@@ -98,5 +98,6 @@ def halve(
                         drawn += np.float32(1)
             count[row, col] = drawn
             half[row, col] = total / drawn if drawn > 0 else np.float32(0)
-            any_drawn = any_drawn or drawn > 0
+            if drawn > 0:
+                any_drawn = True
     return any_drawn

@@ -1,0 +1,185 @@
+"""A mosaic that grows, as a multiscale image: viewers read what they draw, and only what changed is computed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.processing.pyramid import Pyramid
+from napari_elsplus.processing.sheet import Sheet
+from napari_elsplus.processing.tiles import Rectangle
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tiles import Canvas
+
+LEVELS: Final = 8
+"""Halves of halves that are kept: enough for 65,000 pixels."""
+COARSEST_PX: Final = 512
+"""The last level that is shown is no larger."""
+
+
+class Change(NamedTuple):
+    """What an update did.
+
+    Parameters
+    ----------
+    pixels : bool
+        Whether any pixel may have changed.
+    frame : bool
+        Whether the image covers another part of the plane, so that its levels are new arrays.
+    places : bool
+        Whether a segment has moved on the sheet.
+    """
+
+    pixels: bool = False
+    frame: bool = False
+    places: bool = False
+
+
+class GrowingImage:
+    """The segments of a mosaic as the levels of a multiscale image.
+
+    Attributes
+    ----------
+    sheet : Sheet
+        Where the segments lie.
+    frame : Rectangle
+        The part of the sheet that the image covers.
+    levels : list
+        Full resolution first; each half of the one before. All but the last read the mosaic when they are indexed; the
+        last is an array that is filled in place.
+
+    Examples
+    --------
+    >>> from napari_elsplus.processing.grid import Grid
+    >>> from napari_elsplus.processing.mosaic import Mosaic
+    >>> from napari_elsplus.processing.motion import RollingShutter
+    >>> mosaic = Mosaic(Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0)))
+    >>> _ = mosaic.insert(np.full((120, 120), 7, np.float32), 0.0, 0.0)
+    >>> image = GrowingImage()
+    >>> image.update({0: mosaic})
+    Change(pixels=True, frame=True, places=False)
+    >>> [level.shape for level in image.levels], image.frame
+    ([(1024, 1024), (512, 512)], Rectangle(top=-512, left=-512, bottom=512, right=512))
+    >>> float(image.levels[0][512, 512]), image.update({0: mosaic}).pixels
+    (7.0, False)
+    """
+
+    def __init__(self) -> None:
+        self.sheet = Sheet()
+        self.frame = Rectangle(0, 0, 0, 0)
+        self._pyramid = Pyramid(self.sheet, LEVELS)
+        self._coarsest = np.zeros((0, 0), np.float32)
+        self.levels: list[Any] = []
+
+    def update(self, canvases: Mapping[int, Canvas]) -> Change:
+        """Take in what was drawn since the last time; in one thread only.
+
+        Parameters
+        ----------
+        canvases : mapping of int to Canvas
+            The segments by their numbers.
+        """
+        moved = self.sheet.arrange(canvases)
+        dirty = self._pyramid.refresh()
+        frame = _aligned(self.sheet.extent or self.frame)
+        reframed = frame != self.frame
+        if reframed:
+            self.frame = frame
+            count = _levels_of(frame)
+            self._coarsest = self._read(count - 1, frame)
+            self.levels = [LevelView(self._pyramid, level, frame) for level in range(count - 1)] + [self._coarsest]
+        elif dirty:
+            self._fill_coarsest(dirty[len(self.levels) - 1])
+        return Change(bool(dirty), reframed, moved)
+
+    def white_level(self, share: float = 1e-3) -> float:
+        """Grey level that only this share of what was drawn exceeds; 1 if nothing was drawn."""
+        drawn = self._coarsest[self._coarsest != 0]
+        return max(float(np.quantile(drawn, 1 - share)), 1e-6) if drawn.size else 1.0
+
+    def _read(self, level: int, part: Rectangle) -> NDArray[np.float32]:
+        return self._pyramid.read(level, _halved(part, level))[0]
+
+    def _fill_coarsest(self, dirty: Rectangle) -> None:
+        level = len(self.levels) - 1
+        whole = _halved(self.frame, level)
+        part = dirty.within(whole)
+        if 0 not in part.shape:
+            self._coarsest[part.slices(whole)] = self._pyramid.read(level, part)[0]
+
+
+class LevelView:
+    """One level of a pyramid as an array that is read where it is indexed; float32.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        Where the pixels are.
+    level : int
+        Which level.
+    frame : Rectangle
+        What the array covers, in pixels of level 0; its edges are multiples of what a pixel of any level spans.
+    """
+
+    ndim: Final = 2
+    dtype: Final = np.dtype(np.float32)
+
+    def __init__(self, pyramid: Pyramid, level: int, frame: Rectangle) -> None:
+        self._pyramid, self._level = pyramid, level
+        self._part = _halved(frame, level)
+        self.shape = self._part.shape
+        self.size = self.shape[0] * self.shape[1]
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, key: Any) -> Any:
+        keys = key if isinstance(key, tuple) else (key,)
+        if Ellipsis in keys or len(keys) > self.ndim:
+            return np.asarray(self)[key]
+        keys = (*keys, *[slice(None)] * (self.ndim - len(keys)))
+        bounds: list[tuple[int, int]] = []
+        rest: list[slice | int] = []
+        for one, length in zip(keys, self.shape, strict=True):
+            if isinstance(one, slice):
+                first, last, step = one.indices(length)
+                if step < 1:
+                    return np.asarray(self)[key]
+                bounds.append((first, max(first, last)))
+                rest.append(slice(None, None, step))
+            else:
+                index = int(one)
+                if not -length <= index < length:
+                    raise IndexError(f"pixel {index} of {length}")
+                bounds.append((index % length, index % length + 1))
+                rest.append(0)
+        (top, bottom), (left, right) = bounds
+        part = Rectangle(top, left, bottom, right).moved(self._part.top, self._part.left)
+        return self._pyramid.read(self._level, part)[0][tuple(rest)]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        whole = self._pyramid.read(self._level, self._part)[0]
+        return whole if dtype is None else whole.astype(dtype, copy=False)
+
+
+def _halved(frame: Rectangle, level: int) -> Rectangle:
+    return Rectangle(*(edge >> level for edge in frame))
+
+
+def _aligned(extent: Rectangle) -> Rectangle:
+    """Round outwards to what a pixel of the last level spans."""
+    step = 1 << (LEVELS - 1)
+    top, left = (step * (first // step) for first in (extent.top, extent.left))
+    bottom, right = (-step * (-last // step) for last in (extent.bottom, extent.right))
+    return Rectangle(top, left, bottom, right)
+
+
+def _levels_of(frame: Rectangle) -> int:
+    """Levels that are shown: at least two, so that the image is multiscale from the beginning."""
+    return next((n for n in range(2, LEVELS) if max(frame.shape) >> (n - 1) <= COARSEST_PX), LEVELS)

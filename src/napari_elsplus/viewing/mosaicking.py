@@ -1,0 +1,324 @@
+"""A stack to a track and the mosaics of several modes along it, which can be looked at while they grow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import nan
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+
+from napari_elsplus.calibration import Calibration
+from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.processing.grid import FIELD
+from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.tracking import State
+from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs, with_timing
+from napari_elsplus.viewing.track import fastest_px_per_frame
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.io import TrackPoint
+    from napari_elsplus.processing.sectioning import Frames
+    from napari_elsplus.processing.tiles import Canvas
+    from napari_elsplus.processing.tracking import Pose
+
+    Watch = Callable[[Iterable[int]], Iterable[int]]
+
+TRACKED_FIRST: Final = (Mode.ELS, Mode.LS, Mode.RESIDUAL, Mode.ELSA)
+"""Of the modes that are asked for, the first of these is tracked; the others are laid along its track."""
+_RIM_PX: Final = 4
+
+
+@dataclass(frozen=True)
+class MosaicPlan:
+    """What is made of a stack.
+
+    Parameters
+    ----------
+    modes : tuple of Mode
+        At least one.
+    method : Method
+        How the probe is tracked.
+    insertion : Insertion
+        How frames are laid over one another.
+    """
+
+    modes: tuple[Mode, ...] = (Mode.ELS,)
+    method: Method = Method.ELSPLUS
+    insertion: Insertion = Insertion.DEAD_LEAF
+
+    @property
+    def tracked(self) -> Mode:
+        """The mode that is tracked.
+
+        Raises
+        ------
+        InputError
+            If none is asked for.
+        """
+        found = next((mode for mode in TRACKED_FIRST if mode in self.modes), None)
+        if found is None:
+            raise InputError("no image is chosen", "tick LS, ELSA or ELS+")
+        return found
+
+
+class Mosaics(Protocol):
+    """What is looked at while it grows: a track and mosaics, made here or by a running engine."""
+
+    @property
+    def rows(self) -> Sequence[TrackPoint]:
+        """The track so far, a row for every frame."""
+
+    @property
+    def canvases(self) -> Mapping[Mode, Mapping[int, Canvas]]:
+        """The segments of each mode."""
+
+    @property
+    def revision(self) -> int:
+        """Another number once what was there before has changed."""
+
+    @property
+    def scale(self) -> MosaicScale:
+        """How large things are."""
+
+
+@dataclass(frozen=True)
+class MosaicScale:
+    """How large the pixels of a mosaic are, and how far a frame reaches.
+
+    Attributes
+    ----------
+    camera_px_per_pixel : float
+        Camera pixels per pixel of the mosaic.
+    camera_um_per_px : float or None
+        Scale of a camera pixel.
+    radius_px : float
+        Of what is used of a frame, pixels of the mosaic.
+    fastest_px : float
+        Camera pixels per frame that can be followed.
+    """
+
+    camera_px_per_pixel: float
+    camera_um_per_px: float | None
+    radius_px: float
+    fastest_px: float
+
+    @property
+    def um_per_px(self) -> float | None:
+        """Scale of a pixel of the mosaic."""
+        return None if self.camera_um_per_px is None else self.camera_um_per_px * self.camera_px_per_pixel
+
+
+class StackMosaics:
+    """Tracks a stack and lays its frames into mosaics, one for each mode and segment.
+
+    One thread runs it; others may look at :attr:`rows` and :attr:`canvases` meanwhile.
+
+    Parameters
+    ----------
+    frames : Frames
+        (T, rows, cols), raw.
+    calibration : Calibration
+        Needs the bundle section.
+    plan : MosaicPlan
+        What is made.
+    times_s : sequence of float, optional
+        When each frame was taken; from the calibration's timing, where that is known, by default.
+
+    Attributes
+    ----------
+    notes : list of str
+        What the user should be told.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two frames, they show nothing, or hold NaN.
+    CalibrationError
+        If the calibration does not fit.
+    """
+
+    def __init__(
+        self, frames: Frames, calibration: Calibration, plan: MosaicPlan, times_s: Sequence[float] | None = None
+    ) -> None:
+        self.plan, self.calibration = plan, calibration
+        self.notes: list[str] = []
+        self.revision = 0
+        self._frames = _Checked(frames)
+        self._pairs = RawPairs(self._frames, plan.tracked)
+        self._frames.look()
+        self._times_s = times_s
+        self._lead = self._pipeline(plan.tracked)
+        self._followers = {mode: self._pipeline(mode) for mode in plan.modes if mode is not plan.tracked}
+        self._shown: Mapping[Mode, Mapping[int, Canvas]] | None = None
+        self._rows: list[TrackPoint] | None = None
+
+    @property
+    def steps(self) -> int:
+        """How many steps :meth:`run` goes through at most."""
+        return (3 if self._followers else 2) * len(self._pairs)
+
+    @property
+    def rows(self) -> Sequence[TrackPoint]:
+        """The track so far, a row for every frame."""
+        return self._lead.rows if self._rows is None else self._rows
+
+    @property
+    def canvases(self) -> Mapping[Mode, Mapping[int, Canvas]]:
+        """The segments of each mode, in the order of the plan."""
+        if self._shown is not None:
+            return self._shown
+        makers = {self.plan.tracked: self._lead, **self._followers}
+        return {mode: dict(makers[mode].mosaics) for mode in self.plan.modes}
+
+    @property
+    def scale(self) -> MosaicScale:
+        """How large things are."""
+        grid, per_pixel = self._lead.grid, self._lead.camera_px_per_pixel
+        optics = self.calibration.optics
+        return MosaicScale(
+            per_pixel,
+            None if optics is None else optics.um_per_px,
+            0.5 * FIELD * grid.diameter,
+            fastest_px_per_frame(grid, per_pixel, self.plan.method),
+        )
+
+    def run(self, watch: Watch = iter, checkpoint: Callable[[], None] = lambda: None) -> None:
+        """Track and lay all frames, then close loops, join segments, and lay everything where it belongs.
+
+        Parameters
+        ----------
+        watch : callable
+            Goes through numbers, one a step; what it raises ends the run, and what was laid until then stays.
+        checkpoint : callable
+            Called whenever a frame is read; what it raises ends the run, too.
+        """
+        self._frames.checkpoint = checkpoint
+        if self.plan.method is Method.ELSPLUS:
+            self.calibration, said = with_timing(self.calibration, self._pairs, self.plan.tracked)
+            if said:
+                self.notes.append(said)
+                self._lead = self._pipeline(self.plan.tracked)
+                self._followers = {mode: self._pipeline(mode) for mode in self._followers}
+        for index in watch(range(len(self._pairs))):
+            frame = self._pairs.frame(index)
+            raw, raw_residual = self._pairs(index)
+            self._lead.add(raw, frame, self._time_s(frame), raw_residual)
+            self._follow(self._followers, self._lead.poses[-1], frame)
+        self._refine(watch)
+        if sum(row.state == State.TRACKED.value for row in self.rows) < 2:
+            self.notes.append("no two frames fit together: was the probe on tissue, and slow enough to overlap?")
+
+    def undo(self) -> bool:
+        """Take the last segment away, and call its frames lost; whether there was one."""
+        numbers = {number for canvases in self.canvases.values() for number in canvases}
+        if not numbers:
+            return False
+        last = max(numbers)
+        self._shown = {
+            mode: {number: canvas for number, canvas in canvases.items() if number != last}
+            for mode, canvases in self.canvases.items()
+        }
+        self._rows = [_lost(row) if row.segment == last else row for row in self.rows]
+        self.revision += 1
+        return True
+
+    def _refine(self, watch: Watch) -> None:
+        self._shown, self._rows = self.canvases, list(self._lead.rows)  # stay on screen meanwhile
+        self._lead.finish(self._pairs, watch)
+        fresh = {mode: self._pipeline(mode) for mode in self._followers}
+        if fresh:
+            for index in watch(range(len(self._pairs))):
+                self._follow(fresh, self._lead.poses[index], self._pairs.frame(index))
+        self._followers = fresh
+        self._shown = self._rows = None
+        self.revision += 1
+
+    def _follow(self, followers: Mapping[Mode, Pipeline], pose: Pose, frame: int) -> None:
+        if pose.state is not State.TRACKED:
+            return
+        for mode, follower in followers.items():
+            if mode is not Mode.ELSA:
+                follower.lay(pose, self._frames[frame])
+            elif frame % 2 == 0 and frame + 1 < len(self._frames):
+                follower.lay(pose, self._frames[frame], self._frames[frame + 1])
+
+    def _pipeline(self, mode: Mode) -> Pipeline:
+        rows, cols = self._frames[0].shape
+        return Pipeline(
+            self.calibration, (rows, cols), mode, method=self.plan.method, insertion=self.plan.insertion
+        )  # fmt: skip
+
+    def _time_s(self, frame: int) -> float:
+        if self._times_s is not None:
+            return float(self._times_s[frame])
+        optics = self.calibration.optics
+        if optics is None or not optics.line_period_s or not optics.rows_per_frame:
+            return nan
+        return frame * optics.line_period_s * optics.rows_per_frame
+
+
+def images_as_they_are(frames: Frames, um_per_px: float | None = None) -> Calibration:
+    """Make a calibration for finished images of one bundle, whose disc touches the image's edges.
+
+    Raises
+    ------
+    CalibrationError
+        If the images are too small to be tracked.
+    """
+    rows, cols = frames[0].shape
+    diameter = min(rows, cols) - _RIM_PX
+    if diameter < 2 * _RIM_PX:
+        raise CalibrationError(f"the images have {rows} x {cols} pixels", "choose a stack of larger ones")
+    centre = [(rows - 1) / 2, (cols - 1) / 2]
+    bundle = {
+        "confocal_centre": centre,
+        "residual_centre": centre,
+        "diameter_px": diameter,
+        "residual_to_confocal": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+    }
+    return Calibration.parse({"bundle": bundle, **({} if um_per_px is None else {"optics": {"um_per_px": um_per_px}})})
+
+
+class _Checked:
+    """Frames that are refused, with their number, where nothing can be made of them."""
+
+    def __init__(self, frames: Frames) -> None:
+        self._frames = frames
+        self.checkpoint: Callable[[], None] = lambda: None
+        if len(frames) < 2:
+            raise InputError(
+                f"the stack has {len(frames)} frame{'s' * (len(frames) != 1)}", "choose one of at least two"
+            )
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> NDArray[Any]:
+        self.checkpoint()
+        frame = np.asarray(self._frames[index])
+        if frame.ndim != 2:
+            raise InputError(f"a frame has shape {frame.shape}", "choose a stack (T, rows, cols) of grey levels")
+        if frame.dtype.kind == "f" and not np.isfinite(frame).all():
+            raise InputError(f"frame {index} holds NaN or infinity", "mend it, or choose another stack")
+        return frame
+
+    def look(self) -> None:
+        """Refuse a stack whose frames show nothing."""
+        chosen = [self[index] for index in sorted({0, len(self) // 2, len(self) - 1})]
+        if all(frame.min() == frame.max() for frame in chosen):
+            raise InputError(
+                f"the frames are constant (grey level {chosen[0].flat[0]:g})",
+                "is the laser on, and the probe on tissue?",
+            )
+
+
+def _lost(row: TrackPoint) -> TrackPoint:
+    return replace(
+        row, row_px=nan, col_px=nan, row_um=nan, col_um=nan, score=nan, sigma_px=nan, state=State.LOST.value
+    )  # fmt: skip

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+import numpy as np
+
+from napari_elsplus.processing.grid import Grid
+from napari_elsplus.processing.mosaic import Mosaic
+from napari_elsplus.processing.motion import RollingShutter
+from napari_elsplus.viewing.growing import COARSEST_PX, GrowingImage
+
+GRID = Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0))
+
+
+def inserted(mosaic: Mosaic, row: float, col: float) -> None:
+    rng = np.random.default_rng(int(abs(row + 7 * col)))
+    mosaic.insert(1 + rng.random((120, 120)).astype(np.float32), row, col)
+
+
+def test_every_level_shows_the_mosaic_while_it_grows() -> None:
+    mosaics = {0: Mosaic(GRID), 1: Mosaic(GRID)}
+    image = GrowingImage()
+    for k, (row, col) in enumerate([(0, 0), (30, 20), (700, -1400), (710, -1380), (2500, 100), (2510, 90)]):
+        inserted(mosaics[k % 2], row, col)
+        image.update(mosaics)
+        coarsest = image.levels[-1]
+        for level, finer in enumerate(image.levels[:-1]):
+            whole = np.asarray(finer)
+            part = np.s_[10:400:3, 5:300]
+            np.testing.assert_array_equal(finer[part], whole[part])
+            assert finer[7, -9] == whole[7, -9]
+            np.testing.assert_array_equal(finer[-1], whole[-1])
+            step = 2 ** (len(image.levels) - 1 - level)
+            assert np.array_equal(_any(whole != 0, step), coarsest != 0)
+        for number, mosaic in mosaics.items():
+            if mosaic.extent is not None:
+                at = mosaic.extent.moved(*image.sheet.place(number))
+                np.testing.assert_array_equal(np.asarray(image.levels[0])[at.slices(image.frame)], mosaic.read()[0])
+    assert max(image.levels[-1].shape) <= COARSEST_PX
+    assert not image.update(mosaics).pixels
+
+
+def test_the_coarsest_level_is_filled_in_place_so_that_whoever_keeps_it_sees_it() -> None:
+    mosaic, image = Mosaic(GRID), GrowingImage()
+    inserted(mosaic, 0, 0)
+    image.update({0: mosaic})
+    kept = image.levels[-1]
+    before = np.count_nonzero(kept)
+    inserted(mosaic, 60, 60)
+    change = image.update({0: mosaic})
+    assert (change.pixels, change.frame) == (True, False)
+    assert image.levels[-1] is kept
+    assert np.count_nonzero(kept) > before
+
+
+def test_white_is_what_hardly_anything_exceeds() -> None:
+    image = GrowingImage()
+    assert image.white_level() == 1.0
+    mosaic = Mosaic(GRID)
+    mosaic.insert(np.full((120, 120), 50, np.float32), 0, 0)
+    image.update({0: mosaic})
+    assert image.white_level() == 50
+
+
+def _any(drawn: np.ndarray, step: int) -> np.ndarray:
+    rows, cols = drawn.shape
+    return drawn.reshape(rows // step, step, cols // step, step).any(axis=(1, 3))
