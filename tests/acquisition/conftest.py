@@ -93,8 +93,14 @@ class RememberingScanner:
 
     calls: list[str] = field(default_factory=list)
     volts: float = PARK_V
+    park_v: float = PARK_V
     fault: DeviceError | None = None
     ramps_begun: int = 0
+
+    def park_at(self, volts: float) -> None:
+        if abs(volts) > 2:
+            raise InputError(f"{volts} V asked of the parking position", "the limits are -2 to 2 V")
+        self.park_v = volts
 
     def hold(self, volts: float) -> None:
         self.calls.append("hold")
@@ -111,7 +117,7 @@ class RememberingScanner:
 
     def park(self) -> None:
         self.calls.append("park")
-        self.volts = PARK_V
+        self.volts = self.park_v
 
     def close(self) -> None:
         self.park()
@@ -173,5 +179,5 @@ def engine(rig: SmallRig) -> Iterator[Engine]:
         engine.configure(Settings("240hz", frame_rate_hz=100.0))
         yield engine
     assert rig.scanner.calls[-1] == "close"
-    assert rig.scanner.volts == PARK_V
+    assert rig.scanner.volts == rig.scanner.park_v
     assert not rig.camera.streams

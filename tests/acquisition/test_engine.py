@@ -268,6 +268,53 @@ def test_an_engine_without_calibration_shows_raw_frames_and_leaves_the_mirror(en
         engine.scan()
 
 
+def test_the_mirror_parks_where_the_calibration_says_and_else_where_the_rig_does(
+    engine: Engine, rig: Any, calibration: Calibration
+) -> None:
+    assert calibration.galvo is not None
+    own = rig.scanner.park_v
+    elsewhere = calibration.galvo.model_copy(update={"park_v": -0.9})
+    engine.use(calibration.model_copy(update={"galvo": elsewhere}))
+    engine.start()
+    engine.stop()
+    assert rig.scanner.volts == -0.9
+    outside = calibration.galvo.model_copy(update={"park_v": -9.0})
+    with pytest.raises(InputError, match="parking position"):
+        engine.use(calibration.model_copy(update={"galvo": outside}))
+    assert engine.calibration is not None
+    assert engine.calibration.galvo == elsewhere
+    assert rig.scanner.park_v == -0.9
+    engine.use(calibration)
+    assert rig.scanner.park_v == own
+
+
+def test_a_mirror_that_scans_is_parked_when_nothing_says_how_to(
+    engine: Engine, rig: Any, calibration: Calibration
+) -> None:
+    engine.use(calibration)
+    engine.start()
+    assert engine.status().scanning
+    engine.use(None)
+    assert not engine.status().scanning
+    assert rig.scanner.calls[-1] == "park"
+
+
+def test_a_ramp_that_is_impossible_leaves_the_scan_and_the_images_before(
+    engine: Engine, rig: Any, calibration: Calibration
+) -> None:
+    assert calibration.galvo is not None
+    engine.use(calibration)
+    engine.start()
+    scans = rig.scanner.calls.count("scan")
+    steep = calibration.galvo.model_copy(update={"volts_per_row": 0.1})
+    smaller = calibration.bundle.model_copy(update={"diameter_px": 400.0})  # type: ignore[union-attr]
+    with pytest.raises(InputError):
+        engine.use(calibration.model_copy(update={"galvo": steep, "bundle": smaller}))
+    assert engine.status().scanning
+    assert rig.scanner.calls.count("scan") == scans
+    assert {name: shape for name, shape, _ in engine.display.layout.fields}["els"] == (466, 466)  # type: ignore[union-attr]
+
+
 def test_starting_without_settings_is_refused(rig: Any) -> None:
     with Engine(rig) as engine, pytest.raises(InputError, match="no settings"):
         engine.start()

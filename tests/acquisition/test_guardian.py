@@ -10,7 +10,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -96,6 +96,26 @@ def test_orders_that_end_without_a_farewell_are_carried_out(end, volts) -> None:
         guard(io.StringIO(f"{order}\n{end}"), answers)
     assert answers.getvalue() == "ready\n"
     assert card.last_volts == volts
+
+
+@pytest.mark.parametrize(("later", "volts"), [(-0.9, -0.9), (None, -0.7)])
+def test_the_last_whole_order_counts(later, volts) -> None:
+    card = VirtualCard()
+    with CardServer(card) as server:
+        first = ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)
+        second = '{"device": "Dev1", "outp' if later is None else json.dumps(asdict(replace(first, volts=later))) + "\n"
+        guard(io.StringIO(json.dumps(asdict(first)) + "\n" + second), io.StringIO())
+    assert card.last_volts == volts
+
+
+def test_a_guardian_that_is_gone_takes_no_other_order() -> None:
+    with CardServer(VirtualCard()) as server:
+        order = ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)
+        with Guardian(order) as guardian:
+            guardian._process.kill()
+            guardian._process.wait()
+            with pytest.raises(DeviceError, match="guardian has ended"):
+                guardian.revise(order)
 
 
 def test_a_guardian_that_cannot_reach_the_card_does_not_pretend_to_watch() -> None:

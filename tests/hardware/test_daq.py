@@ -65,6 +65,26 @@ def test_the_whole_sequence(cards, calibration, ramp, wait_for) -> None:
     assert parked(bench)
 
 
+def test_another_place_to_park_is_taken_at_once_by_a_parked_mirror_and_later_by_one_that_scans(
+    cards, ramp, wait_for
+) -> None:
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        scanner.park_at(-0.9)
+        assert bench.card.last_volts == -0.9
+        with pytest.raises(InputError, match="parking position"):
+            scanner.park_at(-3.0)
+        assert scanner.park_v == -0.9
+        scanner.scan(ramp)
+        bench.strobe_now()
+        wait_for(lambda: scanner.ramps_begun > 2)
+        scanner.park_at(-0.8)
+        wait_for(lambda: scanner.ramps_begun > 4)
+        scanner.park()
+        assert bench.card.last_volts == -0.8
+    assert bench.card.last_volts == -0.8
+
+
 def test_the_waveform_is_repeated_as_often_as_the_strobe_comes_and_no_more(cards, ramp, wait_for) -> None:
     bench = cards()
     with DaqScanner(bench.settings, bench.limits) as scanner:

@@ -16,7 +16,7 @@ from napari_elsplus.acquisition.live_images import View
 from napari_elsplus.acquisition.mirror import Mirror
 from napari_elsplus.acquisition.run import Run
 from napari_elsplus.acquisition.status import Status
-from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.errors import DeviceError, ElsPlusError, InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from napari_elsplus.acquisition.guardian import Guardian
     from napari_elsplus.acquisition.recorder import RecordingPlan
     from napari_elsplus.acquisition.rig import Rig
     from napari_elsplus.acquisition.ring import Layout, Ring
@@ -50,6 +51,8 @@ class Engine:
         Makes the ring in which images are shown, and says its name; on the heap by default.
     buffer_s : float
         Seconds of raw frames that stay in memory, for slow disks and for recordings that begin in the past.
+    guardian : Guardian, optional
+        Parks if this process dies; it is told where.
 
     Attributes
     ----------
@@ -60,11 +63,16 @@ class Engine:
     """
 
     def __init__(
-        self, rig: Rig, *, make_ring: Callable[[Layout], tuple[str, Ring]] = on_the_heap, buffer_s: float = BUFFER_S
+        self,
+        rig: Rig,
+        *,
+        make_ring: Callable[[Layout], tuple[str, Ring]] = on_the_heap,
+        buffer_s: float = BUFFER_S,
+        guardian: Guardian | None = None,
     ) -> None:
         self._rig, self._buffer_s = rig, buffer_s
         self.setup = CameraSetup(rig)
-        self.mirror = Mirror(rig, self.setup)
+        self.mirror = Mirror(rig, self.setup, guardian)
         self._display = Display(make_ring)
         self._lock = RLock()
         self._faults = FaultLog()
@@ -98,23 +106,23 @@ class Engine:
                 self.start()
 
     def use(self, calibration: Calibration | None) -> None:
-        """Take a calibration into force: images are made and the mirror is driven by it.
+        """Take a calibration into force: images are made, the mirror is driven and parked by it.
 
         Raises
         ------
         CalibrationError
             If it does not fit the frames; the one before stays in force.
         InputError
-            If the ramp that it asks for is impossible.
+            If the ramp or the place to park that it asks for is impossible; the one before stays in force.
         """
         with self._lock:
-            before, self._calibration = self._calibration, calibration
+            before = self._calibration
             try:
-                self._renew_images()
+                self._take(calibration)
                 if self._live:
                     self.mirror.follow(calibration)
-            except BaseException:
-                self._calibration = before
+            except ElsPlusError:
+                self._take(before)
                 raise
 
     def show(self, view: View) -> None:
@@ -307,6 +315,11 @@ class Engine:
         self.close()
 
     # inside
+
+    def _take(self, calibration: Calibration | None) -> None:
+        self._calibration = calibration
+        self._renew_images()
+        self.mirror.park_by(calibration)
 
     def _renew_images(self) -> None:
         if not self.setup.configured:

@@ -51,6 +51,19 @@ class Guardian:
             self.dismiss()
             raise DeviceError("the mirror's guardian did not start", "see the messages above")
 
+    def revise(self, order: ParkOrder) -> None:
+        """Give it another order in place of the one before.
+
+        Raises
+        ------
+        DeviceError
+            If it is no more.
+        """
+        try:
+            self._say(json.dumps(asdict(order)))
+        except BrokenPipeError:
+            raise DeviceError("the mirror's guardian has ended", "connect to the rig again") from None
+
     def dismiss(self) -> None:
         """Let the guardian go; the mirror was parked by whoever drove it."""
         with suppress(BrokenPipeError):  # it is gone already
@@ -73,7 +86,7 @@ class Guardian:
 
 
 def guard(orders: TextIO, answers: TextIO) -> None:
-    """Take an order, and carry it out if the orders end without a farewell.
+    """Take orders, and carry out the last one if they end without a farewell.
 
     Raises
     ------
@@ -84,8 +97,11 @@ def guard(orders: TextIO, answers: TextIO) -> None:
     rehearse(order)
     answers.write(READY + "\n")
     answers.flush()
-    if orders.readline().strip() != FAREWELL:
-        carry_out(order)
+    while (line := orders.readline()).endswith("\n"):  # one that was cut off was never given
+        if line.strip() == FAREWELL:
+            return
+        order = ParkOrder(**json.loads(line))
+    carry_out(order)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from napari_elsplus.hardware.waveform import MirrorLimits, els_waveform
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.camera_setup import CameraSetup
+    from napari_elsplus.acquisition.guardian import Guardian
     from napari_elsplus.acquisition.rig import Rig
     from napari_elsplus.calibration import Calibration
 
@@ -21,6 +23,8 @@ class Mirror:
         Open.
     setup : CameraSetup
         Knows when which row is exposed.
+    guardian : Guardian, optional
+        Is told where to park.
 
     Attributes
     ----------
@@ -28,13 +32,15 @@ class Mirror:
         Whether it was last told to scan.
     """
 
-    def __init__(self, rig: Rig, setup: CameraSetup) -> None:
+    def __init__(self, rig: Rig, setup: CameraSetup, guardian: Guardian | None = None) -> None:
         self._scanner, self._strobe, self._setup = rig.scanner, rig.strobe, setup
+        self._guardian, self._order = guardian, rig.park
+        self._rigs_park_v = rig.scanner.park_v
         self.limits: MirrorLimits = rig.limits
         self.scanning = False
 
     def follow(self, calibration: Calibration | None) -> None:
-        """Scan as far as the calibration knows how; leave the mirror where it is without galvo and bundle.
+        """Scan as far as the calibration knows how; without galvo and bundle a mirror that scans is parked.
 
         Raises
         ------
@@ -43,11 +49,30 @@ class Mirror:
         DeviceError
             If the card fails.
         """
-        self.scanning = False
         if calibration is None or calibration.galvo is None or calibration.bundle is None:
+            if self.scanning:
+                self.park()
             return
-        self._scanner.scan(els_waveform(calibration, self._setup.timing(self._strobe), self.limits))
+        waveform = els_waveform(calibration, self._setup.timing(self._strobe), self.limits)
+        self.scanning = False
+        self._scanner.scan(waveform)
         self.scanning = True
+
+    def park_by(self, calibration: Calibration | None) -> None:
+        """Park where a calibration says from now on; where it does not say, where the rig does.
+
+        Raises
+        ------
+        InputError
+            If that is outside the rig's limits; the place before stays.
+        DeviceError
+            If the card fails, or the guardian has ended.
+        """
+        galvo = calibration.galvo if calibration is not None else None
+        volts = galvo.park_v if galvo is not None and galvo.park_v is not None else self._rigs_park_v
+        self._scanner.park_at(volts)
+        if self._guardian is not None and self._order is not None:
+            self._guardian.revise(replace(self._order, volts=volts))
 
     def hold(self, volts: float) -> None:
         """Let the line stand; the rig parks it when that goes on too long."""

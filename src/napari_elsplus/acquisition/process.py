@@ -124,7 +124,7 @@ class Server:
             held.callback(opened.close)
             self._guardian = None if opened.park is None else Guardian(opened.park)
             held.pop_all()
-        self._engine = Engine(opened, make_ring=_shared_ring)
+        self._engine = Engine(opened, make_ring=_shared_ring, guardian=self._guardian)
         gc.collect()
         gc.freeze()  # what exists now lives as long as the process: do not look through it again while frames stream
 

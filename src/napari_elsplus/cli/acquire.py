@@ -68,9 +68,9 @@ def command(
     with ExitStack() as held:
         rig = open_live(rig_name)
         held.callback(rig.close)
-        if rig.park is not None and rig.bench is None:
-            held.enter_context(Guardian(rig.park))
-        engine = held.enter_context(Engine(rig))
+        guarded = rig.park if rig.bench is None else None
+        guardian = None if guarded is None else held.enter_context(Guardian(guarded))
+        engine = held.enter_context(Engine(rig, guardian=guardian))
         engine.configure(Settings(preset, slit_rows, rate_hz))
         if given is not None:
             engine.use(given)

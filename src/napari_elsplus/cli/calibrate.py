@@ -97,9 +97,9 @@ def _live(rig_name: str, preset: str, bundle_um: float | None) -> Findings:
     with ExitStack() as held:
         rig = open_live(rig_name)
         held.callback(rig.close)
-        if rig.park is not None and rig.bench is None:
-            held.enter_context(Guardian(rig.park))
-        engine = held.enter_context(Engine(rig))
+        guarded = rig.park if rig.bench is None else None
+        guardian = None if guarded is None else held.enter_context(Guardian(guarded))
+        engine = held.enter_context(Engine(rig, guardian=guardian))
         engine.configure(Settings(preset))
         if rig.bench is not None:
             findings, lag = calibrate_simulated(rig, engine, voltages=SWEEP_VOLTAGES, watch=watch)

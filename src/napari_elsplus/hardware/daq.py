@@ -58,7 +58,7 @@ class DaqScanner:
         self._lock = threading.RLock()
         self._fault: DeviceError | None = None
         self._waveform: Waveform | None = None
-        self._volts: float = card.park_v
+        self._park_v = self._volts = card.park_v
         self._seen, self._seen_at_s = 0, 0.0
         self._closing = threading.Event()
         self._output.put(card.park_v)
@@ -73,6 +73,20 @@ class DaqScanner:
             if self._waveform is None:
                 return 0
             return -(-self._output.samples_done() // self._waveform.samples_per_ramp)
+
+    @property
+    def park_v(self) -> float:
+        """Where the mirror parks."""
+        return self._park_v
+
+    def park_at(self, volts: float) -> None:
+        """Park there from now on; a mirror that is parked goes there at once."""
+        self.limits.check(volts, "the parking position")
+        with self._lock:
+            parked = self._waveform is None and self._volts == self._park_v
+            moves, self._park_v = parked and volts != self._park_v, volts
+            if moves:
+                self.park()
 
     def hold(self, volts: float) -> None:
         """Let the line stand; after the time limit the mirror parks by itself."""
@@ -104,11 +118,11 @@ class DaqScanner:
     def park(self) -> None:
         """Stop the scan and take the line off the bundle."""
         with self._lock:
-            self._waveform, self._volts = None, self.card.park_v
+            self._waveform, self._volts = None, self._park_v
             try:
                 self._output.clear()
             finally:
-                self._output.put(self.card.park_v)
+                self._output.put(self._park_v)
 
     def close(self) -> None:
         """Park, and let the card go; does nothing the second time."""
@@ -165,7 +179,7 @@ class DaqScanner:
             return None
         now = self._now_s()
         if self._waveform is None or self._seen == 0:
-            stands = self._waveform is not None or self._volts != self.card.park_v
+            stands = self._waveform is not None or self._volts != self._park_v
             if stands and now - self._seen_at_s > self.card.hold_limit_s:
                 return DeviceError(
                     f"the line stood on one place for {self.card.hold_limit_s:g} s, so the mirror was parked",

@@ -47,7 +47,7 @@ class ParkOrder:
 def park_order(scanner: DaqScanner) -> ParkOrder:
     """Say what parks a scanner's mirror."""
     card, limits = scanner.card, scanner.limits
-    return ParkOrder(card.device, card.output, card.park_v, limits.min_v, limits.max_v, card.address)
+    return ParkOrder(card.device, card.output, scanner.park_v, limits.min_v, limits.max_v, card.address)
 
 
 def carry_out(order: ParkOrder, patience_s: float = 2.0) -> None:

@@ -157,6 +157,21 @@ class Scanner(Protocol):
     def ramps_begun(self) -> int:
         """Ramps that the card began since `scan`: one for every strobe that it saw."""
 
+    @property
+    def park_v(self) -> float:
+        """Voltage at which the mirror parks: the rig's, until `park_at` says another."""
+
+    def park_at(self, volts: float) -> None:
+        """Park there from now on; a mirror that is parked goes there at once.
+
+        Raises
+        ------
+        InputError
+            If the voltage is outside the rig's limits; the one before stays.
+        DeviceError
+            If the card fails.
+        """
+
     def hold(self, volts: float) -> None:
         """Let the line stand; after the rig's time limit the mirror parks by itself.
 
