@@ -122,6 +122,45 @@ def smallest_resolved_line_pair_um(
     return finest
 
 
+def bars_within(box_px: tuple[float, float, float, float], period_um: float, *, upright: bool) -> BarElement:
+    """Three bars and the two gaps between them, which fill a box.
+
+    Parameters
+    ----------
+    box_px : tuple of float
+        Edges (top, left, bottom, right), drawn closely around the three bars.
+    period_um : float
+        A bar and a gap.
+    upright : bool
+        Whether the bars run along the columns.
+
+    Examples
+    --------
+    >>> bars_within((0, 10, 5, 15), 8.0, upright=True).bars_px
+    ((0, 10.0, 5, 11.0), (0, 12.0, 5, 13.0), (0, 14.0, 5, 15.0))
+    """
+    top, left, bottom, right = box_px
+    low, high = (left, right) if upright else (top, bottom)
+    step = (high - low) / 5
+    edges = [(low + 2 * k * step, low + (2 * k + 1) * step) for k in range(3)]
+    bars = ((top, start, bottom, end) if upright else (start, left, end, right) for start, end in edges)
+    return BarElement(period_um, tuple(bars))
+
+
+def nearest_usaf_1951(line_pair_um: float) -> tuple[int, int, float]:
+    """Return group, element and period in micrometres of the element of a USAF 1951 target that comes nearest.
+
+    Examples
+    --------
+    >>> group, element, period_um = nearest_usaf_1951(5.4)
+    >>> group, element, round(period_um, 2)
+    (7, 4, 5.52)
+    """
+    sixths = round(6 * np.log2(1000 / line_pair_um))
+    group, step = divmod(sixths, 6)
+    return group, step + 1, 1000 * 2 ** (-sixths / 6)
+
+
 def _between(
     first: tuple[float, float, float, float], second: tuple[float, float, float, float]
 ) -> tuple[float, float, float, float]:

@@ -14,7 +14,7 @@ from napari_elsplus.processing.cores import CoreFilter
 from napari_elsplus.processing.quality import USED_DIAMETER, contrast, white_level
 from napari_elsplus.processing.sectioning import Mode, disc
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
-from napari_elsplus.viewing.stack import files_for_script
+from napari_elsplus.viewing.stack import files_for_script, um_per_px_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -138,10 +138,8 @@ def compare_stack(stack: Stack, calibration: Calibration, cores: CoreFilter | st
         if mode is not Mode.ELSA or len(raw) > 1
     }
     side = images[Mode.LS].shape[1]
-    known = stack.metadata.get("um_per_px")
-    if known is None and calibration.optics is not None:
-        known = calibration.optics.um_per_px
-    return Comparison(images, disc(side, USED_DIAMETER * calibration.bundle.diameter_px), known)
+    inside = disc(side, USED_DIAMETER * calibration.bundle.diameter_px)
+    return Comparison(images, inside, um_per_px_of(stack, calibration))
 
 
 def white_levels(images: Mapping[Mode, Image], inside: NDArray[np.bool_], scaling: Scaling | str) -> dict[Mode, float]:

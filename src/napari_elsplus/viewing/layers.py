@@ -13,9 +13,9 @@ import numpy as np
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.io import calibration_beside, open_recording, read_calibration
 from napari_elsplus.processing.quality import white_level
-from napari_elsplus.processing.sectioning import Mode, side_px
+from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
-from napari_elsplus.viewing.stack import Stack, attributes, provenance
+from napari_elsplus.viewing.stack import Stack, attributes, images_origin_px, provenance
 
 if TYPE_CHECKING:
     import os
@@ -118,16 +118,13 @@ def image_layers(stack: Stack, calibration: Calibration, source: Path | None = N
     CalibrationError
         If the calibration has no bundle or does not fit the frames.
     """
-    calibration.require("bundle")
-    assert calibration.bundle is not None
-    middle = (side_px(calibration.bundle.diameter_px) - 1) / 2
-    row, col = calibration.bundle.confocal_centre
+    origin_px = images_origin_px(calibration)
     layers: list[Layer] = []
     for mode, title in TITLES.items():
         if mode is Mode.ELSA and (len(stack.planes) < 2 or stack.depth_um is not None):
             continue
         images = image_planes(stack.planes, calibration, mode)
-        words = attributes(stack, title, calibration, origin_px=(row - middle, col - middle))
+        words = attributes(stack, title, calibration, origin_px=origin_px)
         if mode is Mode.ELSA:  # made of two frames each
             words["scale"] = (2 * words["scale"][0], *words["scale"][1:])
         words["visible"] = mode is Mode.ELS

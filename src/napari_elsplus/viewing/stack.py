@@ -10,6 +10,7 @@ import numpy as np
 from napari_elsplus import __version__
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import beside, read_depths_um
+from napari_elsplus.processing.sectioning import side_px
 from napari_elsplus.viewing.lazy import raw_planes
 
 if TYPE_CHECKING:
@@ -83,6 +84,29 @@ def space(um_per_px: float | None, origin_px: tuple[float, float] = (0.0, 0.0)) 
     }
 
 
+def um_per_px_of(stack: Stack, calibration: Calibration | None) -> float | None:
+    """Return the scale of a stack, from its file or else from its calibration; None if neither knows it."""
+    known: float | None = stack.metadata.get("um_per_px")
+    if known is None and calibration is not None and calibration.optics is not None:
+        known = calibration.optics.um_per_px
+    return known
+
+
+def images_origin_px(calibration: Calibration) -> tuple[float, float]:
+    """Row and column of the raw frame at which images of the confocal view begin.
+
+    Raises
+    ------
+    CalibrationError
+        If the bundle was not located.
+    """
+    calibration.require("bundle")
+    assert calibration.bundle is not None
+    middle = (side_px(calibration.bundle.diameter_px) - 1) / 2
+    row, col = calibration.bundle.confocal_centre
+    return row - middle, col - middle
+
+
 def _first_axis(stack: Stack, calibration: Calibration | None) -> dict[str, Any]:
     if stack.depth_um is not None:
         steps = np.diff(stack.depth_um)
@@ -107,10 +131,7 @@ def attributes(
     stack: Stack, title: str, calibration: Calibration | None, origin_px: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Any]:
     """Name, scale, place, units and labels of a layer of three axes."""
-    known = stack.metadata.get("um_per_px")
-    if known is None and calibration is not None and calibration.optics is not None:
-        known = calibration.optics.um_per_px
-    place, first = space(known, origin_px), _first_axis(stack, calibration)
+    place, first = space(um_per_px_of(stack, calibration), origin_px), _first_axis(stack, calibration)
     return {"name": f"{stack.name} {title}"} | {key: (first[key], *place[key]) for key in place}
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from magicgui.widgets import ComboBox, Container, FloatSpinBox, PushButton
-from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QVBoxLayout
+from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing
@@ -23,7 +23,7 @@ from napari_elsplus.viewing.axial import (
 )
 from napari_elsplus.widgets.axial_plots import drop_off_curves, response_curves, table
 from napari_elsplus.widgets.choosing import calibrated_recordings, shown_index
-from napari_elsplus.widgets.panel import Panel, copy_as_script, told
+from napari_elsplus.widgets.panel import Panel, button_row, copy_as_script, told
 from napari_elsplus.widgets.plots import ThemedPlot
 from napari_elsplus.widgets.work import Work
 
@@ -181,10 +181,7 @@ class AxialResponse(Panel):
         layout.insertWidget(layout.count() - 1, self.work)
         layout.addWidget(self.plot, 1)
         layout.addWidget(self.numbers)
-        row = QHBoxLayout()
-        for button in (self.script, self.save, self.clear):
-            row.addWidget(button.native)
-        layout.addLayout(row)
+        layout.addLayout(button_row(self.script, self.save, self.clear))
 
     def _start(self, frames: int, work: Any) -> None:
         self.work.begin(frames, work, self._measured)

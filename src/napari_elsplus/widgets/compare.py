@@ -9,7 +9,7 @@ import numpy as np
 from magicgui.widgets import ComboBox, Container, PushButton
 from napari.layers import Image
 from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QVBoxLayout
+from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.cores import CoreFilter
@@ -28,7 +28,7 @@ from napari_elsplus.viewing.comparison import (
 )
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.choosing import calibrated_recordings, shown_index
-from napari_elsplus.widgets.panel import Panel, copy_as_script, told
+from napari_elsplus.widgets.panel import Panel, button_row, copy_as_script, told
 from napari_elsplus.widgets.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.stage import Exhibit, Stage
 
@@ -188,10 +188,10 @@ class Compare(Panel):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 6)
         layout.addWidget(form.native)
-        layout.addLayout(_row(self.start, self.rescale))
+        layout.addLayout(button_row(self.start, self.rescale))
         layout.addWidget(self.numbers)
         layout.addWidget(self.plot, 1)
-        layout.addLayout(_row(self.script, self.save))
+        layout.addLayout(button_row(self.script, self.save))
 
     def _chosen(self) -> Image:
         if self.recording.value is None:
@@ -264,13 +264,6 @@ def _timer(parent: Panel, milliseconds: int, slot: Any, *, once: bool = False) -
     timer.setSingleShot(once)
     timer.timeout.connect(slot)
     return timer
-
-
-def _row(*buttons: PushButton) -> QHBoxLayout:
-    row = QHBoxLayout()
-    for button in buttons:
-        row.addWidget(button.native)
-    return row
 
 
 def _table(found: dict[Mode, Figures], plot: ThemedPlot) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QEvent
-from qtpy.QtWidgets import QApplication, QWidget
+from qtpy.QtWidgets import QApplication, QHBoxLayout, QWidget
 
 from napari_elsplus.errors import ElsPlusError
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     import napari.viewer
+    from magicgui.widgets import Widget
 
 
 class Panel(QWidget):
@@ -64,3 +65,11 @@ def copy_as_script(text: str) -> None:
     if clipboard is not None:
         clipboard.setText(text)
         show_info("the script is on the clipboard")
+
+
+def button_row(*buttons: Widget) -> QHBoxLayout:
+    """Put buttons next to each other."""
+    row = QHBoxLayout()
+    for button in buttons:
+        row.addWidget(button.native)
+    return row

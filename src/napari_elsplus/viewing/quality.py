@@ -1,0 +1,266 @@
+"""Checks of an instrument as the paper makes them: how well its views cancel, what it resolves, where its rim fails."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.cores import CoreFilter
+from napari_elsplus.processing.quality import USED_DIAMETER, alignment_error, edge_artefact
+from napari_elsplus.processing.resolution import (
+    RESOLVED_CONTRAST,
+    BarElement,
+    bars_within,
+    element_contrast,
+    nearest_usaf_1951,
+    smallest_resolved_line_pair_um,
+)
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.viewing.lazy import image_planes
+from napari_elsplus.viewing.stack import files_for_script, um_per_px_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.viewing.stack import Stack
+
+    Box = tuple[float, float, float, float]
+
+LEAST_BOX_PX: Final = 5.0
+"""Three bars and two gaps of a pixel each."""
+_PROFILE_SHARE: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentErrors:
+    """Mean absolute difference of the two views over the mean of the confocal one, in the 90 % disc.
+
+    Attributes
+    ----------
+    before, after : float
+        Fractions: of the bare views, and after the core filter.
+    """
+
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """An element of a bar target that was marked in an image.
+
+    Attributes
+    ----------
+    group, element : int
+        Of the USAF 1951 target.
+    line_pair_um : float
+        Its period, a bar and a gap.
+    contrast : float
+        Michelson contrast of bars and gaps.
+    """
+
+    group: int
+    element: int
+    line_pair_um: float
+    contrast: float
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the bars can be told apart."""
+        return self.contrast >= RESOLVED_CONTRAST
+
+
+@dataclass(frozen=True, slots=True)
+class Resolution:
+    """What the marked elements of a target tell.
+
+    Attributes
+    ----------
+    elements : tuple of Element
+        In the order of their boxes.
+    finest_um : float
+        Finest period at which, and above which, all marked elements are resolved; not-a-number if none is.
+    """
+
+    elements: tuple[Element, ...]
+    finest_um: float
+
+
+@dataclass(frozen=True)
+class EdgeMap:
+    """Mean residual image over its central level.
+
+    Attributes
+    ----------
+    image : numpy.ndarray
+        (n, n); below 1 where the line has left the bundle while the residual is read.
+    position_um : numpy.ndarray
+        (m,): rows from the bundle's centre, in the 90 % disc; pixels where the scale is unknown.
+    profile : numpy.ndarray
+        (m,): mean over the middle columns.
+    frames : int
+        Number of residual images averaged.
+    """
+
+    image: NDArray[np.float64]
+    position_um: NDArray[np.float64]
+    profile: NDArray[np.float64]
+    frames: int
+
+
+def measure_alignment(
+    stack: Stack, calibration: Calibration, frame: int, cores: CoreFilter | str = CoreFilter.MEDIAN
+) -> AlignmentErrors:
+    """Measure how well the two views of one frame cancel, before and after the core filter.
+
+    Parameters
+    ----------
+    stack : Stack
+        Raw frames lit from the far end of the bundle, or of another scene that both views see alike.
+    calibration : Calibration
+        Of the rig that made them.
+    frame : int
+        Which frame.
+    cores : CoreFilter or str
+        How the core pattern is suppressed.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration does not fit the frames, or has no flat field where the filter needs one.
+    MeasurementError
+        If the frame is dark.
+    """
+    calibration.require("bundle")
+    assert calibration.bundle is not None
+    errors = []
+    for kind in (CoreFilter.NONE, CoreFilter(cores)):
+        confocal, residual = (
+            image_planes(stack.planes, calibration, mode, cores=kind)[frame] for mode in (Mode.LS, Mode.RESIDUAL)
+        )
+        errors.append(alignment_error(confocal, residual, calibration.bundle.diameter_px))
+    bare, filtered = errors
+    if not np.isfinite(bare):
+        raise MeasurementError(f"frame {frame} is dark", "light the bundle from its far end")
+    return AlignmentErrors(bare, filtered)
+
+
+def measure_resolution(image: NDArray[np.floating], boxes_px: Sequence[Box], um_per_px: float) -> Resolution:
+    """Measure which elements of a USAF 1951 target are resolved.
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        (rows, cols), bars brighter than gaps.
+    boxes_px : sequence of tuple
+        Edges (top, left, bottom, right) in pixels, each drawn closely around the three bars of one element. The bars
+        run whichever way gives the greater contrast.
+    um_per_px : float
+        Scale: with the box's size it tells which element of the target it is.
+
+    Raises
+    ------
+    InputError
+        If there is no box, or one is too small or beside the image.
+    """
+    marked = [_marked(image, box, um_per_px) for box in boxes_px]
+    elements = tuple(
+        Element(*nearest_usaf_1951(bars.line_pair_um)[:2], bars.line_pair_um, element_contrast(image, bars))
+        for bars in marked
+    )
+    try:
+        finest_um = smallest_resolved_line_pair_um(image, marked)
+    except MeasurementError:  # not even the coarsest
+        finest_um = float("nan")
+    return Resolution(elements, finest_um)
+
+
+def measure_edge(
+    stack: Stack, calibration: Calibration, watch: Callable[[Sequence[int]], Iterable[int]] = iter
+) -> EdgeMap:
+    """Average the residual images of a recording: where the clipped line leaves them short of light.
+
+    Parameters
+    ----------
+    stack : Stack
+        Raw frames of a moving probe; the paper averages about 300.
+    calibration : Calibration
+        Of the rig that made them; its flat field is used if it has one.
+    watch : callable
+        Goes through the frames' indices; a progress bar, for instance.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration does not fit the frames.
+    MeasurementError
+        If there is no light in the middle.
+    """
+    residuals = image_planes(stack.planes, calibration, Mode.RESIDUAL, flat_field=calibration.flat is not None)
+    image = edge_artefact(residuals[index] for index in watch(range(len(residuals))))
+    assert calibration.bundle is not None
+    middle, radius = (len(image) - 1) / 2, USED_DIAMETER * calibration.bundle.diameter_px / 2
+    near = np.flatnonzero(np.abs(np.arange(len(image)) - middle) < _PROFILE_SHARE * radius)
+    rows = np.flatnonzero(np.abs(np.arange(len(image)) - middle) < radius)
+    scale = um_per_px_of(stack, calibration)
+    profile = image[np.ix_(rows, near)].mean(axis=1)
+    position_um = (rows - middle).astype(np.float64) * (scale or 1.0)
+    return EdgeMap(image, position_um, profile, len(residuals))
+
+
+def quality_script(
+    stack: Stack, calibration: Path | str | None, cores: str, frame: int, boxes_px: Sequence[Box]
+) -> str:
+    """Write a script that makes the same checks.
+
+    Raises
+    ------
+    InputError
+        If the frames lie in no file.
+    CalibrationError
+        If the calibration lies in no file of its own.
+    """
+    frames_file, calibration_file = files_for_script(stack, calibration)
+    boxes = [tuple(round(float(edge), 2) for edge in box) for box in boxes_px]
+    return f'''"""How well {stack.file_name} is aligned, what it resolves, and where its rim fails."""
+
+from napari_elsplus.io import open_recording, read_calibration
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.viewing.lazy import image_planes
+from napari_elsplus.viewing.quality import measure_alignment, measure_edge, measure_resolution
+from napari_elsplus.viewing.stack import Stack
+
+FRAME = {frame}
+BOXES_PX = {boxes!r}  # top, left, bottom, right of each element
+
+with open_recording({frames_file!r}) as recording:
+    stack, calibration = Stack.of(recording), read_calibration({calibration_file!r})
+    alignment = measure_alignment(stack, calibration, FRAME, {cores!r})
+    print(f"alignment error: {{100 * alignment.before:.2f}} %, filtered {{100 * alignment.after:.2f}} %")
+    if BOXES_PX:
+        image = image_planes(stack.planes, calibration, Mode.LS, cores={cores!r})[FRAME]
+        found = measure_resolution(image, BOXES_PX, calibration.optics.um_per_px)
+        print(f"smallest resolved line pair: {{found.finest_um:.2f}} um")
+    edge = measure_edge(stack, calibration)
+    print(f"residual at the rim over that in the middle: {{edge.profile.min():.2f}}")
+'''
+
+
+def _marked(image: NDArray[np.floating], box_px: Box, um_per_px: float) -> BarElement:
+    top, left, bottom, right = box_px
+    if min(bottom - top, right - left) < LEAST_BOX_PX:
+        raise InputError(
+            f"a box of {bottom - top:.0f} x {right - left:.0f} pixels holds no bars", "draw it around all three bars"
+        )
+    ways = []
+    for upright, across in ((True, right - left), (False, bottom - top)):
+        period_um = nearest_usaf_1951(across * um_per_px / 2.5)[2]
+        ways.append(bars_within(box_px, period_um, upright=upright))
+    return max(ways, key=lambda bars: np.nan_to_num(element_contrast(image, bars), nan=-1.0))

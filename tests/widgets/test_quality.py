@@ -1,0 +1,97 @@
+"""The Quality panel, driven as a user drives it."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+from qtpy.QtWidgets import QApplication
+
+from pairs import write_pair
+
+PLUGIN = "napari-elsplus"
+
+
+@pytest.fixture
+def viewer(make_napari_viewer_proxy):
+    return make_napari_viewer_proxy()
+
+
+@pytest.fixture
+def panel(viewer, tmp_path):
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    _, widget = viewer.window.add_plugin_dock_widget(PLUGIN, "Quality")
+    return widget
+
+
+def test_alignment_is_told_of_the_frame_that_is_shown(viewer, panel):
+    told = []
+    for step in (0, 4):
+        viewer.dims.set_current_step(0, step)
+        panel.align.native.click()
+        told.append(panel.alignment)
+        assert f"{100 * panel.alignment.before:.2f} %" in panel.numbers.text()
+    assert told[0] != told[1]
+
+
+def test_elements_are_measured_as_they_are_drawn(viewer, panel):
+    panel.mark.native.click()
+    boxes = viewer.layers["quality elements"]
+    assert boxes.mode == "add_rectangle"
+    boxes.add_rectangles(np.array([[10, 10], [30, 30]]))
+    assert panel.boxes_px == [(10, 10, 30, 30)]
+    (one,) = panel.resolution.elements
+    assert f"{one.group}-{one.element}" in panel.numbers.text()
+    ls = viewer.layers["scan LS"]
+    np.testing.assert_allclose(boxes.translate, ls.translate[1:])
+    np.testing.assert_allclose(boxes.scale, ls.scale[1:])
+    boxes.selected_data = {0}
+    boxes.remove_selected()
+    assert panel.resolution is None
+    viewer.layers.remove(boxes)
+    panel.mark.native.click()
+    assert "quality elements" in viewer.layers
+
+
+def test_the_edge_map_becomes_a_layer_and_a_plot(viewer, panel, qtbot, tmp_path):
+    assert not panel.save.enabled
+    for _ in range(2):
+        panel.average.native.click()
+        assert not panel.average.enabled
+        qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    assert [layer.name for layer in viewer.layers].count("quality edge") == 1
+    np.testing.assert_allclose(viewer.layers["quality edge"].translate, viewer.layers["scan LS"].translate[1:])
+    panel.plot.save(tmp_path / "edge.csv")
+    assert len((tmp_path / "edge.csv").read_text().splitlines()) == 1 + len(panel.edge.profile)
+    for theme in ("light", "dark"):
+        viewer.theme = theme
+
+
+def test_what_cannot_be_done_is_one_notification(viewer, panel, said):
+    panel.cores.value = "interpolate"
+    panel.align.native.click()
+    ((severity, message),) = said()
+    assert (severity, "flat field" in message) == ("error", True)
+    viewer.layers.remove("scan raw")
+    assert not any(button.enabled for button in (panel.align, panel.mark, panel.average, panel.script))
+
+
+def test_the_script_names_the_files_and_closing_leaves_nothing(viewer, tmp_path):
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    dock, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Quality")
+    panel.mark.native.click()
+    viewer.layers["quality elements"].add_rectangles(np.array([[10, 10], [30, 30]]))
+    panel.script.native.click()
+    text = QApplication.clipboard().text()
+    assert str(tmp_path / "scan.tif") in text
+    assert "(10.0, 10.0, 30.0, 30.0)" in text
+    compile(text, "script", "exec")
+    gone = weakref.ref(panel)
+    viewer.window.remove_dock_widget(panel)
+    del panel, dock
+    for _ in range(2):
+        QApplication.processEvents()
+        gc.collect()
+    assert gone() is None
