@@ -6,11 +6,14 @@ others lie between; the positions that agree best with all of them share out wha
 
 from __future__ import annotations
 
+from math import exp, log
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
+
+from napari_elsplus.processing.ladder import turned_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _ROUNDS: Final = 8
+_SUREST: Final = 1e-4
 _UNPROVEN: Final = 1e-6
 """First weight of links that close loops: they are judged by where the others put the frames."""
 _TAIL: Final = 3.0
@@ -32,15 +36,66 @@ class Edge(NamedTuple):
     earlier, later : int
         The frames.
     displacement : tuple of float
-        (row, col) of the later frame relative to the earlier one.
+        (row, col) of the later frame relative to the earlier one, in the later one's orientation.
     covariance : numpy.ndarray
         (2, 2), pixels squared.
+    turn : float
+        Angle of the later frame less that of the earlier one, radians.
+    zoom : float
+        Scale of the later frame over that of the earlier one.
+    turn_sigma : float
+        One standard deviation of the angle, and of the scale.
     """
 
     earlier: int
     later: int
     displacement: tuple[float, float]
     covariance: NDArray[np.float64]
+    turn: float = 0.0
+    zoom: float = 1.0
+    turn_sigma: float = 1.0
+
+
+class Place(NamedTuple):
+    """Where a frame lies: pixels, radians, and pixels of the fixed frame per pixel of this one."""
+
+    row: float
+    col: float
+    angle: float = 0.0
+    scale: float = 1.0
+
+
+def least_squares_places(edges: Sequence[Edge], fixed: int = 0) -> dict[int, Place]:
+    """Positions, angles and scales of all frames that links connect to one.
+
+    Angles and scales are solved for first, from what the links say of them; displacements are then laid into the
+    orientation of the fixed frame, and positions solved for.
+
+    Parameters
+    ----------
+    edges : sequence of Edge
+        As for :func:`least_squares_positions`.
+    fixed : int
+        Frame at (0, 0), upright.
+
+    Examples
+    --------
+    >>> edges = [Edge(0, 1, (0.0, 10.0), np.eye(2), turn=np.pi / 2, turn_sigma=1e-3)]
+    >>> place = least_squares_places(edges)[1]
+    >>> round(place.row, 6), round(abs(place.col), 6)
+    (-10.0, 0.0)
+    """
+    rotations = [
+        Edge(e.earlier, e.later, (e.turn, log(e.zoom)), max(e.turn_sigma, _SUREST) ** 2 * np.eye(2)) for e in edges
+    ]
+    forms = least_squares_positions(rotations, fixed)
+    laid = []
+    for edge in edges:
+        angle, zoom = forms.get(edge.later, (0.0, 0.0))
+        row, col = turned_by(angle, exp(zoom)) @ edge.displacement
+        laid.append(edge._replace(displacement=(float(row), float(col))))
+    places = least_squares_positions(laid, fixed)
+    return {frame: Place(*where, forms[frame][0], exp(forms[frame][1])) for frame, where in places.items()}
 
 
 def least_squares_positions(edges: Sequence[Edge], fixed: int = 0) -> dict[int, tuple[float, float]]:

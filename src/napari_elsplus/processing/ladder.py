@@ -66,7 +66,50 @@ class Remainder(NamedTuple):
     count: float
 
 
-UNTURNED: Final = np.eye(2)
+_MARGIN: Final = 1.5
+"""How many times the criterion's penalty must be saved: it is asked again and again in a long recording."""
+_FORGET: Final = 0.98
+
+
+class Climb:
+    """Gathers from link to link what rotation and scale would explain, and climbs when the evidence asks for it.
+
+    A slow turn shows in no single link but in their sum, which grows faster than its uncertainty.
+
+    Attributes
+    ----------
+    rung : Rung
+        What is to be modelled from now on.
+
+    Examples
+    --------
+    >>> climb = Climb()
+    >>> nothing = np.zeros((3, 6))
+    >>> climb.weigh(Remainder(nothing, np.zeros(3), np.array([3e-4, 3e-4]), 1500.0)).name
+    'TRANSLATION'
+    >>> turned = nothing + np.array([0, 0, 0, 0, 0.01, 0])
+    >>> climb.weigh(Remainder(turned, np.zeros(3), np.array([3e-4, 3e-4]), 1500.0)).name
+    'RIGID'
+    """
+
+    def __init__(self) -> None:
+        self.rung = Rung.TRANSLATION
+        self._sum, self._variance, self._count = np.zeros(2), np.zeros(2), 0.0
+
+    def weigh(self, found: Remainder, *, keep: bool = True) -> Rung:
+        """Weigh a link with those before; return the rung that is asked for. It is remembered if it is to be kept."""
+        total = _FORGET * self._sum + found.step[Rung.SIMILARITY, 4:]
+        variance = _FORGET**2 * self._variance + found.sigma**2
+        count = _FORGET * self._count + found.count
+        saved = total**2 / np.maximum(variance, 1e-12)
+        needed = _MARGIN * np.log(max(count, 2.0))
+        if saved[1] > needed:
+            self.rung = Rung.SIMILARITY
+        elif saved[0] > needed and self.rung is Rung.TRANSLATION:
+            self.rung = Rung.RIGID
+        if keep:
+            self._sum, self._variance, self._count = total, variance, count
+        return self.rung
 
 
 def turned_by(angle: float, scale: float = 1.0) -> Matrix:

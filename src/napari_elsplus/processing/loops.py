@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.graph import Edge
+from napari_elsplus.processing.ladder import Rung, turned_by
 from napari_elsplus.processing.motion import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking import FALL_OF_CORRELATION, State
 
@@ -33,6 +34,9 @@ _VELOCITY_SIGMA: Final = 0.5
 """What the velocities of tracked frames are trusted to, pixels per frame period."""
 _DRIFT: Final = 0.01
 _AGREEMENT_PX: Final = 3.0
+_AGREEMENT_RAD: Final = 0.02
+_UNTURNED: Final = 1.0
+"""Standard deviation of the angle between frames that were not asked for it."""
 
 
 def key_frames(poses: Sequence[Pose], spacing_px: float) -> list[int]:
@@ -62,9 +66,19 @@ class LoopCloser:
         Returns the prepared view of a frame by its index.
     poses : sequence of Pose
         What the tracker made of every frame.
+    rung : Rung
+        What is modelled beside translations.
     """
 
-    def __init__(self, registrar: Registrar, view: Callable[[int], View], poses: Sequence[Pose]) -> None:
+    def __init__(
+        self,
+        registrar: Registrar,
+        view: Callable[[int], View],
+        poses: Sequence[Pose],
+        rung: Rung = Rung.TRANSLATION,
+    ) -> None:
+        self._rung = rung
+        self._scratch = registrar.view()
         self._registrar = registrar
         self._view = view
         self._poses = poses
@@ -100,42 +114,78 @@ class LoopCloser:
             key_frames([p if p.segment == s else p._replace(state=State.LOST) for p in self._poses], spacing)
             for s in (earlier_segment, later_segment)
         )
-        found: list[tuple[tuple[float, float], Edge]] = []
+        found: list[tuple[tuple[float, float, float], Edge]] = []
         for later in after:
             for earlier in before:
-                edge = self._recognise(earlier, later)
+                edge = self._recognise(earlier, later, before[-1], after[0])
                 if edge is None:
                     continue
-                a, b = self._poses[earlier], self._poses[later]
-                offset = a.row + edge.displacement[0] - b.row, a.col + edge.displacement[1] - b.col
-                partners = [e for o, e in found if hypot(o[0] - offset[0], o[1] - offset[1]) < _AGREEMENT_PX]
+                offset = self._offset(edge)
+                partners = [
+                    e
+                    for o, e in found
+                    if hypot(o[0] - offset[0], o[1] - offset[1]) < _AGREEMENT_PX and abs(o[2] - offset[2]) < _AGREEMENT_RAD
+                ]
                 if any(e.later != later and e.earlier != earlier for e in partners):
                     return [*partners, edge]
                 found.append((offset, edge))
         return []
 
+    def _offset(self, edge: Edge) -> tuple[float, float, float]:
+        """Where the later segment's origin lies in the earlier segment, and how it is turned there."""
+        a, b = self._poses[edge.earlier], self._poses[edge.later]
+        if self._rung is Rung.TRANSLATION:
+            return a.row + edge.displacement[0] - b.row, a.col + edge.displacement[1] - b.col, 0.0
+        angle, scale = a.angle + edge.turn, a.scale * edge.zoom
+        row, col = turned_by(angle, scale) @ edge.displacement
+        down, across = turned_by(angle - b.angle, scale / b.scale) @ (b.row, b.col)
+        return a.row + float(row - down), a.col + float(col - across), angle - b.angle
+
     def _revisit(self, earlier: int, later: int, path_px: float) -> Edge | None:
         a, b = self._poses[earlier], self._poses[later]
-        expected = self._warp(a, b, Displacement(b.row - a.row, b.col - a.col))
-        link = self._registrar.link(self._view(earlier), self._view(later), expected, self._spread)
-        edge = self._edge(earlier, later, link)
+        expected = Displacement(b.row - a.row, b.col - a.col)
+        if self._rung is not Rung.TRANSLATION:
+            expected = Displacement(*(turned_by(-b.angle, 1 / b.scale) @ expected).tolist())
+            edge = self._edge(earlier, later, self._turned(a, b, earlier, later, expected, b.angle - a.angle, None))
+        else:
+            warp = self._warp(a, b, expected)
+            edge = self._edge(
+                earlier, later, self._registrar.link(self._view(earlier), self._view(later), warp, self._spread)
+            )
         if edge is None:
             return None
-        miss = hypot(edge.displacement[0] - (b.row - a.row), edge.displacement[1] - (b.col - a.col))
+        miss = hypot(edge.displacement[0] - expected.row, edge.displacement[1] - expected.col)
         return edge if miss < _AGREEMENT_PX + _DRIFT * path_px else None
 
-    def _recognise(self, earlier: int, later: int) -> Edge | None:
+    def _recognise(self, earlier: int, later: int, before: int, after: int) -> Edge | None:
+        """Compare two frames over all shifts; `before` and `after` are the frames around the gap, turned alike."""
         a, b = self._poses[earlier], self._poses[later]
-        expected = self._warp(a, b, Displacement(0.0, 0.0))
         reach = REACH * self._registrar.grid.diameter
-        link = self._registrar.search(self._view(earlier), self._view(later), expected, self._spread, reach)
+        link: Link | None
+        if self._rung is not Rung.TRANSLATION:
+            turn = b.angle - self._poses[after].angle + self._poses[before].angle - a.angle
+            link = self._turned(a, b, earlier, later, Displacement(0.0, 0.0), turn, reach)
+        else:
+            warp = self._warp(a, b, Displacement(0.0, 0.0))
+            link = self._registrar.search(self._view(earlier), self._view(later), warp, self._spread, reach)
         return None if link is None or link.overlap < JOIN_OVERLAP else self._edge(earlier, later, link)
 
-    def _edge(self, earlier: int, later: int, link: Link) -> Edge | None:
-        if not link.observed or link.correlation < self._enough:
+    def _turned(
+        self, a: Pose, b: Pose, earlier: int, later: int, expected: Displacement, turn: float, reach: float | None
+    ) -> Link | None:
+        return self._registrar.turned_link(
+            self._view(earlier), self._view(later), (*expected, turn, b.scale / a.scale), (a.velocity, b.velocity),
+            self._spread, self._rung, self._scratch, reach,
+        )  # fmt: skip
+
+    def _edge(self, earlier: int, later: int, link: Link | None) -> Edge | None:
+        if link is None or not link.observed or link.correlation < self._enough:
             return None
         moved = self._registrar.grid.shutter.displacement(link.warp, self._poses[later].velocity)
-        return Edge(earlier, later, (moved.row, moved.col), edge_covariance(link, self._spread[0]))
+        covariance = edge_covariance(link, self._spread[0])
+        return Edge(
+            earlier, later, (moved.row, moved.col), covariance, link.turn, link.zoom, min(link.turn_sigma, _UNTURNED)
+        )
 
     def _warp(self, a: Pose, b: Pose, displacement: Displacement) -> Warp:
         return self._registrar.grid.shutter.warp(Velocity(*a.velocity), Velocity(*b.velocity), displacement)

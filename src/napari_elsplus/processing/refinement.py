@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.graph import Edge, least_squares_positions
+from napari_elsplus.processing.graph import Edge, Place, least_squares_places, least_squares_positions
+from napari_elsplus.processing.ladder import Rung, angle_of, composed, scale_of
 from napari_elsplus.processing.loops import LoopCloser, edge_covariance
 from napari_elsplus.processing.motion import Velocity
 from napari_elsplus.processing.tracking import Pose, State
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.registration import Link, Registrar, View
 
 _NOWHERE: Final = Velocity(np.nan, np.nan)
+_LOOSE: Final = (0.01, 0.01)
 _LINK_STRETCH_PX: Final = 0.2
 """What the velocity of the later frame of a link is trusted to, pixels per frame period."""
 
@@ -27,6 +29,7 @@ def refine(
     links: Sequence[tuple[int, int, Displacement, Link]],
     registrar: Registrar,
     view: Callable[[int], View],
+    rung: Rung = Rung.TRANSLATION,
 ) -> list[Pose]:
     """Close loops, join segments and solve for all positions at once.
 
@@ -40,6 +43,8 @@ def refine(
         Of the same grid.
     view : callable
         Returns the prepared view of a frame by its index.
+    rung : Rung
+        What the frames asked for. If the probe turned, the links from before that was noticed are asked once more.
 
     Returns
     -------
@@ -50,12 +55,18 @@ def refine(
     settled = with_origins(settle(poses), links, registrar.grid.shutter)
     tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is State.TRACKED}
     stretch = _LINK_STRETCH_PX / registrar.grid.shutter.rows_per_frame
+    if rung is not Rung.TRANSLATION:
+        links = [_turned(link, settled, registrar, view, rung) for link in links]
     edges = [
-        Edge(a, b, (moved.row, moved.col), edge_covariance(link, stretch))
+        Edge(
+            a, b, (moved.row, moved.col), edge_covariance(link, stretch), link.turn, link.zoom, min(link.turn_sigma, 1.0)
+        )
         for a, b, moved, link in links
         if tracked.get(a, -1) == tracked.get(b, -2)
     ]
-    closer = LoopCloser(registrar, view, settled)
+    if rung is not Rung.TRANSLATION:
+        settled = _relaid(settled, edges, tracked)
+    closer = LoopCloser(registrar, view, settled, rung)
     segments = sorted(set(tracked.values()))
     belongs = {segment: segment for segment in segments}
     for n, segment in enumerate(segments):
@@ -66,13 +77,50 @@ def refine(
                 edges += bridge
                 belongs[segment] = belongs[earlier]
                 break
-    positions: dict[int, tuple[float, float]] = {}
+    places: dict[int, Place] = {}
     for group in set(belongs.values()):
         first = min(k for k, segment in tracked.items() if belongs[segment] == group)
-        positions |= least_squares_positions(edges, first)
+        places |= _solved(edges, first, rung)
     number = {group: n for n, group in enumerate(sorted(set(belongs.values())))}
-    moved = [_moved(pose, positions.get(k), number, belongs) for k, pose in enumerate(settled)]
+    moved = [_moved(pose, places.get(k), number, belongs) for k, pose in enumerate(settled)]
     return interpolate(moved)
+
+
+def _solved(edges: Sequence[Edge], first: int, rung: Rung) -> dict[int, Place]:
+    if rung is Rung.TRANSLATION:
+        return {frame: Place(*where) for frame, where in least_squares_positions(edges, first).items()}
+    return least_squares_places(edges, first)
+
+
+def _turned(
+    found: tuple[int, int, Displacement, Link],
+    poses: list[Pose],
+    registrar: Registrar,
+    view: Callable[[int], View],
+    rung: Rung,
+) -> tuple[int, int, Displacement, Link]:
+    """Ask a link for the rotation that was not yet modelled when it was made; correct the later frame's velocity."""
+    earlier, later, _, link = found
+    more = None if np.isfinite(link.turn_sigma) else registrar.remainder(view(earlier), view(later), link.warp, _LOOSE)
+    if more is None:
+        return found
+    shutter = registrar.grid.shutter
+    warp, form = composed(link.warp, more.step[rung])
+    if later == earlier + 1:
+        poses[later] = poses[later]._replace(velocity=shutter.velocities(warp)[1])
+    moved = shutter.displacement(warp, poses[later].velocity)
+    turned = link._replace(warp=warp, turn=-angle_of(form), zoom=1 / scale_of(form), turn_sigma=float(more.sigma[0]))
+    return earlier, later, moved, turned
+
+
+def _relaid(poses: Sequence[Pose], edges: Sequence[Edge], tracked: dict[int, int]) -> list[Pose]:
+    """Lay each segment by its own links, now that all of them tell how the probe turned."""
+    result = list(poses)
+    for segment in set(tracked.values()):
+        first = min(k for k, other in tracked.items() if other == segment)
+        for frame, place in least_squares_places([e for e in edges if tracked[e.earlier] == segment], first).items():
+            result[frame] = result[frame]._replace(**place._asdict())
+    return result
 
 
 def settle(poses: Sequence[Pose]) -> list[Pose]:
@@ -120,13 +168,12 @@ def interpolate(poses: Sequence[Pose]) -> list[Pose]:
         row = poses[a].row + part * (poses[b].row - poses[a].row)
         col = poses[a].col + part * (poses[b].col - poses[a].col)
         velocity = Velocity((poses[b].row - poses[a].row) / (b - a), (poses[b].col - poses[a].col) / (b - a))
-        result[k] = pose._replace(row=row, col=col, velocity=velocity)
+        angle = poses[a].angle + part * (poses[b].angle - poses[a].angle)
+        result[k] = pose._replace(row=row, col=col, velocity=velocity, angle=angle)
     return result
 
 
-def _moved(pose: Pose, position: tuple[float, float] | None, number: dict[int, int], belongs: dict[int, int]) -> Pose:
+def _moved(pose: Pose, place: Place | None, number: dict[int, int], belongs: dict[int, int]) -> Pose:
     group = belongs.get(pose.segment)
     segment = pose.segment if group is None else number[group]
-    if position is None:
-        return pose._replace(segment=segment)
-    return pose._replace(segment=segment, row=position[0], col=position[1])
+    return pose._replace(segment=segment) if place is None else pose._replace(segment=segment, **place._asdict())

@@ -8,15 +8,16 @@ away explains the frames as well, as it does along a straight fibre or where the
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import hypot
+from math import hypot, inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from napari_elsplus.compiled import kernel
+from napari_elsplus.processing import ladder
 from napari_elsplus.processing.evidence import RIVAL_PX, evidence_between, rival_evidence, weakest_direction
 from napari_elsplus.processing.lucas_kanade import align
-from napari_elsplus.processing.motion import Warp
+from napari_elsplus.processing.motion import Displacement, Velocity, Warp
 from napari_elsplus.processing.shift_search import LEAST_OVERLAP, ShiftSearch, prior, support
 
 if TYPE_CHECKING:
@@ -27,6 +28,11 @@ if TYPE_CHECKING:
 LEVELS: Final = 3
 LEAST_EVIDENCE: Final = 0.1
 """Evidence that a link needs against each of its rivals, in nats per pixel."""
+_AT_REST: Final = Velocity(0.0, 0.0)
+_SURE: Final = 0.9
+_TURNS: Final = 4
+_SMALL_TURN: Final = 0.004
+"""Angle, in radians, up to which one linear step is exact enough: half a pixel at the rim."""
 _CORRELATED_PX: Final = 20.0
 """Pixels that share one noise value: the front end smooths, and the core pattern is correlated."""
 
@@ -62,6 +68,12 @@ class Link(NamedTuple):
         Part of the disc that both frames show.
     evidence : float
         For this warp and against the best of its rivals, nats per pixel.
+    turn : float
+        Angle of the later frame less that of the earlier one, radians.
+    zoom : float
+        Scale of the later frame over that of the earlier one.
+    turn_sigma : float
+        One standard deviation of the angle, and of the scale; infinite where no rotation was asked for.
     """
 
     warp: Warp
@@ -69,6 +81,9 @@ class Link(NamedTuple):
     correlation: float
     overlap: float
     evidence: float
+    turn: float = 0.0
+    zoom: float = 1.0
+    turn_sigma: float = inf
 
     @property
     def observed(self) -> bool:
@@ -102,6 +117,7 @@ class Registrar:
         self.grid = grid
         self._spans = [grid.spans(level=level) for level in range(LEVELS)]
         self._middles = [grid.middle(level) for level in range(LEVELS)]
+        self._centre = self._middles[1], (grid.centre[1] - 0.5) / 2
         self._pixels = [float((last - first).sum()) for first, last in self._spans]
         self._everywhere = ShiftSearch(*self._spans[-1], 2.0 ** (LEVELS - 1))
 
@@ -139,6 +155,93 @@ class Registrar:
             _CORRELATED_PX / 8,
         )  # fmt: skip
         return Link(Warp(*warp.tolist()), information, scores[0], scores[1] / self._pixels[0] * _ROW_STEP, evidence)
+
+    def remainder(
+        self, earlier: View, later: View, warp: Warp, spread: tuple[float, float]
+    ) -> ladder.Remainder | None:
+        """Ask what rotation and scale would add to a warp; None where the frames say nothing."""
+        first, last = self._spans[1]
+        stiffness = spread[0] ** -2, spread[1] ** -2
+        return ladder.remainder(
+            earlier.levels[1], later.levels[1], first, last, self._centre, warp, 2.0, stiffness, _CORRELATED_PX / 4
+        )
+
+    def turned(self, view: View, velocity: Velocity, turn: float, zoom: float, out: View) -> View:
+        """Fill a view with another, freed of its motion, and turned and scaled to match a later one.
+
+        Parameters
+        ----------
+        view : View
+            The earlier frame.
+        velocity : Velocity
+            Its own.
+        turn, zoom : float
+            Angle (radians) and scale of the later frame over this one's.
+        out : View
+            What is filled, and returned.
+        """
+        unsheared = ladder.unsheared(velocity, self.grid.shutter.rows_per_frame)
+        matrix = ladder.turned_by(-turn, 1 / zoom) @ unsheared
+        ladder.upright(view.image, out.image, self.grid.centre, matrix)
+        return self.prepare(out)
+
+    def turned_link(
+        self,
+        earlier: View,
+        later: View,
+        expected: tuple[float, float, float, float],
+        velocities: tuple[Velocity, Velocity],
+        spread: tuple[float, float],
+        rung: ladder.Rung,
+        scratch: View,
+        reach_px: float | None = None,
+    ) -> Link | None:
+        """Refine a warp between frames one of which may be turned against the other.
+
+        Parameters
+        ----------
+        earlier, later : View
+            Prepared frames.
+        expected : tuple of float
+            Displacement (row, col) in the later frame's orientation, and its turn and zoom against the earlier one.
+        velocities : tuple of Velocity
+            Of the earlier frame, and what is expected of the later one's.
+        spread : tuple of float
+            As in :meth:`link`.
+        rung : Rung
+            What is modelled.
+        scratch : View
+            Is filled with the earlier frame, turned.
+        reach_px : float, optional
+            All shifts are searched, with a prior of that scale; from what is expected alone by default.
+
+        Returns
+        -------
+        Link or None
+            Its warp is the one that frames of the same orientation would have had. None where nothing was found.
+        """
+        shutter, before = self.grid.shutter, velocities[0]
+        row, col, turn, zoom = expected
+        start = shutter.warp(_AT_REST, velocities[1], Displacement(row, col))
+        link: Link | None = None
+        sigma = inf
+        for _ in range(_TURNS):
+            upright = self.turned(earlier, before, turn, zoom, scratch)
+            link = self.link(upright, later, start, spread)
+            if reach_px is not None and not (link.observed and link.correlation > _SURE):
+                link = self.search(upright, later, start, spread, reach_px)
+            found = None if link is None else self.remainder(upright, later, link.warp, spread)
+            if link is None or found is None:
+                return None
+            start, form = ladder.composed(link.warp, found.step[rung])
+            more = ladder.angle_of(form)
+            turn, zoom, sigma = turn - more, zoom / ladder.scale_of(form), float(found.sigma[0])
+            if abs(more) < _SMALL_TURN:
+                break
+        assert link is not None
+        stretch, shear = 1 + before.row / shutter.rows_per_frame, before.col / shutter.rows_per_frame
+        warp = Warp(start.a * stretch, start.b, start.s * stretch + shear, start.d)
+        return link._replace(warp=warp, turn=turn, zoom=zoom, turn_sigma=sigma)
 
     def search(
         self, earlier: View, later: View, expected: Warp, spread: tuple[float, float], reach_px: float

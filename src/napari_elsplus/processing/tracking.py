@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from napari_elsplus.processing.ladder import Climb, Rung, turned_by
 from napari_elsplus.processing.motion import Displacement, Velocity
 from napari_elsplus.processing.prediction import AT_REST, Motion
 from napari_elsplus.processing.registration import LEAST_EVIDENCE, Link, Registrar, View
@@ -60,6 +61,10 @@ class Pose(NamedTuple):
         Larger axis of the position's uncertainty relative to that frame, one standard deviation.
     state : State
         Tracked, predicted or lost.
+    angle : float
+        Of the probe against the segment's first frame, radians, from rows towards columns; zero until frames ask for it.
+    scale : float
+        Pixels of the first frame per pixel of this one.
     """
 
     segment: int
@@ -69,6 +74,8 @@ class Pose(NamedTuple):
     score: float
     sigma: float
     state: State
+    angle: float = 0.0
+    scale: float = 1.0
 
 
 SURE_CORRELATION: Final = 0.9
@@ -78,6 +85,12 @@ SMOOTH_MOTION_PX: Final = 5.0
 FALL_OF_CORRELATION: Final = 0.08
 """How far a link's correlation may lie below what was usual so far."""
 _MEMORY: Final = 0.2
+_MEMORY_OF_TURN: Final = 0.3
+_RISE_OF_CORRELATION: Final = 0.03
+_ASK_EVERY: Final = 4
+"""Frames between two questions whether the probe turns, as long as it does not."""
+_ASK_AT_REST: Final = 32
+"""The same, while one key frame serves."""
 _VELOCITY_SIGMA: Final = 0.3
 """What the velocity of a linked frame is trusted to."""
 _REACH_PX: Final = 8.0
@@ -93,6 +106,8 @@ class _Placed:
     row: float = 0.0
     col: float = 0.0
     velocity: Velocity = AT_REST
+    angle: float = 0.0
+    scale: float = 1.0
 
 
 class Tracker:
@@ -106,7 +121,7 @@ class Tracker:
     Attributes
     ----------
     links : list of tuple
-        (earlier frame, later frame, displacement, link) of every accepted link.
+        (earlier frame, later frame, displacement in the later one's orientation, link) of every accepted link.
     """
 
     def __init__(self, grid: Grid) -> None:
@@ -114,6 +129,13 @@ class Tracker:
         self.registrar = Registrar(grid)
         self.links: list[tuple[int, int, Displacement, Link]] = []
         self._slots = [self.registrar.view() for _ in range(4)]
+        self._scratch = self.registrar.view()
+        self._climb = Climb()
+        self._newest: Link | None = None
+        self._asked = 0
+        self._began = self._covered = 0
+        self._turned = 0.0
+        self._turn_rate = 0.0
         self._motion = Motion(grid.shutter)
         self._key: _Placed | None = None
         self._last: _Placed | None = None
@@ -121,6 +143,11 @@ class Tracker:
         self._usual = nan
         self._segment = 0
         self._frames = 0
+
+    @property
+    def rung(self) -> Rung:
+        """What the frames have asked for so far, beside translations."""
+        return self._climb.rung
 
     def slot(self) -> NDArray[np.float32]:
         """Return the array into which the next image is to be written before :meth:`add` is called."""
@@ -147,7 +174,10 @@ class Tracker:
         key, last = self._key, self._last
         assert key is not None
         assert last is not None
-        if hypot(*self._expected(key, here.index)) > KEY_FRAME_REACH * self.grid.diameter:
+        renew = hypot(*self._expected(key, here.index)) > KEY_FRAME_REACH * self.grid.diameter
+        if self.rung is Rung.TRANSLATION:
+            self._ask(renew=renew)
+        if renew:
             key = self._key = last
         if hypot(*self._expected(key, here.index)) > FARTHEST * self.grid.diameter:
             return None
@@ -171,9 +201,12 @@ class Tracker:
             self._motion, self._usual = before
             return None
         self._place(origin, here, link)
-        here.row = here.col = 0.0
+        here.row = here.col = here.angle = 0.0
+        here.scale = 1.0
         self._key = here
         self._segment += 1
+        self._began = self._asked = here.index
+        self._covered, self._turned = 0, 0.0
         return self._track(here, link)
 
     def _coast(self, here: _Placed) -> Pose:
@@ -185,33 +218,99 @@ class Tracker:
         gone = here.index - last.index > PATIENCE_FRAMES or hypot(*ahead) > FARTHEST * self.grid.diameter
         if gone or not self._motion.known:
             return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, State.LOST)
-        velocity = self._motion.next_velocity
-        return Pose(self._segment, last.row + ahead.row, last.col + ahead.col, velocity, nan, nan, State.PREDICTED)
+        row, col = turned_by(last.angle, last.scale) @ ahead
+        return Pose(
+            self._segment, last.row + float(row), last.col + float(col), self._motion.next_velocity, nan, nan,
+            State.PREDICTED, last.angle, last.scale,
+        )  # fmt: skip
+
+    def _ask(self, *, renew: bool) -> None:
+        """Ask, now and then, whether the frames since the key frame have turned, and from when on that is modelled."""
+        key, last, link = self._key, self._last, self._newest
+        assert key is not None
+        assert last is not None
+        wait = _ASK_EVERY if renew else _ASK_AT_REST
+        if link is None or last is key or last.index - self._asked < wait:
+            return
+        self._asked = last.index
+        found = self.registrar.remainder(key.view, last.view, link.warp, self._spread)
+        if found is None:
+            return
+        apart, turn = last.index - key.index, -float(found.step[Rung.RIGID, 4])
+        rung = self._climb.weigh(found, keep=renew)
+        covered, turned = self._covered + apart, self._turned + turn
+        if rung is not Rung.TRANSLATION:
+            self._turn_rate = turned / covered
+            last.angle = self._turn_rate * (last.index - self._began)
+            key.angle = last.angle - turn
+        elif renew:
+            self._covered, self._turned = covered, turned
 
     def _expected(self, earlier: _Placed, index: int) -> Displacement:
-        """Displacement from a placed frame that the motion so far suggests."""
+        """Displacement from a placed frame that the motion so far suggests, in the orientation of the last one."""
         last = self._last
         assert last is not None
         if not self._motion.known:
             return Displacement(0.0, 0.0)
         ahead = self._motion.ahead(index - last.index)
-        return Displacement(last.row - earlier.row + ahead.row, last.col - earlier.col + ahead.col)
+        gone = last.row - earlier.row, last.col - earlier.col
+        if self.rung is not Rung.TRANSLATION:
+            row, col = turned_by(-last.angle, 1 / last.scale) @ gone
+            gone = float(row), float(col)
+        return Displacement(gone[0] + ahead.row, gone[1] + ahead.col)
+
+    @property
+    def _spread(self) -> tuple[float, float]:
+        """Standard deviations of stretch and shear about what the motion so far suggests."""
+        return (self._motion.spread / self.grid.shutter.rows_per_frame + 1e-9,) * 2
 
     def _link(self, earlier: _Placed, here: _Placed) -> Link | None:
         """Link two frames, first where the motion suggests it, else anywhere; None if the frames do not say where."""
+        if self.rung is not Rung.TRANSLATION:
+            return self._turned_link(earlier, here, self.rung)
         shutter, motion = self.grid.shutter, self._motion
         expected = shutter.warp(earlier.velocity, motion.next_velocity, self._expected(earlier, here.index))
-        spread = (motion.spread / shutter.rows_per_frame + 1e-9,) * 2
-        last = self._last
-        assert last is not None
-        reach = _FIRST_REACH * self.grid.diameter
         if motion.known:
-            link = self.registrar.link(earlier.view, here.view, expected, spread)
+            link = self.registrar.link(earlier.view, here.view, expected, self._spread)
             if link.correlation > SURE_CORRELATION and self._accepted(link, here):
                 return link
-            reach = _REACH_PX * (here.index - last.index)
-        found = self.registrar.search(earlier.view, here.view, expected, spread, reach)
+            turned = self._suddenly_turned(earlier, here, link)
+            if turned is not None:
+                return turned
+        found = self.registrar.search(earlier.view, here.view, expected, self._spread, self._reach(here))
         return found if found is not None and self._accepted(found, here) else None
+
+    def _reach(self, here: _Placed) -> float:
+        """How far the shift may well be from what is expected."""
+        assert self._last is not None
+        return _REACH_PX * (here.index - self._last.index) if self._motion.known else _FIRST_REACH * self.grid.diameter
+
+    def _suddenly_turned(self, earlier: _Placed, here: _Placed, link: Link) -> Link | None:
+        """Try, where frames agree less than they should, whether they do once one is turned."""
+        found = self.registrar.remainder(earlier.view, here.view, link.warp, self._spread)
+        if found is None or not Climb().weigh(found):
+            return None
+        turned = self._turned_link(earlier, here, Rung.RIGID)
+        if turned is None or not turned.correlation > max(link.correlation + _RISE_OF_CORRELATION, SURE_CORRELATION):
+            return None
+        self._climb.rung = Rung.RIGID
+        return turned
+
+    def _turned_link(self, earlier: _Placed, here: _Placed, rung: Rung) -> Link | None:
+        """Link two frames of a probe that turns."""
+        last, motion = self._last, self._motion
+        assert last is not None
+        turn = last.angle - earlier.angle + self._turn_rate * (here.index - last.index) if motion.known else 0.0
+        zoom = last.scale / earlier.scale if motion.known else 1.0
+        row, col = self._expected(earlier, here.index)
+        for reach in (None, self._reach(here)) if motion.known else (self._reach(here),):
+            link = self.registrar.turned_link(
+                earlier.view, here.view, (row, col, turn, zoom), (earlier.velocity, motion.next_velocity),
+                self._spread, rung, self._scratch, reach,
+            )  # fmt: skip
+            if link is not None and self._accepted(link, here) and (reach or link.correlation > SURE_CORRELATION):
+                return link
+        return None
 
     def _accepted(self, link: Link, here: _Placed) -> bool:
         """Whether the frames single out this shift, and agree about as well as frames did so far.
@@ -234,7 +333,9 @@ class Tracker:
         else:
             after = self._velocity_after_gap(earlier, here, link)
         moved = shutter.displacement(link.warp, after)
-        here.row, here.col, here.velocity = earlier.row + moved.row, earlier.col + moved.col, after
+        here.angle, here.scale, here.velocity = earlier.angle + link.turn, earlier.scale * link.zoom, after
+        row, col = moved if self.rung is Rung.TRANSLATION else turned_by(here.angle, here.scale) @ moved
+        here.row, here.col = earlier.row + float(row), earlier.col + float(col)
         self.links.append((earlier.index, here.index, moved, link))
 
     def _velocity_after_gap(self, earlier: _Placed, here: _Placed, link: Link) -> Velocity:
@@ -243,7 +344,10 @@ class Tracker:
         assert last is not None
         moved = shutter.displacement(link.warp, motion.next_velocity)
         gap = here.index - last.index
-        along = Velocity((earlier.row + moved.row - last.row) / gap, (earlier.col + moved.col - last.col) / gap)
+        gone = Displacement(last.row - earlier.row, last.col - earlier.col)
+        if self.rung is not Rung.TRANSLATION:
+            gone = Displacement(*(turned_by(-last.angle, 1 / last.scale) @ gone).tolist())
+        along = Velocity((moved.row - gone.row) / gap, (moved.col - gone.col) / gap)
         if not isfinite(shutter.rows_per_frame):
             return along
         sheared = shutter.later_velocity(link.warp, earlier.velocity)
@@ -254,8 +358,14 @@ class Tracker:
     def _track(self, here: _Placed, link: Link) -> Pose:
         last = self._last
         assert last is not None
-        self._motion.follow(here.velocity, successive=here.index - last.index == 1)
-        self._last = here
+        gap = here.index - last.index
+        if self.rung is not Rung.TRANSLATION:
+            self._turn_rate += _MEMORY_OF_TURN * ((here.angle - last.angle) / gap - self._turn_rate)
+        self._motion.follow(here.velocity, successive=gap == 1)
+        self._last, self._newest = here, link
         known = isfinite(self._usual)
         self._usual = self._usual + _MEMORY * (link.correlation - self._usual) if known else link.correlation
-        return Pose(self._segment, here.row, here.col, here.velocity, link.correlation, link.sigma, State.TRACKED)
+        return Pose(
+            self._segment, here.row, here.col, here.velocity, link.correlation, link.sigma, State.TRACKED,
+            here.angle, here.scale,
+        )  # fmt: skip

@@ -16,7 +16,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.simulation.layers import Layer
 from napari_elsplus.simulation.scan import CoreLight, Scan
 from napari_elsplus.simulation.sensor import expose
-from napari_elsplus.simulation.trajectories import Still, Trajectory
+from napari_elsplus.simulation.trajectories import Still, Trajectory, TurningTrajectory
 from napari_elsplus.simulation.views import views
 
 if TYPE_CHECKING:
@@ -82,6 +82,7 @@ class Renderer:
         self._receive(None)
         self._values = np.empty((2, len(self._cores.rows_um)), np.float32)
         self._places = np.empty((2, len(self._cores.rows_um)))
+        self._unshifted = np.zeros(len(self._cores.rows_um), np.float32)
         self._row_signal = np.empty(self.frame_shape[1], np.float32)
 
     def render(
@@ -142,21 +143,38 @@ class Renderer:
         """
         self._follow_line(line_rows)
         positions_um = self.row_positions_um(frame_index)
+        turn = self.row_turns(frame_index)
         self._refuse_outside(frame_index, positions_um)
         self._cover(positions_um)
         for view, light, values in zip(self._views, self._light, self._values, strict=True):
             values[:] = light.steady
-            if self._layers:
+            if self._layers and turn is None:
                 place_cores(self._places, view.rows_px, self._cores.rows_um, self._cores.cols_um, positions_um)
             for layer, scale, shift_um in zip(self._layers, light.scale, light.shift_um, strict=True):
-                gather(values, layer.window, 1 / layer.step_um, self._places, shift_um, scale)
+                shift = shift_um
+                if turn is not None:
+                    place_turned_cores(
+                        self._places, view.rows_px, self._cores.rows_um, self._cores.cols_um, shift_um, positions_um, turn
+                    )
+                    shift = self._unshifted
+                gather(values, layer.window, 1 / layer.step_um, self._places, shift, scale)
         return self._values
 
     def row_positions_um(self, frame_index: int) -> NDArray[np.float64]:
         """Position of the probe over the scene when each camera row of a frame is read, (rows, 2) row and column."""
+        return np.ascontiguousarray(self.trajectory.positions_um(self._row_times_s(frame_index)))
+
+    def row_turns(self, frame_index: int) -> NDArray[np.float64] | None:
+        """Cosine and sine of the probe's angle when each camera row is read, (rows, 2); None if it does not turn."""
+        if not isinstance(self.trajectory, TurningTrajectory):
+            return None
+        angle = self.trajectory.angles_rad(self._row_times_s(frame_index))
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+    def _row_times_s(self, frame_index: int) -> NDArray[np.float64]:
         optics = self.instrument.optics
         periods = frame_index + np.arange(self.frame_shape[0]) / optics.rows_per_frame
-        return np.ascontiguousarray(self.trajectory.positions_um(periods * optics.frame_period_s))
+        return np.asarray(periods * optics.frame_period_s, np.float64)
 
     def in_focus(self) -> Renderer:
         """Return a renderer of the same views without out-of-focus light, background and noise.
@@ -238,6 +256,28 @@ def place_cores(
         f = camera_rows[n] - r
         places[0, n] = rows_um[n] + positions_um[r, 0] + f * (positions_um[r + 1, 0] - positions_um[r, 0])
         places[1, n] = cols_um[n] + positions_um[r, 1] + f * (positions_um[r + 1, 1] - positions_um[r, 1])
+
+
+@kernel
+def place_turned_cores(
+    places: NDArray[np.float64],
+    camera_rows: NDArray[np.float64],
+    rows_um: NDArray[np.float64],
+    cols_um: NDArray[np.float64],
+    shift_um: NDArray[np.float32],
+    positions_um: NDArray[np.float64],
+    turns: NDArray[np.float64],
+) -> None:
+    """Where each core looks, (2, cores), when the probe turns: its view, shifted along the bundle's rows, is turned."""
+    last = len(positions_um) - 2
+    for n in range(len(camera_rows)):
+        r = min(last, max(0, int(camera_rows[n])))
+        f = camera_rows[n] - r
+        c = turns[r, 0] + f * (turns[r + 1, 0] - turns[r, 0])
+        s = turns[r, 1] + f * (turns[r + 1, 1] - turns[r, 1])
+        y, x = rows_um[n] + shift_um[n], cols_um[n]
+        places[0, n] = c * y - s * x + positions_um[r, 0] + f * (positions_um[r + 1, 0] - positions_um[r, 0])
+        places[1, n] = s * y + c * x + positions_um[r, 1] + f * (positions_um[r + 1, 1] - positions_um[r, 1])
 
 
 @kernel

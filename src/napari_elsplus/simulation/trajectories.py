@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -21,6 +21,51 @@ class Trajectory(Protocol):
 
     def positions_um(self, times_s: Times) -> Positions:
         """Row and column at each time, shape (n, 2)."""
+
+
+@runtime_checkable
+class TurningTrajectory(Trajectory, Protocol):
+    """A path on which the probe also turns about its middle."""
+
+    def angles_rad(self, times_s: Times) -> Times:
+        """Angle at each time, from the rows' direction towards the columns', shape (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Turning:
+    """A path on which the probe turns steadily, or to and fro.
+
+    Parameters
+    ----------
+    path : Trajectory
+        Where its middle goes.
+    rate_deg_s : float
+        How fast it turns at first.
+    reach_deg : float
+        It turns to and fro as far as this, as a sine; without end if infinite.
+
+    Examples
+    --------
+    >>> turning = Turning(Still(), rate_deg_s=20.0)
+    >>> np.rad2deg(turning.angles_rad(np.array([0.0, 0.5]))).round(6).tolist()
+    [0.0, 10.0]
+    """
+
+    path: Trajectory
+    rate_deg_s: float
+    reach_deg: float = np.inf
+
+    def positions_um(self, times_s: Times) -> Positions:
+        """Row and column at each time."""
+        return self.path.positions_um(times_s)
+
+    def angles_rad(self, times_s: Times) -> Times:
+        """Angle at each time."""
+        angle = np.deg2rad(self.rate_deg_s) * times_s
+        if not np.isfinite(self.reach_deg):
+            return angle
+        reach = np.deg2rad(self.reach_deg)
+        return np.asarray(reach * np.sin(angle / reach), np.float64)
 
 
 @dataclass(frozen=True, slots=True)
