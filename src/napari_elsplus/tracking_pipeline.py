@@ -90,7 +90,7 @@ class _Ours:
                 views[index] = registrar.prepare(fresh)
             return views[index]
 
-        return refine(poses, self._tracker.links, registrar, view)
+        return refine(poses, self._tracker.links, registrar, view, self._tracker.rung)
 
 
 class _Papers:
@@ -241,7 +241,7 @@ class Pipeline:
         mosaic = self.mosaics.get(pose.segment)
         if mosaic is None:
             mosaic = self.mosaics[pose.segment] = Mosaic(self.grid, self._insertion, weights=self._weights)
-        mosaic.insert(image, pose.row, pose.col, pose.velocity)
+        mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
 
     def _row(self, pose: Pose, frame: int, time_s: float) -> TrackPoint:
         scale, um = self._tracking.scale, self._um_per_px

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from napari_elsplus.processing.graph import Edge, least_squares_positions
+from napari_elsplus.processing.graph import Edge, least_squares_places, least_squares_positions
 
 
 def walk(seed: int, frames: int = 40, sigma: float = 0.1) -> tuple[np.ndarray, list[Edge]]:
@@ -45,3 +45,17 @@ def test_frames_that_nothing_connects_are_left_out() -> None:
     found = least_squares_positions([edge for edge in edges if edge.earlier != 20])
     assert set(found) == set(range(21))
     assert least_squares_positions([], fixed=7) == {7: (0.0, 0.0)}
+
+
+def test_turned_links_are_laid_in_one_orientation_and_a_loop_shares_out_the_angles() -> None:
+    """Around a hexagon, 60 degrees a link, each measured 0.01 rad too large; a seventh link closes the loop."""
+    side, error, turn = 10.0, 0.01, np.pi / 3
+    edges = [Edge(k, k + 1, (0.0, side), np.eye(2), turn + error, 1.0, 0.01) for k in range(6)]
+    edges.append(Edge(0, 6, (0.0, 0.0), 0.01 * np.eye(2), 2 * np.pi, 1.0, 0.001))
+    places = least_squares_places(edges)
+    assert abs(places[6].angle - 2 * np.pi) < 0.002
+    assert abs(places[3].angle - np.pi) < 0.01
+    corners = [np.hypot(places[k + 1].row - places[k].row, places[k + 1].col - places[k].col) for k in range(6)]
+    assert np.allclose(corners, side, atol=0.2)
+    across = np.hypot(places[3].row - places[0].row, places[3].col - places[0].col)
+    assert abs(across - 2 * side) < 0.3

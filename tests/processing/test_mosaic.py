@@ -148,3 +148,19 @@ def test_front_end_allocates_nothing() -> None:
     front_end = FrontEnd(truth.calibration, truth.frames.shape[1:])
     out = np.zeros((front_end.grid.side,) * 2, np.float32)
     assert front_end.image(truth.frames[0], out) is out
+
+
+def test_turned_frames_are_laid_upright() -> None:
+    velocity, angle, scale = Velocity(20.0, -12.0), np.deg2rad(9.0), 1.03
+    r, (y, x) = GRID.shutter.rows_per_frame, (np.arange(GRID.side) - c for c in GRID.centre)
+    y, x = np.meshgrid(y, x, indexing="ij")
+    y, x = y * (1 + velocity.row / r), x + velocity.col * y / r
+    rows = scale * (np.cos(angle) * y - np.sin(angle) * x)
+    cols = scale * (np.sin(angle) * y + np.cos(angle) * x)
+    image = wave(30.2 + rows, -11.7 + cols).astype(np.float32)
+    mosaic = Mosaic(GRID)
+    mosaic.insert(image, 30.2, -11.7, velocity, angle, scale)
+    assert miss(mosaic) < 1.0
+    unturned = Mosaic(GRID)
+    unturned.insert(image, 30.2, -11.7, velocity)
+    assert miss(unturned) > 10

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -7,7 +8,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import picture, scene
-from napari_elsplus.simulation.trajectories import Straight
+from napari_elsplus.simulation.trajectories import Still, Straight, Turning
 
 
 @pytest.fixture(scope="module")
@@ -51,3 +52,28 @@ def test_leaving_a_finite_scene_is_said_with_the_frame() -> None:
     renderer.render(0)
     with pytest.raises(InputError, match=r"frame 4 looks \d+ um beyond the edge of the scene of 999 x 999 um"):
         renderer.render(4)
+
+
+def test_a_turned_probe_sees_the_scene_turned() -> None:
+    """Turned by 90 degrees, a picture looks as its transpose, mirrored, does upright."""
+    image = cv2.GaussianBlur(np.random.default_rng(0).uniform(0, 255, (801, 801)), (0, 0), 6.0)
+    quarter = Turning(Still(), 90.0 / 1e-3, np.inf)
+
+    class Held:
+        """At 90 degrees throughout."""
+
+        def positions_um(self, times_s: np.ndarray) -> np.ndarray:
+            return quarter.positions_um(times_s)
+
+        def angles_rad(self, times_s: np.ndarray) -> np.ndarray:
+            return quarter.angles_rad(np.full_like(times_s, 1e-3))
+
+    instrument = Instrument.of("240hz", autofluorescence=0.0)
+    turned = Renderer(instrument, picture(image, 2.0), Held(), noise=False).in_focus().render(0)
+    # up the rows of the turned probe runs along the scene's columns
+    other = picture(np.ascontiguousarray(image.T[:, ::-1]), 2.0)
+    upright = Renderer(instrument, other, Still(), noise=False).in_focus().render(0)
+    centre = [round(c) for c in instrument.left_centre]
+    here = np.s_[centre[0] - 150 : centre[0] + 150, centre[1] - 150 : centre[1] + 150]
+    smooth = [cv2.GaussianBlur(frame[here].astype(float), (0, 0), 3.0).ravel() for frame in (turned, upright)]
+    assert np.corrcoef(*smooth)[0, 1] > 0.99

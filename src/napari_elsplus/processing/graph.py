@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _ROUNDS: Final = 8
-_SUREST: Final = 1e-4
+_SIGMAS: Final = (1e-4, 1.0)
+"""Limits of what an angle is trusted to; the last where it was not asked for."""
 _UNPROVEN: Final = 1e-6
 """First weight of links that close loops: they are judged by where the others put the frames."""
 _TAIL: Final = 3.0
@@ -86,7 +87,8 @@ def least_squares_places(edges: Sequence[Edge], fixed: int = 0) -> dict[int, Pla
     (-10.0, 0.0)
     """
     rotations = [
-        Edge(e.earlier, e.later, (e.turn, log(e.zoom)), max(e.turn_sigma, _SUREST) ** 2 * np.eye(2)) for e in edges
+        Edge(e.earlier, e.later, (e.turn, log(e.zoom)), float(np.clip(e.turn_sigma, *_SIGMAS)) ** 2 * np.eye(2))
+        for e in edges
     ]
     forms = least_squares_positions(rotations, fixed)
     laid = []

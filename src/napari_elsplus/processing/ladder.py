@@ -52,21 +52,18 @@ class Remainder(NamedTuple):
     step : numpy.ndarray
         (3, 6): for each rung the change of a, b, s, d, of rows per column and of columns per column, each at its best;
         what a rung does not model is zero.
-    gain : numpy.ndarray
-        (3,) chi squared that each rung saves against none.
     sigma : numpy.ndarray
         (2,) standard deviations of the rotation (radians) and of the scale, as parts of one.
-    count : float
+    values : float
         Independent values that were compared.
     """
 
     step: Matrix
-    gain: Matrix
     sigma: Matrix
-    count: float
+    values: float
 
 
-_MARGIN: Final = 1.5
+_MARGIN: Final = 2.0
 """How many times the criterion's penalty must be saved: it is asked again and again in a long recording."""
 _FORGET: Final = 0.98
 
@@ -85,10 +82,10 @@ class Climb:
     --------
     >>> climb = Climb()
     >>> nothing = np.zeros((3, 6))
-    >>> climb.weigh(Remainder(nothing, np.zeros(3), np.array([3e-4, 3e-4]), 1500.0)).name
+    >>> climb.weigh(Remainder(nothing, np.array([3e-4, 3e-4]), 1500.0)).name
     'TRANSLATION'
     >>> turned = nothing + np.array([0, 0, 0, 0, 0.01, 0])
-    >>> climb.weigh(Remainder(turned, np.zeros(3), np.array([3e-4, 3e-4]), 1500.0)).name
+    >>> climb.weigh(Remainder(turned, np.array([3e-4, 3e-4]), 1500.0)).name
     'RIGID'
     """
 
@@ -100,7 +97,7 @@ class Climb:
         """Weigh a link with those before; return the rung that is asked for. It is remembered if it is to be kept."""
         total = _FORGET * self._sum + found.step[Rung.SIMILARITY, 4:]
         variance = _FORGET**2 * self._variance + found.sigma**2
-        count = _FORGET * self._count + found.count
+        count = _FORGET * self._count + found.values
         saved = total**2 / np.maximum(variance, 1e-12)
         needed = _MARGIN * np.log(max(count, 2.0))
         if saved[1] > needed:
@@ -131,7 +128,7 @@ def scale_of(form: Matrix) -> float:
 def upright(
     image: NDArray[np.float32], out: NDArray[np.float32], centre: tuple[float, float], matrix: Matrix
 ) -> NDArray[np.float32]:
-    """Move every point of an image to `matrix` times where it was, about the bundle's centre; zero where nothing was."""
+    """Move every point of an image to `matrix` times where it was, about the bundle's centre; beyond it lies zero."""
     row, col = centre
     (rr, rc), (cr, cc) = matrix
     forward = np.array([[cc, cr, col - cc * col - cr * row], [rc, rr, row - rc * col - rr * row]])
@@ -175,7 +172,8 @@ def composed(warp: Warp, step: Matrix) -> tuple[Warp, Matrix]:
     angle = np.arctan2(-m12, m11)
     c, s = np.cos(angle), np.sin(angle)
     scale = m21 * s + m22 * c
-    found = Warp(float(np.hypot(m11, m12) / scale), float(shift[0]), float((m21 * c - m22 * s) / scale), float(shift[1]))
+    stretch, shear = float(np.hypot(m11, m12) / scale), float((m21 * c - m22 * s) / scale)
+    found = Warp(stretch, float(shift[0]), shear, float(shift[1]))
     return found, turned_by(float(angle), float(scale))
 
 
@@ -217,27 +215,22 @@ def remainder(
     normal, right = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
     scaled = np.array([warp.a, warp.b / px, warp.s, warp.d / px])
     count, noise = unexplained(template, image, first, last, *middle, scaled, normal, right)
-    if count == 0:
+    if not (count > 0 and noise > 0):
         return None
     noise *= correlated_px
     normal[0, 0] += stiffness[0] * noise
     normal[2, 2] += stiffness[1] * noise
-    step, gain = np.zeros((len(Rung), 6)), np.zeros(len(Rung))
-    none = None
-    for rung in Rung:
-        free = [0, 1, 2, 3, *range(4, 4 + rung), 6, 7]
-        try:
-            found = np.linalg.solve(normal[np.ix_(free, free)], right[free])
-        except np.linalg.LinAlgError:
-            return None
-        saved = float(found @ right[free]) / noise
-        none = saved if none is None else none
-        gain[rung] = saved - none
-        step[rung, : 4 + rung] = found[: 4 + rung]
-    covariance = np.linalg.inv(normal) * noise
+    step = np.zeros((len(Rung), 6))
+    try:
+        for rung in Rung:
+            free = [0, 1, 2, 3, *range(4, 4 + rung), 6, 7]
+            step[rung, : 4 + rung] = np.linalg.solve(normal[np.ix_(free, free)], right[free])[: 4 + rung]
+        covariance = np.linalg.inv(normal) * noise
+    except np.linalg.LinAlgError:
+        return None
     step[:, [1, 3]] *= px
     sigma = np.sqrt(np.maximum(np.diag(covariance)[4:6], 0))
-    return Remainder(step, gain, sigma, count / correlated_px)
+    return Remainder(step, sigma, count / correlated_px)
 
 
 @kernel

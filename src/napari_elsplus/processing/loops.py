@@ -35,8 +35,6 @@ _VELOCITY_SIGMA: Final = 0.5
 _DRIFT: Final = 0.01
 _AGREEMENT_PX: Final = 3.0
 _AGREEMENT_RAD: Final = 0.02
-_UNTURNED: Final = 1.0
-"""Standard deviation of the angle between frames that were not asked for it."""
 
 
 def key_frames(poses: Sequence[Pose], spacing_px: float) -> list[int]:
@@ -121,11 +119,7 @@ class LoopCloser:
                 if edge is None:
                     continue
                 offset = self._offset(edge)
-                partners = [
-                    e
-                    for o, e in found
-                    if hypot(o[0] - offset[0], o[1] - offset[1]) < _AGREEMENT_PX and abs(o[2] - offset[2]) < _AGREEMENT_RAD
-                ]
+                partners = [e for o, e in found if _agree(o, offset)]
                 if any(e.later != later and e.earlier != earlier for e in partners):
                     return [*partners, edge]
                 found.append((offset, edge))
@@ -183,9 +177,7 @@ class LoopCloser:
             return None
         moved = self._registrar.grid.shutter.displacement(link.warp, self._poses[later].velocity)
         covariance = edge_covariance(link, self._spread[0])
-        return Edge(
-            earlier, later, (moved.row, moved.col), covariance, link.turn, link.zoom, min(link.turn_sigma, _UNTURNED)
-        )
+        return Edge(earlier, later, (moved.row, moved.col), covariance, link.turn, link.zoom, link.turn_sigma)
 
     def _warp(self, a: Pose, b: Pose, displacement: Displacement) -> Warp:
         return self._registrar.grid.shutter.warp(Velocity(*a.velocity), Velocity(*b.velocity), displacement)
@@ -193,6 +185,11 @@ class LoopCloser:
     @property
     def _spread(self) -> tuple[float, float]:
         return (_VELOCITY_SIGMA / self._registrar.grid.shutter.rows_per_frame + 1e-9,) * 2
+
+
+def _agree(one: tuple[float, float, float], other: tuple[float, float, float]) -> bool:
+    near = hypot(one[0] - other[0], one[1] - other[1]) < _AGREEMENT_PX
+    return near and abs(one[2] - other[2]) < _AGREEMENT_RAD
 
 
 def edge_covariance(link: Link, stretch_sigma: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

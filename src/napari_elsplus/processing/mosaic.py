@@ -15,6 +15,7 @@ import numpy as np
 
 from napari_elsplus.compiled import kernel
 from napari_elsplus.processing.grid import FIELD
+from napari_elsplus.processing.ladder import turned_by, unsheared, upright
 from napari_elsplus.processing.motion import Velocity
 from napari_elsplus.processing.tiles import HeapTiles, Rectangle, TileStore, tile_rectangle
 
@@ -101,10 +102,19 @@ class Mosaic:
         self._weights = rim_weights(grid) if weights is None else weights
         self._store: TileStore = HeapTiles() if store is None else store
         self._spans = grid.spans()
+        self._turned = np.zeros((grid.side, grid.side), np.float32)
         self._lock = Lock()
         self._dirty: Rectangle | None = None
 
-    def insert(self, image: NDArray[np.float32], row: float, col: float, velocity: Velocity = STILL) -> Rectangle:
+    def insert(
+        self,
+        image: NDArray[np.float32],
+        row: float,
+        col: float,
+        velocity: Velocity = STILL,
+        angle: float = 0.0,
+        scale: float = 1.0,
+    ) -> Rectangle:
         """Lay a frame down with its centre at (row, col).
 
         Parameters
@@ -115,6 +125,10 @@ class Mosaic:
             Where the probe was when the bundle's middle row was read, in pixels of the grid.
         velocity : Velocity
             Of the probe during the frame, in pixels per frame period.
+        angle : float
+            Of the probe, in radians from rows towards columns: a turned frame is turned back as a whole.
+        scale : float
+            Pixels of the mosaic per pixel of the frame.
 
         Returns
         -------
@@ -122,6 +136,9 @@ class Mosaic:
             The part of the canvas that may have changed.
         """
         r = self.grid.shutter.rows_per_frame
+        if angle != 0 or scale != 1:
+            matrix = turned_by(angle, scale) @ unsheared(velocity, r)
+            image, velocity = upright(image, self._turned, self.grid.centre, matrix), STILL
         stretch, shear = 1 + velocity.row / r, velocity.col / r
         touched = self._reach(row, col, stretch, shear)
         blend = self.insertion is Insertion.FEATHERED

@@ -58,9 +58,7 @@ def refine(
     if rung is not Rung.TRANSLATION:
         links = [_turned(link, settled, registrar, view, rung) for link in links]
     edges = [
-        Edge(
-            a, b, (moved.row, moved.col), edge_covariance(link, stretch), link.turn, link.zoom, min(link.turn_sigma, 1.0)
-        )
+        Edge(a, b, (moved.row, moved.col), edge_covariance(link, stretch), link.turn, link.zoom, link.turn_sigma)
         for a, b, moved, link in links
         if tracked.get(a, -1) == tracked.get(b, -2)
     ]

@@ -156,9 +156,7 @@ class Registrar:
         )  # fmt: skip
         return Link(Warp(*warp.tolist()), information, scores[0], scores[1] / self._pixels[0] * _ROW_STEP, evidence)
 
-    def remainder(
-        self, earlier: View, later: View, warp: Warp, spread: tuple[float, float]
-    ) -> ladder.Remainder | None:
+    def remainder(self, earlier: View, later: View, warp: Warp, spread: tuple[float, float]) -> ladder.Remainder | None:
         """Ask what rotation and scale would add to a warp; None where the frames say nothing."""
         first, last = self._spans[1]
         stiffness = spread[0] ** -2, spread[1] ** -2

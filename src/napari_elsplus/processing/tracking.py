@@ -62,7 +62,7 @@ class Pose(NamedTuple):
     state : State
         Tracked, predicted or lost.
     angle : float
-        Of the probe against the segment's first frame, radians, from rows towards columns; zero until frames ask for it.
+        Of the probe against the segment's first frame, radians, from rows towards columns; zero until asked for.
     scale : float
         Pixels of the first frame per pixel of this one.
     """
@@ -278,7 +278,10 @@ class Tracker:
             if turned is not None:
                 return turned
         found = self.registrar.search(earlier.view, here.view, expected, self._spread, self._reach(here))
-        return found if found is not None and self._accepted(found, here) else None
+        if found is None or not self._accepted(found, here):
+            return None
+        turned = None if found.correlation > SURE_CORRELATION else self._suddenly_turned(earlier, here, found)
+        return turned or found
 
     def _reach(self, here: _Placed) -> float:
         """How far the shift may well be from what is expected."""

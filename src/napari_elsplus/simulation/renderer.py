@@ -148,16 +148,15 @@ class Renderer:
         self._cover(positions_um)
         for view, light, values in zip(self._views, self._light, self._values, strict=True):
             values[:] = light.steady
+            places, camera_rows, rows_um, cols_um = self._places, view.rows_px, self._cores.rows_um, self._cores.cols_um
             if self._layers and turn is None:
-                place_cores(self._places, view.rows_px, self._cores.rows_um, self._cores.cols_um, positions_um)
+                place_cores(places, camera_rows, rows_um, cols_um, positions_um)
             for layer, scale, shift_um in zip(self._layers, light.scale, light.shift_um, strict=True):
-                shift = shift_um
-                if turn is not None:
-                    place_turned_cores(
-                        self._places, view.rows_px, self._cores.rows_um, self._cores.cols_um, shift_um, positions_um, turn
-                    )
-                    shift = self._unshifted
-                gather(values, layer.window, 1 / layer.step_um, self._places, shift, scale)
+                if turn is None:
+                    gather(values, layer.window, 1 / layer.step_um, places, shift_um, scale)
+                else:
+                    place_turned_cores(places, camera_rows, rows_um, cols_um, shift_um, positions_um, turn)
+                    gather(values, layer.window, 1 / layer.step_um, places, self._unshifted, scale)
         return self._values
 
     def row_positions_um(self, frame_index: int) -> NDArray[np.float64]:

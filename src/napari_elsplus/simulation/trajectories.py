@@ -63,7 +63,7 @@ class Turning:
         """Angle at each time."""
         angle = np.deg2rad(self.rate_deg_s) * times_s
         if not np.isfinite(self.reach_deg):
-            return angle
+            return np.asarray(angle, np.float64)
         reach = np.deg2rad(self.reach_deg)
         return np.asarray(reach * np.sin(angle / reach), np.float64)
 
