@@ -20,6 +20,7 @@ from napari_elsplus.evaluation.harness import (
     TimedElsewhere,
     verdict,
 )
+from napari_elsplus.evaluation.running import run
 from napari_elsplus.evaluation.table import header, lines, markdown, write_csv
 from napari_elsplus.figures.benchmark import draw_benchmark
 
@@ -71,7 +72,7 @@ def bench(*methods: Method) -> Benchmark:
 
 @pytest.fixture(scope="module")
 def result():
-    return bench().run(quick=True)
+    return run(bench(), quick=True)
 
 
 def row(result, method):
@@ -92,7 +93,7 @@ def test_failures_are_caught_flagged_or_silent(result) -> None:
 def test_a_refusal_is_an_infinite_error_and_not_left_out(result) -> None:
     assert row(result, "refuses").error == 0
     assert row(result, "refuses").error_p90 == 0
-    never = bench(Method("never", Role.DEFAULT, calling(lambda item: refusing(item + 3)))).run(quick=True)
+    never = run(bench(Method("never", Role.DEFAULT, calling(lambda item: refusing(item + 3)))), quick=True)
     assert never.rows[0].error == np.inf
     assert verdict(never, "numbers") == "never (default) FAILS here"
 
@@ -120,7 +121,7 @@ def test_methods_take_turns_until_each_has_had_its_time() -> None:
     ]
     start = perf_counter()
     one = Benchmark("turns", "Whose turn", "error", lambda _: [Case("one", [0.0])], tuple(methods), judge, seconds=0.02)
-    one.run()
+    run(one)
     assert perf_counter() - start < 5
     assert calls[:4] == ["a", "b", "a", "b"]  # warm-up of each, then the first round
     assert all(calls.count(name) > 4 for name in "ab")
@@ -129,7 +130,7 @@ def test_methods_take_turns_until_each_has_had_its_time() -> None:
 def test_a_default_that_is_beaten_on_both_axes_is_told() -> None:
     slow = Method("slow and wrong", Role.DEFAULT, calling(slowly(1e-3, lambda item: item + 0.2)))
     quick = Method("quick and right", Role.PEER, calling(lambda item: item + 0.1))
-    said = verdict(bench(slow, quick).run(quick=True), "numbers")
+    said = verdict(run(bench(slow, quick), quick=True), "numbers")
     assert "slow and wrong (default) is OFF the front" in said
     assert "quick and right (peer" in said
 

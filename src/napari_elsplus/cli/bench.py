@@ -12,6 +12,7 @@ from napari_elsplus.cli.options import FILE, force_option
 from napari_elsplus.evaluation.harness import Chart, verdict
 from napari_elsplus.evaluation.peers import PACKAGES, environment, install
 from napari_elsplus.evaluation.registry import MODULES, benchmark
+from napari_elsplus.evaluation.running import run
 from napari_elsplus.evaluation.table import breakdowns, header, lines, markdown, write_csv
 from napari_elsplus.figures import paper
 from napari_elsplus.figures.benchmark import draw_benchmark
@@ -84,7 +85,7 @@ def docs(folder: Path, quick: bool, only: tuple[str, ...]) -> None:
             if name == "paper":
                 blocks = paper.make(images, quick=quick, force=True, tell=status.update)
             else:
-                result = benchmark(name).run(quick=quick, tell=status.update)
+                result = run(benchmark(name), quick=quick, tell=status.update)
                 save_figure(draw_benchmark(result), images / f"bench-{name}.png", force=True)
                 failures = result.benchmark.chart is Chart.FAILURES
                 blocks = {name: breakdowns(result) if failures else markdown(result), "machine": result.machine}
@@ -99,7 +100,7 @@ def _measuring(name: str) -> click.Command:
             refuse_existing(out / f"{name}{suffix}", force=force)
         console = Console(stderr=True)
         with console.status(name) as status:
-            result = benchmark(name).run(quick=quick, tell=status.update)
+            result = run(benchmark(name), quick=quick, tell=status.update)
         write_csv(result, out / f"{name}.csv", force=force)
         save_figure(draw_benchmark(result), out / f"{name}.png", force=force)
         _show(result)

@@ -10,9 +10,10 @@ import numpy as np
 from napari_elsplus.evaluation.choices import insertion
 from napari_elsplus.evaluation.choices.frontend import Raw, papers
 from napari_elsplus.evaluation.choices.insertion import Canvas, Stroke
-from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere, thread_clock
+from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
+from napari_elsplus.evaluation.running import thread_clock
 from napari_elsplus.processing.paper_mosaic import SIDE_PX, PaperTracker
 from napari_elsplus.processing.sectioning import Sectioner
 from napari_elsplus.simulation.scenes import scene
