@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.compiled import kernel
+from napari_elsplus.compiled import lean_kernel
 from napari_elsplus.processing.grid import FIELD
 from napari_elsplus.processing.ladder import turned_by, unsheared, upright
 from napari_elsplus.processing.motion import Velocity
@@ -206,7 +206,7 @@ class Mosaic:
         )
 
 
-@kernel
+@lean_kernel
 def insert_rows(
     value: NDArray[np.float32],
     weight: NDArray[np.float32],
@@ -266,6 +266,7 @@ def insert_rows(
         else:
             for k in range(end - begin):
                 new = w00 * upper[k] + w01 * upper_next[k] + w10 * lower[k] + w11 * lower_next[k]
-                covers = weights[k] >= np.float32(_OUTWEIGHS) * had[k]
-                into[k] = new if covers else into[k]
-                had[k] = weights[k] if covers else had[k]
+                lies, outweighs, heavy = into[k], had[k], weights[k]
+                covers = heavy >= np.float32(_OUTWEIGHS) * outweighs  # all is read before, so that this is no branch
+                into[k] = new if covers else lies
+                had[k] = heavy if covers else outweighs
