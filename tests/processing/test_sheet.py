@@ -87,3 +87,12 @@ def test_a_segment_that_is_gone_leaves_an_empty_place() -> None:
     assert dirty is not None
     assert dirty.within(Rectangle(row, col, row + 1, col + 1)).shape == (1, 1)
     assert shown(sheet, row, col) == 0
+
+
+def test_other_canvases_lie_where_those_of_the_same_numbers_lie() -> None:
+    leader, other = Sheet(), Sheet()
+    leader.arrange({0: drawn(1, (0, 0), (0, 900)), 1: drawn(2, (0, 0)), 2: drawn(3, (0, 0))})
+    other.arrange({0: drawn(5, (0, 0)), 2: drawn(6, (0, 0))}, leader)
+    assert other.places == {number: leader.places[number] for number in (0, 2)}
+    row, col = leader.place(2)
+    assert (shown(leader, row, col), shown(other, row, col)) == (3, 6)

@@ -53,11 +53,11 @@ def test_the_coarsest_level_is_filled_in_place_so_that_whoever_keeps_it_sees_it(
 
 def test_white_is_what_hardly_anything_exceeds() -> None:
     image = GrowingImage()
-    assert image.white_level() == 1.0
+    assert image.white_level == 1.0
     mosaic = Mosaic(GRID)
     mosaic.insert(np.full((120, 120), 50, np.float32), 0, 0)
     image.update({0: mosaic})
-    assert image.white_level() == 50
+    assert image.white_level == 50
 
 
 def _any(drawn: np.ndarray, step: int) -> np.ndarray:

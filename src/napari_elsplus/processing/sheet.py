@@ -52,40 +52,36 @@ class Sheet:
         self._places: dict[int, _Place] = {}
         self._dirty: Rectangle | None = None
 
-    def arrange(self, canvases: Mapping[int, Canvas]) -> bool:
+    def arrange(self, canvases: Mapping[int, Canvas], like: Sheet | None = None) -> bool:
         """Take the segments' canvases with what changed on them, and make room where one has grown.
+
+        Parameters
+        ----------
+        canvases : mapping of int to Canvas
+            The segments by their numbers.
+        like : Sheet, optional
+            Put them where that sheet has those of the same numbers, which reach at least as far.
 
         Returns
         -------
         bool
             Whether any that was there before has moved or is gone.
         """
-        before, self._places = self._places, {}
-        top: int | None = None
-        left, moved = 0, False
-        for number in sorted(canvases):
-            canvas, known = canvases[number], before.pop(number, None)
-            dirty, extent = canvas.take_dirty(), canvas.extent
-            if extent is None:
-                continue
-            stays = known is not None and known.canvas is canvas
-            room = _room(extent.around(known.room) if known is not None and stays else extent)
-            if top is None:
-                top, left = room.top, room.left
-            row = top - room.top if self._places else 0
-            col = 0 if not self._places else known.col if known is not None else left - room.left
-            place = self._places[number] = _Place(canvas, row, col, room)
-            top = row + room.bottom + GAP_PX
-            if known is not None and (not stays or (row, col) != (known.row, known.col)):
+        dirty = {number: canvas.take_dirty() for number, canvas in canvases.items()}
+        before = self._places
+        self._places = self._stacked(canvases) if like is None else like.places_for(canvases)
+        moved = False
+        for number, place in self._places.items():
+            known, part = before.get(number), dirty[number]
+            if known is None or known[:3] != place[:3]:
+                self._soil(place.on_sheet(place.room))
+            elif part is not None:
+                self._soil(place.on_sheet(part))
+        for number, known in before.items():
+            now = self._places.get(number)
+            if now is None or known[:3] != now[:3]:
                 moved = True
                 self._soil(known.on_sheet(known.room))
-            if not stays or (known is not None and (row, col) != (known.row, known.col)):
-                self._soil(place.on_sheet(room))
-            elif dirty is not None:
-                self._soil(place.on_sheet(dirty))
-        for gone in before.values():
-            moved = True
-            self._soil(gone.on_sheet(gone.room))
         return moved
 
     def place(self, number: int) -> tuple[int, int]:
@@ -94,9 +90,20 @@ class Sheet:
         return (0, 0) if found is None else (found.row, found.col)
 
     @property
+    def places(self) -> dict[int, tuple[int, int]]:
+        """Row and column of the sheet where each segment's (0, 0) lies."""
+        return {number: (place.row, place.col) for number, place in self._places.items()}
+
+    @property
     def extent(self) -> Rectangle | None:
-        """What may have been drawn on."""
+        """What may be drawn on, the segments' rooms."""
         return around_all(place.on_sheet(place.room) for place in self._places.values())
+
+    @property
+    def drawn(self) -> Rectangle | None:
+        """What has been drawn on."""
+        extents = ((place, place.canvas.extent) for place in self._places.values())
+        return around_all(place.on_sheet(extent) for place, extent in extents if extent is not None)
 
     def take_dirty(self) -> Rectangle | None:
         """Return what changed up to the last arrangement, or None if that was taken already."""
@@ -113,6 +120,34 @@ class Sheet:
                 here = shared.slices(part)
                 image[here], weight[here] = place.canvas.read(shared.moved(-place.row, -place.col))
         return image, weight
+
+    def _stacked(self, canvases: Mapping[int, Canvas]) -> dict[int, _Place]:
+        """Put each below the one before; who was there keeps its columns and its room."""
+        places: dict[int, _Place] = {}
+        left = below = 0
+        for number in sorted(canvases):
+            canvas, known = canvases[number], self._places.get(number)
+            extent = canvas.extent
+            if extent is None:
+                continue
+            stays = known is not None and known.canvas is canvas
+            room = _room(extent.around(known.room) if known is not None and stays else extent)
+            if not places:
+                left, row, col = room.left, 0, 0
+            else:
+                row, col = below - room.top, left - room.left
+                col = known.col if known is not None and stays else col
+            places[number] = _Place(canvas, row, col, room)
+            below = row + room.bottom + GAP_PX
+        return places
+
+    def places_for(self, canvases: Mapping[int, Canvas]) -> dict[int, _Place]:
+        """Return the places of other canvases, where this sheet has those of the same numbers."""
+        return {
+            number: self._places[number]._replace(canvas=canvas)
+            for number, canvas in canvases.items()
+            if number in self._places
+        }
 
     def _soil(self, part: Rectangle) -> None:
         self._dirty = part if self._dirty is None else self._dirty.around(part)

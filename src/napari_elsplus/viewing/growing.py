@@ -21,6 +21,7 @@ LEVELS: Final = 8
 """Halves of halves that are kept: enough for 65,000 pixels."""
 COARSEST_PX: Final = 512
 """The last level that is shown is no larger."""
+_WHITE_SHARE: Final = 1e-3
 
 
 class Change(NamedTuple):
@@ -77,15 +78,17 @@ class GrowingImage:
         self._coarsest = np.zeros((0, 0), np.float32)
         self.levels: list[Any] = []
 
-    def update(self, canvases: Mapping[int, Canvas]) -> Change:
+    def update(self, canvases: Mapping[int, Canvas], like: Sheet | None = None) -> Change:
         """Take in what was drawn since the last time; in one thread only.
 
         Parameters
         ----------
         canvases : mapping of int to Canvas
             The segments by their numbers.
+        like : Sheet, optional
+            Put them where that sheet has them.
         """
-        moved = self.sheet.arrange(canvases)
+        moved = self.sheet.arrange(canvases, like)
         dirty = self._pyramid.refresh()
         frame = _aligned(self.sheet.extent or self.frame)
         reframed = frame != self.frame
@@ -98,10 +101,10 @@ class GrowingImage:
             self._fill_coarsest(dirty[len(self.levels) - 1])
         return Change(bool(dirty), reframed, moved)
 
-    def white_level(self, share: float = 1e-3) -> float:
-        """Grey level that only this share of what was drawn exceeds; 1 if nothing was drawn."""
-        drawn = self._coarsest[self._coarsest != 0]
-        return max(float(np.quantile(drawn, 1 - share)), 1e-6) if drawn.size else 1.0
+    @property
+    def white_level(self) -> float:
+        """Grey level to be shown as white."""
+        return white_of(self._coarsest[self._coarsest != 0])
 
     def _read(self, level: int, part: Rectangle) -> NDArray[np.float32]:
         return self._pyramid.read(level, _halved(part, level))[0]
@@ -112,6 +115,17 @@ class GrowingImage:
         part = dirty.within(whole)
         if 0 not in part.shape:
             self._coarsest[part.slices(whole)] = self._pyramid.read(level, part)[0]
+
+
+def white_of(drawn: NDArray[np.float32]) -> float:
+    """Return the grey level that one of a thousand pixels exceeds; 1 if there are none.
+
+    Examples
+    --------
+    >>> white_of(np.arange(2001, dtype=np.float32)), white_of(np.zeros(0, np.float32))
+    (1998.0, 1.0)
+    """
+    return max(float(np.quantile(drawn, 1 - _WHITE_SHARE)), 1e-6) if drawn.size else 1.0
 
 
 class LevelView:

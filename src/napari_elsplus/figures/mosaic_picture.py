@@ -1,0 +1,65 @@
+"""A mosaic as a picture for slides and papers: its pixels, white where little is brighter, and a scale bar."""
+
+from __future__ import annotations
+
+from math import ceil, floor, log10
+from typing import TYPE_CHECKING, Final
+
+import cv2
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+LONGEST_SIDE_PX: Final = 4000
+DPI: Final = 120
+"""Of :func:`napari_elsplus.figures.files.save_figure`, so that a pixel of the mosaic is one of the picture."""
+_BAR_SHARE: Final = 0.25
+_SHORTEST_SIDE_PX: Final = 300
+
+
+def draw_mosaic(image: NDArray[np.float32], um_per_px: float | None, white: float) -> Figure:
+    """Draw a mosaic.
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        (rows, cols) grey levels.
+    um_per_px : float or None
+        Scale; without it there is no bar.
+    white : float
+        Grey level that is shown as white.
+    """
+    shrink = max(1, ceil(max(image.shape) / LONGEST_SIDE_PX))
+    rows, cols = (max(1, length // shrink) for length in image.shape)
+    small = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA) if shrink > 1 else image
+    grow = max(1, ceil(_SHORTEST_SIDE_PX / min(rows, cols)))
+    figure = Figure(figsize=(cols * grow / DPI, rows * grow / DPI), facecolor="black")
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    axes.imshow(small, cmap="gray", vmin=0, vmax=white, interpolation="nearest", aspect="auto")
+    if um_per_px is not None:
+        length_um = bar_length(_BAR_SHARE * cols * shrink * um_per_px)
+        length, thick = length_um / (um_per_px * shrink), max(2.0, 0.008 * rows)
+        left, top = 0.97 * cols - length, 0.97 * rows - thick
+        axes.add_patch(Rectangle((left, top), length, thick, facecolor="white", edgecolor="black", linewidth=0.5))
+        words = f"{length_um / 1000:g} mm" if length_um >= 1000 else f"{length_um:g} \N{MICRO SIGN}m"
+        axes.text(
+            left + length / 2, top - 0.6 * thick, words, color="white", ha="center", va="bottom",
+            fontsize=max(8.0, 0.03 * min(rows, cols) * grow * 72 / DPI),
+        )  # fmt: skip
+    return figure
+
+
+def bar_length(longest: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is no longer.
+
+    Examples
+    --------
+    >>> bar_length(730.0), bar_length(0.03), bar_length(1999.0)
+    (500.0, 0.02, 1000.0)
+    """
+    power = 10.0 ** floor(log10(longest))
+    return next(step * power for step in (5, 2, 1) if step * power <= longest * (1 + 1e-9))

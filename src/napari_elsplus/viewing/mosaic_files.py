@@ -1,0 +1,117 @@
+"""Mosaics and their track to files: OME-TIFF with its pyramid, PNG with a scale bar, CSV; and a script."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.figures.files import save_figure
+from napari_elsplus.figures.mosaic_picture import draw_mosaic
+from napari_elsplus.io import refuse_existing, write_mosaic, write_track
+from napari_elsplus.processing.sheet import Sheet
+from napari_elsplus.viewing.growing import white_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.viewing.mosaicking import MosaicPlan, Mosaics
+    from napari_elsplus.viewing.stack import Stack
+
+ENDINGS: Final = (".ome.tif", ".ome.tiff", ".tif", ".tiff")
+
+
+def save_mosaics(
+    mosaics: Mosaics, path: Path, plan: MosaicPlan, calibration: Calibration | None = None, *, force: bool = False
+) -> list[Path]:
+    """Save each mode's mosaic as NAME.ome.tif and NAME.png, and the track as NAME.track.csv.
+
+    Parameters
+    ----------
+    mosaics : Mosaics
+        What was made.
+    path : pathlib.Path
+        ``NAME.ome.tif``; where there are several modes each one's name is added to NAME.
+    plan : MosaicPlan
+        How it was made; kept in the file.
+    calibration : Calibration, optional
+        Kept in the file.
+    force : bool
+        Whether existing files may be replaced.
+
+    Returns
+    -------
+    list of pathlib.Path
+        The files. All modes have one size and lie alike; where a segment's first frame lies, in pixels of the mosaic,
+        is kept in each.
+
+    Raises
+    ------
+    InputError
+        If nothing was drawn, or a file exists and may not be replaced.
+    """
+    name = next((path.name[: -len(ending)] for ending in ENDINGS if path.name.lower().endswith(ending)), path.name)
+    several = len(mosaics.canvases) > 1
+    names = {mode: f"{name}-{mode.value}" if several else name for mode in mosaics.canvases}
+    table = path.with_name(f"{name}.track.csv")
+    targets = [path.with_name(one + ending) for one in names.values() for ending in (".ome.tif", ".png")]
+    for target in (*targets, table):
+        refuse_existing(target, force=force)
+    layout = Sheet()
+    layout.arrange(mosaics.canvases[plan.tracked])
+    part = layout.drawn
+    if part is None:
+        raise InputError("there is no mosaic to save", "make one first")
+    um_per_px = mosaics.scale.um_per_px
+    places = {
+        str(segment + 1): [row - part.top, col - part.left] for segment, (row, col) in layout.places.items()
+    }  # fmt: skip
+    for mode, one in names.items():
+        sheet = Sheet()
+        sheet.arrange(mosaics.canvases[mode], layout)
+        image, weight = sheet.read(part)
+        settings = {"mode": mode.value, "method": plan.method.value, "insertion": plan.insertion.value}
+        write_mosaic(
+            path.with_name(f"{one}.ome.tif"), image, um_per_px, calibration=calibration,
+            metadata={**settings, "first_frames_px": places}, force=force,
+        )  # fmt: skip
+        white = white_of(image[weight > 0])
+        save_figure(draw_mosaic(image, um_per_px, white), path.with_name(f"{one}.png"), force=force)
+    write_track(table, mosaics.rows, force=force)
+    return [*targets, table]
+
+
+def mosaic_script(stack: Stack, calibration_file: Path | None, plan: MosaicPlan) -> str:
+    """Write a script that makes and saves the same mosaics.
+
+    Raises
+    ------
+    InputError
+        If the frames lie in no file.
+    CalibrationError
+        If the calibration lies in no file of its own.
+    """
+    if stack.recording is None:
+        raise InputError(f"{stack.name} is simulated and lies in no file", "save its raw layer, and open that")
+    if calibration_file is None:
+        raise CalibrationError("the calibration lies in no file of its own", "save it beside the recording")
+    modes = ", ".join(f"Mode.{mode.name}" for mode in plan.modes)
+    return f'''"""Mosaics of {stack.recording.path.name}, and the probe's track."""
+
+from pathlib import Path
+
+from napari_elsplus.io import open_recording, read_calibration
+from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.tracking_pipeline import Method
+from napari_elsplus.viewing.mosaic_files import save_mosaics
+from napari_elsplus.viewing.mosaicking import MosaicPlan, StackMosaics
+
+plan = MosaicPlan(({modes},), Method.{plan.method.name}, Insertion.{plan.insertion.name})
+calibration = read_calibration({str(calibration_file)!r})
+with open_recording({str(stack.recording.path)!r}) as recording:
+    mosaics = StackMosaics(recording, calibration, plan, recording.times_s)
+    mosaics.run()
+for path in save_mosaics(mosaics, Path({f"{stack.name}-mosaic.ome.tif"!r}), plan, calibration):
+    print(path)
+'''
