@@ -106,6 +106,11 @@ class GrowingImage:
         """Grey level to be shown as white."""
         return white_of(self._coarsest[self._coarsest != 0])
 
+    @property
+    def covered_px(self) -> float:
+        """Pixels that were drawn on, as the last level tells."""
+        return float(np.count_nonzero(self._coarsest) << 2 * max(len(self.levels) - 1, 0))
+
     def _read(self, level: int, part: Rectangle) -> NDArray[np.float32]:
         return self._pyramid.read(level, _halved(part, level))[0]
 

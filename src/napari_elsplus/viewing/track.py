@@ -255,5 +255,16 @@ def speed_of(rows: Sequence[TrackPoint], fastest_px: float, um_per_px: float | N
     return Speed(per_frame, fastest_px, per_frame * rate, fastest_px * rate, share)
 
 
+def placed(
+    rows: Sequence[TrackPoint], place: Callable[[int], tuple[int, int]], camera_px_per_pixel: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where the tracked frames lie on the sheet, (m, 2) pixels of the mosaic, and their scores, (m,)."""
+    tracked = [row for row in rows if row.state == _TRACKED]
+    segment = np.array([row.segment for row in tracked], np.int64)
+    places = {number: place(number) for number in set(segment.tolist())}
+    where = np.array([(row.row_px, row.col_px) for row in tracked], np.float64).reshape(-1, 2) / camera_px_per_pixel
+    return where + _look_up(places, segment), np.array([row.score for row in tracked], np.float64)
+
+
 def _look_up(places: dict[int, tuple[int, int]], numbers: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.array([places[number] for number in numbers.tolist()], np.float64).reshape(-1, 2)

@@ -41,6 +41,11 @@ EXPORT_WIDTH_PX: Final = 1600
 _SHORT_NAME: Final = 8
 
 
+def ink_on(theme: str, colour: str) -> str:
+    """Return a colour of the palette as it is drawn on the ground of one of napari's themes."""
+    return PALETTE[colour][0 if get_theme(theme).type == "dark" else 1]
+
+
 @dataclass(frozen=True)
 class Curve:
     """A line in a plot.
@@ -117,7 +122,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
     def follow(self, theme: str) -> None:
         """Take the colours of one of napari's themes."""
         colours = get_theme(theme)
-        self._on_dark = colours.type == "dark"
+        self._theme = theme
         self._text = colours.text.as_hex()
         self.setBackground(colours.background.as_hex())
         font = QFont()
@@ -177,7 +182,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
 
     def ink(self, colour: str) -> str:
         """Return a colour of the palette as it is drawn on the present ground."""
-        return PALETTE[colour][0 if self._on_dark else 1]
+        return ink_on(self._theme, colour)
 
     def save(self, path: str | Path) -> None:
         """Save the plot: as a picture to NAME.png, its numbers to NAME.csv; an existing file is replaced.

@@ -1,0 +1,332 @@
+"""The Mosaic panel: a stack, or the live stream, to mosaics that grow on screen, with the probe's track over them."""
+
+from __future__ import annotations
+
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from magicgui.types import FileDialogMode
+from magicgui.widgets import CheckBox, ComboBox, Container, FileEdit, PushButton
+from napari.layers import Image
+from napari.utils.notifications import show_info, show_warning
+from qtpy.QtCore import QTimer
+from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
+from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import read_calibration
+from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.settings import recall, remember
+from napari_elsplus.tracking_pipeline import Method
+from napari_elsplus.viewing.layers import TITLES
+from napari_elsplus.viewing.mosaic_files import mosaic_script, save_mosaics
+from napari_elsplus.viewing.mosaicking import MosaicPlan, StackMosaics
+from napari_elsplus.viewing.track import speed_of
+from napari_elsplus.widgets.engine_panel import EnginePanel
+from napari_elsplus.widgets.mosaic_layers import MosaicLayers
+from napari_elsplus.widgets.mosaic_sources import Source, source_names, source_of
+from napari_elsplus.widgets.panel import copy_as_script, told
+from napari_elsplus.widgets.speed_bar import SpeedBar
+from napari_elsplus.widgets.work import Work
+
+if TYPE_CHECKING:
+    import napari.viewer
+
+SECTION: Final = "mosaic"
+TICK_MS: Final = 50
+WHOLE_TICKS: Final = 10
+"""The track, the maps and what else costs more is drawn every so many ticks."""
+KEYS: Final = {"start": "Ctrl+Shift+M", "clear": "Ctrl+Shift+K", "undo": "Ctrl+Shift+U", "save": "Ctrl+Shift+E"}
+MODES: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
+
+
+class MosaicPanel(EnginePanel):
+    """Lay the frames of a moving probe into mosaics.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        The viewer. Layers of mosaics are used again, with the user's colours; they stay when the panel goes.
+    """
+
+    def __init__(self, viewer: napari.viewer.Viewer) -> None:
+        super().__init__(viewer)
+        self.layers = MosaicLayers(viewer)
+        self.work = Work(self._ended)
+        self._stack: StackMosaics | None = None
+        self._shown: StackMosaics | None = None
+        self._source: Source | None = None
+        self._hidden: list[Any] = []
+        self._ticks = 0
+        self._build()
+        self._timer = QTimer(self)
+        self._timer.setInterval(TICK_MS)
+        self._timer.timeout.connect(self.tick)
+        self.listen(viewer.layers.events.inserted, self._layers_changed)
+        self.listen(viewer.layers.events.removed, self._layers_changed)
+        self.listen(viewer.events.theme, self._theme_changed)
+        self._layers_changed()
+
+    @property
+    def plan(self) -> MosaicPlan:
+        """What the form asks for."""
+        modes = tuple(mode for mode, box in self.modes.items() if box.value)
+        return MosaicPlan(modes, Method(self.method.value), Insertion(self.insertion.value))
+
+    def toggle(self) -> None:
+        """Make mosaics of the chosen stack; or stop that."""
+        if self.work.busy:
+            self.work.cancel()
+        else:
+            self.begin()
+        self.refresh()
+
+    def begin(self) -> None:
+        """Make mosaics of the chosen stack, in a thread."""
+        with told():
+            plan, chosen = self.plan, self._chosen()
+            _ = plan.tracked
+            calibration = self.calibration.value
+            path = calibration if isinstance(calibration, Path) and calibration.is_file() else None
+            source = source_of(chosen, None if path is None else read_calibration(path), path)
+            plan = source.plan(plan)
+            self._remember()
+
+            def made() -> StackMosaics:
+                self._stack = mosaics = StackMosaics(source.frames, source.calibration, plan, source.times_s)
+                mosaics.run(self.work.watch, self.work.stop_if_cancelled)
+                return mosaics
+
+            self._stack, self._source = None, source
+            self._hide_others()
+            self._shown = None
+            self._timer.start()
+            self.work.begin(source.steps(plan), made, self._made)
+
+    def tick(self) -> None:
+        """Show what came since the last time."""
+        self._ticks += 1
+        if self._stack is not None and self._stack is not self._shown:
+            self._shown = self._stack
+            assert self._source is not None
+            self.layers.show(self._shown, self._shown.plan.tracked, self._source.titles)
+        if self._shown is None:
+            return
+        whole = self._ticks % WHOLE_TICKS == 0
+        self.layers.update(whole=whole)
+        if whole:
+            self.refresh()
+
+    def clear(self) -> None:
+        """Take the mosaics away, and show again what was hidden."""
+        if self.work.busy:
+            self.work.cancel()
+        self._timer.stop()
+        self._stack = self._shown = None
+        self.layers.forget()
+        for layer in self._hidden:
+            if layer in self.viewer.layers:
+                layer.visible = True
+        self._hidden = []
+        self.speed.show_speed(None)
+        self.refresh()
+
+    def undo(self) -> None:
+        """Take the last segment away."""
+        if self._shown is None or self.work.busy:
+            return
+        if not self._shown.undo():
+            show_info("there is no segment left")
+        self.layers.update(whole=True)
+        self.refresh()
+
+    def save(self, path: Path) -> None:
+        """Save mosaics, pictures and track; files that belong to one that exists are replaced with it."""
+        with told():
+            if self._shown is None:
+                raise InputError("there is no mosaic to save", "make one first")
+            shown = self._shown
+            if self.work.busy:
+                raise InputError("the mosaic still grows", "wait for its end, or cancel it")
+            self.work.begin(
+                0,
+                lambda: save_mosaics(shown, path, shown.plan, shown.calibration, force=path.exists()),
+                lambda paths: show_info("saved " + ", ".join(one.name for one in paths)),
+            )
+            self.refresh()
+
+    def copy_script(self) -> None:
+        """Copy Python that makes and saves these mosaics to the clipboard."""
+        with told():
+            path = self.calibration.value
+            given = path if isinstance(path, Path) and path.is_file() else None
+            facts = self._chosen().metadata.get("elsplus", {})
+            if facts.get("kind") != "raw":
+                raise InputError("these images are no raw recording", "a script can be had for raw recordings")
+            copy_as_script(mosaic_script(facts["stack"], given or facts.get("calibration_path"), self.plan))
+
+    def refresh(self) -> None:
+        """Say how it goes, and what can be done."""
+        busy, there = self.work.busy, self._shown is not None
+        self.start.text = "Stop" if busy else "Mosaic"
+        self.start.enabled = busy or bool(self.recording.choices)
+        self.start.tooltip = (
+            f"Make mosaics of the chosen stack, or stop that ({KEYS['start']})"
+            if self.recording.choices
+            else "First open a recording, or a sample: File > Open Sample > ELS+ endomicroscopy"
+        )
+        why = "" if there else "; make a mosaic first"
+        self.clearing.enabled, self.clearing.tooltip = there, f"Take the mosaics away ({KEYS['clear']}){why}"
+        self.undoing.enabled = self.saving.enabled = there and not busy
+        why = "; wait for the end, or stop" if busy else why
+        self.undoing.tooltip = f"Take the last segment away ({KEYS['undo']}){why}"
+        self.saving.tooltip = f"Save OME-TIFF, PNG with scale bar, and track ({KEYS['save']}){why}"
+        self.status.setText(self._said())
+        if self._shown is not None:
+            scale = self._shown.scale
+            self.speed.show_speed(speed_of(self._shown.rows, scale.fastest_px, scale.camera_um_per_px))
+
+    def cleanup(self) -> None:
+        """Let go of the viewer; the layers stay."""
+        self._timer.stop()
+        if self.work.busy:
+            self.work.cancel()
+        super().cleanup()
+
+    # inside
+
+    def _made(self, mosaics: StackMosaics) -> None:
+        for note in mosaics.notes:
+            show_warning(note)
+
+    def _ended(self) -> None:
+        if self._shown is not None or self._stack is not None:
+            self.tick()
+            self.layers.update(whole=True)
+        self._timer.stop()
+        self.refresh()
+
+    def _said(self) -> str:
+        drawing = self.layers.drawing
+        if self._shown is None or drawing is None:
+            return "Starting..." if self.work.busy else "Choose a recording and press Mosaic."
+        counts = drawing.counts
+        total = sum(counts.values())
+        words = f"<b>{counts['tracked']}</b> of {total} frames tracked"
+        words += f" in {drawing.segments} segments" if drawing.segments > 1 else ""
+        words += "".join(f", {counts[state]} {state}" for state in ("predicted", "lost") if counts[state])
+        um = self._shown.scale.um_per_px
+        area_mm2 = self.layers.covered_px * (um or float("nan")) ** 2 * 1e-6
+        return words + (f"; {area_mm2:.2g} mm\N{SUPERSCRIPT TWO}." if isfinite(area_mm2) else ".")
+
+    def _chosen(self) -> Image:
+        if self.recording.value is None:
+            raise InputError("no stack is open", "open one, or File > Open Sample > ELS+ endomicroscopy")
+        layer = self.viewer.layers[self.recording.value]
+        assert isinstance(layer, Image)
+        return layer
+
+    def _hide_others(self) -> None:
+        ours = set(self.layers.ours.values())
+        for layer in self.viewer.layers:
+            if layer.visible and layer not in ours:
+                layer.visible = False
+                self._hidden.append(layer)
+
+    def _layers_changed(self) -> None:
+        chosen = self.recording.value
+        with self.recording.changed.blocked():
+            self.recording.reset_choices()
+            if chosen in self.recording.choices:
+                self.recording.value = chosen
+        self.refresh()
+
+    def _theme_changed(self) -> None:
+        self.speed.follow(self.viewer.theme)
+        self.refresh()
+
+    def _ask_for_file(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Recording", "", "Recordings (*.tif *.tiff *.btf *.avi *.npy)")
+        if path:
+            self.viewer.open(path, plugin="napari-elsplus")
+
+    def _ask_where_to_save(self) -> None:
+        if not self.saving.enabled:
+            return
+        path, _ = QFileDialog.getSaveFileName(self, "Save mosaics", "mosaic.ome.tif", "OME-TIFF (*.ome.tif)")
+        if path:
+            self.save(Path(path))
+
+    def _remember(self) -> None:
+        remember(
+            SECTION, method=self.method.value, insertion=self.insertion.value,
+            modes=[mode.value for mode, box in self.modes.items() if box.value],
+        )  # fmt: skip
+
+    def _build(self) -> None:
+        known = recall(SECTION)
+        wanted = known.get("modes", [Mode.ELS.value])
+        self.recording = ComboBox(
+            label="stack",
+            choices=lambda _: source_names(self.viewer),
+            tooltip="A raw recording, or any stack of images of a moving probe",
+        )
+        self.opening = PushButton(text="Open file...", tooltip="Open a recording as layers")
+        self.calibration = FileEdit(
+            label="calibration", mode=FileDialogMode.EXISTING_FILE, filter="*.json", nullable=True,
+            tooltip="A calibration file; empty: the recording's own",
+        )  # fmt: skip
+        self.modes = {
+            mode: CheckBox(value=mode.value in wanted, text=TITLES[mode], tooltip=_TIPS[mode]) for mode in MODES
+        }
+        methods, insertions = [m.value for m in Method], [i.value for i in Insertion]
+        self.method = ComboBox(
+            choices=methods, value=_known(known.get("method"), methods), label="method",
+            tooltip="elsplus: sub-pixel, rolling shutter undone, gated; paper: the paper's template matching",
+        )  # fmt: skip
+        self.insertion = ComboBox(
+            choices=insertions, value=_known(known.get("insertion"), insertions), label="insertion",
+            tooltip="dead-leaf: the newest frame on top; feathered: the mean of all",
+        )  # fmt: skip
+        self.start = PushButton(text="Mosaic")
+        self.clearing, self.undoing = PushButton(text="Clear"), PushButton(text="Undo segment")
+        self.saving = PushButton(text="Save...")
+        self.script = PushButton(text="Copy as script", tooltip="Copy Python that makes and saves these mosaics")
+        self.speed = SpeedBar(self.viewer.theme)
+        self.status = QLabel()
+        self.status.setWordWrap(True)
+        layout = QVBoxLayout(self)
+        form = Container(widgets=[self.recording, self.calibration], labels=True)
+        choices = Container(widgets=[self.method, self.insertion], labels=True)
+        boxes = Container(widgets=list(self.modes.values()), layout="horizontal", labels=False)
+        for part in (form, boxes, choices):
+            layout.addWidget(part.native)
+        for buttons in ([self.start, self.opening], [self.clearing, self.undoing], [self.saving, self.script]):
+            layout.addWidget(Container(widgets=buttons, layout="horizontal", labels=False).native)
+        for widget in (self.work, self.speed, self.status):
+            layout.addWidget(widget)
+        layout.addStretch(1)
+        pressed = {
+            "start": (self.start, self.toggle),
+            "clear": (self.clearing, self.clear),
+            "undo": (self.undoing, self.undo),
+            "save": (self.saving, self._ask_where_to_save),
+        }
+        for name, (button, slot) in pressed.items():
+            button.clicked.connect(slot)
+            QShortcut(QKeySequence(KEYS[name]), self).activated.connect(slot)
+        self.opening.clicked.connect(self._ask_for_file)
+        self.script.clicked.connect(self.copy_script)
+
+
+def _known(value: Any, choices: list[str]) -> str:
+    return value if value in choices else choices[0]
+
+
+_TIPS: Final = {
+    Mode.LS: "Confocal view: line-scan confocal",
+    Mode.ELSA: "Confocal of one frame minus residual of the next, for comparison",
+    Mode.ELS: "Confocal minus residual of one frame: ELS+; tracked where it is ticked",
+}

@@ -1,0 +1,131 @@
+"""What a mosaic can be made of: raw recordings with their calibration, and stacks of finished images as they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from napari.layers import Image
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.viewing.layers import TITLES
+from napari_elsplus.viewing.mosaicking import MosaicPlan, images_as_they_are
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    import napari.viewer
+    from numpy.typing import NDArray
+
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.processing.sectioning import Frames
+
+
+@dataclass(frozen=True)
+class Source:
+    """Frames, and what is known of them.
+
+    Attributes
+    ----------
+    frames : Frames
+        (T, rows, cols).
+    calibration : Calibration
+        That fits them.
+    times_s : sequence of float, optional
+        When they were taken.
+    titles : mapping
+        What the modes are called.
+    finished : bool
+        Whether they are images already, of which only one mosaic can be made.
+    """
+
+    frames: Frames
+    calibration: Calibration
+    times_s: Sequence[float] | None
+    titles: Mapping[Mode, str]
+    finished: bool = False
+
+    def plan(self, wanted: MosaicPlan) -> MosaicPlan:
+        """Return what can be made of what is wanted."""
+        return replace(wanted, modes=(Mode.LS,)) if self.finished else wanted
+
+    def steps(self, plan: MosaicPlan) -> int:
+        """How many steps a progress bar has to show."""
+        pairs = len(self.frames) // (2 if plan.tracked is Mode.ELSA else 1)
+        return (3 if len(plan.modes) > 1 else 2) * pairs
+
+
+class _Planes:
+    """The planes of a layer as frames."""
+
+    def __init__(self, data: Any) -> None:
+        self._data = data
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def __getitem__(self, index: int, /) -> NDArray[Any]:
+        return np.asarray(self._data[index])
+
+
+def source_names(viewer: napari.viewer.Viewer) -> list[str]:
+    """Return the names of the layers that mosaics can be made of, raw recordings first."""
+    usable = [layer for layer in viewer.layers if isinstance(layer, Image) and _usable(layer)]
+    return [layer.name for layer in sorted(usable, key=lambda layer: _facts(layer).get("kind") != "raw")]
+
+
+def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Source:
+    """Return what a mosaic of a layer is made of.
+
+    Parameters
+    ----------
+    layer : napari.layers.Image
+        One of :func:`source_names`.
+    given : Calibration, optional
+        Chosen by the user, in place of the layer's own.
+    path : pathlib.Path, optional
+        Where it lies.
+
+    Raises
+    ------
+    InputError
+        If raw frames have no calibration, or the one that was given is for frames of another size.
+    """
+    facts, shape = _facts(layer), tuple(layer.data.shape)
+    raw = facts.get("kind") == "raw"
+    calibration = given or (facts.get("calibration") if raw else None)
+    if raw and calibration is None:
+        raise InputError(
+            f"{layer.name} has no calibration",
+            "choose a calibration file above, drop one on the window and open the recording again, or calibrate",
+        )
+    frame = None if given is None else given.frame
+    if frame is not None and tuple(frame.shape) != shape[1:]:
+        assert path is not None
+        raise InputError(
+            f"{path.name} is for frames of {frame.shape[0]} x {frame.shape[1]} pixels, "
+            f"{layer.name} has {shape[1]} x {shape[2]}",
+            "choose the calibration that belongs to it, or none",
+        )
+    stack = facts.get("stack")
+    times_s = stack.recording.times_s if stack is not None and stack.recording is not None else None
+    frames = stack.planes if stack is not None and raw else _Planes(layer.data)
+    if calibration is not None:
+        return Source(frames, calibration, times_s, TITLES)
+    um = float(layer.scale[-1]) if str(layer.units[-1]) in ("micrometer", "um") else None
+    return Source(frames, images_as_they_are(frames, um), times_s, {Mode.LS: layer.name}, finished=True)
+
+
+def _facts(layer: Image) -> dict[str, Any]:
+    facts = layer.metadata.get("elsplus", {})
+    return facts if isinstance(facts, dict) else {}
+
+
+def _usable(layer: Image) -> bool:
+    """Whether a layer is a stack of grey levels, and none that was derived from a raw layer."""
+    stack = _facts(layer).get("stack")
+    derived = stack is not None and _facts(layer).get("kind") != "raw" and stack.planes.dtype.kind != "f"
+    return layer.ndim == 3 and not layer.rgb and not layer.multiscale and not derived

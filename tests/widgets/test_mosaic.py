@@ -1,0 +1,243 @@
+"""The Mosaic panel, driven as a user drives it."""
+
+from __future__ import annotations
+
+import gc
+import time
+import weakref
+from functools import cache
+
+import numpy as np
+import pytest
+import tifffile
+from napari.layers import Image
+from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QApplication
+
+from napari_elsplus.io import read_track, write_calibration
+from napari_elsplus.settings import recall
+from napari_elsplus.widgets.mosaic import MosaicPanel
+from recordings import Truth, record, smooth_path, texture
+
+PLUGIN = "napari-elsplus"
+FRAMES = 30
+OURS = {f"mosaic {what}" for what in ("LS", "ELSA", "ELS+", "track", "track marks", "coverage", "quality")}
+
+
+@cache
+def truth() -> Truth:
+    return record(texture(800, 3), smooth_path(FRAMES, 12.0, 800, 4))
+
+
+@pytest.fixture
+def viewer(make_napari_viewer_proxy):
+    return make_napari_viewer_proxy()
+
+
+@pytest.fixture
+def scan(tmp_path):
+    path = tmp_path / "scan.tif"
+    tifffile.imwrite(path, truth().frames)
+    write_calibration(tmp_path / "scan.calibration.json", truth().calibration)
+    return path
+
+
+@pytest.fixture
+def panel(viewer, scan):
+    viewer.open(str(scan), plugin=PLUGIN)
+    _, widget = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic")
+    return widget
+
+
+def make(panel, qtbot):
+    panel.start.native.click()
+    assert panel.work.busy
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+
+
+def mosaics(viewer):
+    return {layer.name for layer in viewer.layers if layer.name.startswith("mosaic")}
+
+
+def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, monkeypatch):
+    for box in panel.modes.values():
+        box.value = True
+    watch = panel.work.watch
+
+    def slowly(steps):
+        for step in watch(steps):
+            time.sleep(0.01)
+            yield step
+
+    monkeypatch.setattr(panel.work, "watch", slowly)
+    panel.start.native.click()
+    grown = set()
+
+    def ended():
+        if "mosaic ELS+" in viewer.layers:
+            grown.add(np.count_nonzero(viewer.layers["mosaic ELS+"].data[-1]))
+        return not panel.work.busy
+
+    qtbot.waitUntil(ended, timeout=60_000)
+    assert len(grown) > 1
+    assert mosaics(viewer) == OURS
+    assert not viewer.layers["mosaic coverage"].visible
+    assert not any(layer.visible for layer in viewer.layers if layer.name.startswith("scan"))
+    ls, elsa, els = (viewer.layers[f"mosaic {title}"] for title in ("LS", "ELSA", "ELS+"))
+    assert np.all(np.diff([layer.extent.world[0, 1] for layer in (ls, elsa, els)]) > 0)
+    assert els.extent.world[0, 1] > elsa.extent.world[1, 1] > ls.extent.world[1, 1]
+    um = 2.3 * 1
+    assert els.scale == pytest.approx([um, um])
+    assert [str(unit) for unit in els.units] == ["micrometer"] * 2
+    track = viewer.layers["mosaic track"]
+    corners = track.data_to_world((0, *track.data[0, 0])[-2:])
+    assert els.extent.world[0, 1] < corners[1] < els.extent.world[1, 1]
+    way = track.data[:, 1].sum(axis=0)
+    expected = truth().positions[-1] - truth().positions[0]
+    np.testing.assert_allclose(way, expected, atol=0.5)
+    assert f"<b>{FRAMES}</b> of {FRAMES} frames tracked" in panel.status.text()
+    assert "mm/s of at most" in panel.speed.text
+
+
+def test_maps_are_filled_when_they_are_looked_at(viewer, panel, qtbot):
+    make(panel, qtbot)
+    coverage, quality = viewer.layers["mosaic coverage"], viewer.layers["mosaic quality"]
+    coverage.visible = True
+    panel.layers.update(whole=True)
+    assert coverage.data.max() > 3
+    assert 0.9 < quality.data.max() <= 1
+    inside = viewer.layers["mosaic ELS+"]
+    np.testing.assert_allclose(coverage.extent.world[0], inside.extent.world[0], atol=8 * 2.3)
+
+
+def test_layers_keep_the_users_colours_and_are_used_again(viewer, panel, qtbot):
+    make(panel, qtbot)
+    layer = viewer.layers["mosaic ELS+"]
+    layer.colormap = "magenta"
+    viewer.layers.remove("mosaic quality")
+    before = len(viewer.layers)
+    make(panel, qtbot)
+    assert viewer.layers["mosaic ELS+"] == layer
+    assert layer.colormap.name == "magenta"
+    assert len(viewer.layers) == before + 1
+    assert mosaics(viewer) == OURS - {"mosaic LS", "mosaic ELSA"}
+
+
+def test_stopping_keeps_what_was_laid(viewer, panel, qtbot):
+    panel.start.native.click()
+    qtbot.waitUntil(lambda: "mosaic ELS+" in viewer.layers, timeout=60_000)
+    panel.start.native.click()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+    assert panel.start.text == "Mosaic"
+    assert viewer.layers["mosaic ELS+"].data[-1].any()
+
+
+def test_undo_save_clear_and_their_keys(viewer, panel, qtbot, tmp_path, said):
+    viewer.window.show()
+    shown = [layer.name for layer in viewer.layers if layer.visible]
+    make(panel, qtbot)
+    panel.save(tmp_path / "m.ome.tif")
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+    image = tifffile.imread(tmp_path / "m.ome.tif")
+    drawn = np.asarray(viewer.layers["mosaic ELS+"].data[0])
+    assert np.count_nonzero(image) == np.count_nonzero(drawn)
+    assert {row.state for row in read_track(tmp_path / "m.track.csv")} == {"tracked"}
+    assert (tmp_path / "m.png").read_bytes()[:4] == b"\x89PNG"
+
+    panel.window().activateWindow()
+    qtbot.waitUntil(lambda: panel.window().isActiveWindow(), timeout=10_000)
+    keys = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier
+    QTest.keyClick(panel, Qt.Key.Key_U, keys)
+    assert not viewer.layers["mosaic ELS+"].data[-1].any()
+    assert f"<b>0</b> of {FRAMES}" in panel.status.text()
+    panel.save(tmp_path / "nothing.ome.tif")
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+    assert any("no mosaic to save" in words for _, words in said())
+    QTest.keyClick(panel, Qt.Key.Key_K, keys)
+    assert mosaics(viewer) == set()
+    assert [layer.name for layer in viewer.layers if layer.visible] == shown
+
+
+def test_bad_input_is_one_clear_line(viewer, panel, qtbot, said, tmp_path):
+    def told(words):
+        panel.start.native.click()
+        qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+        assert any(words in message for _, message in said()), said()
+        assert mosaics(viewer) == set()
+
+    for box in panel.modes.values():
+        box.value = False
+    told("no image is chosen")
+    panel.modes["els"].value = True
+    (tmp_path / "bare").mkdir()
+    tifffile.imwrite(tmp_path / "bare" / "bare.tif", truth().frames[:5])
+    viewer.open(str(tmp_path / "bare" / "bare.tif"), plugin=PLUGIN)
+    panel.recording.value = "bare raw"
+    told("bare raw has no calibration: choose a calibration file above")
+    for name, frames, words in (
+        ("single", np.ones((1, 60, 60)), "the stack has 1 frame"),
+        ("even", np.ones((4, 60, 60)), "constant"),
+        ("broken", np.full((4, 60, 60), np.nan), "NaN"),
+    ):
+        viewer.add_image(frames, name=name, contrast_limits=(0, 1))
+        panel.recording.value = name
+        told(words)
+    panel.calibration.value = tmp_path / "scan.calibration.json"
+    told("is for frames of 236 x 480 pixels, broken has 60 x 60")
+
+
+def test_a_calibration_file_serves_a_recording_without_one(viewer, panel, qtbot, tmp_path):
+    (tmp_path / "bare").mkdir()
+    tifffile.imwrite(tmp_path / "bare" / "bare.tif", truth().frames[:8])
+    viewer.open(str(tmp_path / "bare" / "bare.tif"), plugin=PLUGIN)
+    panel.recording.value = "bare raw"
+    panel.calibration.value = tmp_path / "scan.calibration.json"
+    make(panel, qtbot)
+    assert "<b>8</b> of 8" in panel.status.text()
+
+
+def test_finished_images_are_laid_as_they_are(viewer, panel, qtbot):
+    scene = 100 * texture(500, 3)
+    images = np.stack([scene[100 + 4 * k :][:200, 50 + 7 * k :][:, :200] for k in range(10)])
+    viewer.add_layer(Image(images, name="my images", scale=(1, 2, 2), units=("s", "um", "um")))
+    panel.recording.value = "my images"
+    make(panel, qtbot)
+    layer = viewer.layers["mosaic my images"]
+    assert layer.scale == pytest.approx([2, 2])
+    assert "<b>10</b> of 10" in panel.status.text()
+
+
+def test_scripts_settings_and_themes(viewer, panel, qtbot, scan):
+    panel.method.value = "paper"
+    panel.insertion.value = "feathered"
+    panel.script.native.click()
+    text = QApplication.clipboard().text()
+    compile(text, "script", "exec")
+    assert str(scan) in text
+    assert "Method.PAPER" in text
+    make(panel, qtbot)
+    assert recall("mosaic") == {"method": "paper", "insertion": "feathered", "modes": ["els"]}
+    for theme in ("light", "dark"):
+        viewer.theme = theme
+        assert panel.speed.text
+
+
+def test_the_layers_stay_when_the_panel_goes_and_the_next_one_uses_them(viewer, scan, qtbot):
+    viewer.open(str(scan), plugin=PLUGIN)
+    _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic")
+    assert isinstance(panel, MosaicPanel)
+    make(panel, qtbot)
+    layer = viewer.layers["mosaic ELS+"]
+    gone = weakref.ref(panel)
+    viewer.window.remove_dock_widget(panel)
+    del panel, _
+    for _ in range(2):
+        QApplication.processEvents()
+        gc.collect()
+    assert gone() is None
+    assert layer in viewer.layers
+    assert np.asarray(layer.data[0]).any()
+    _, again = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic")
+    make(again, qtbot)
+    assert viewer.layers["mosaic ELS+"] == layer
