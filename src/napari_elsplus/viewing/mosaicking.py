@@ -188,7 +188,7 @@ class StackMosaics:
             fastest_px_per_frame(grid, per_pixel, self.plan.method),
         )
 
-    def run(self, watch: Watch = iter, checkpoint: Callable[[], None] = lambda: None) -> None:
+    def run(self, watch: Watch = iter, checkpoint: Callable[[], None] | None = None) -> None:
         """Track and lay all frames, then close loops, join segments, and lay everything where it belongs.
 
         Parameters
@@ -198,21 +198,11 @@ class StackMosaics:
         checkpoint : callable
             Called whenever a frame is read; what it raises ends the run, too.
         """
-        self._frames.checkpoint = checkpoint
-        if self.plan.method is Method.ELSPLUS:
-            self.calibration, said = with_timing(self.calibration, self._pairs, self.plan.tracked)
-            if said:
-                self.notes.append(said)
-                self._lead = self._pipeline(self.plan.tracked)
-                self._followers = {mode: self._pipeline(mode) for mode in self._followers}
-        for index in watch(range(len(self._pairs))):
-            frame = self._pairs.frame(index)
-            raw, raw_residual = self._pairs(index)
-            self._lead.add(raw, frame, self._time_s(frame), raw_residual)
-            self._follow(self._followers, self._lead.poses[-1], frame)
-        self._refine(watch)
-        if sum(row.state == State.TRACKED.value for row in self.rows) < 2:
-            self.notes.append("no two frames fit together: was the probe on tissue, and slow enough to overlap?")
+        self._frames.checkpoint = checkpoint or _go_on
+        try:
+            self._run(watch)
+        finally:
+            self._frames.checkpoint = _go_on
 
     def undo(self) -> bool:
         """Take the last segment away, and call its frames lost; whether there was one."""
@@ -227,6 +217,22 @@ class StackMosaics:
         self._rows = [_lost(row) if row.segment == last else row for row in self.rows]
         self.revision += 1
         return True
+
+    def _run(self, watch: Watch) -> None:
+        if self.plan.method is Method.ELSPLUS:
+            self.calibration, said = with_timing(self.calibration, self._pairs, self.plan.tracked)
+            if said:
+                self.notes.append(said)
+                self._lead = self._pipeline(self.plan.tracked)
+                self._followers = {mode: self._pipeline(mode) for mode in self._followers}
+        for index in watch(range(len(self._pairs))):
+            frame = self._pairs.frame(index)
+            raw, raw_residual = self._pairs(index)
+            self._lead.add(raw, frame, self._time_s(frame), raw_residual)
+            self._follow(self._followers, self._lead.poses[-1], frame)
+        self._refine(watch)
+        if sum(row.state == State.TRACKED.value for row in self.rows) < 2:
+            self.notes.append("no two frames fit together: was the probe on tissue, and slow enough to overlap?")
 
     def _refine(self, watch: Watch) -> None:
         self._shown, self._rows = self.canvases, list(self._lead.rows)  # stay on screen meanwhile
@@ -290,7 +296,7 @@ class _Checked:
 
     def __init__(self, frames: Frames) -> None:
         self._frames = frames
-        self.checkpoint: Callable[[], None] = lambda: None
+        self.checkpoint: Callable[[], None] = _go_on
         if len(frames) < 2:
             raise InputError(
                 f"the stack has {len(frames)} frame{'s' * (len(frames) != 1)}", "choose one of at least two"
@@ -316,6 +322,10 @@ class _Checked:
                 f"the frames are constant (grey level {chosen[0].flat[0]:g})",
                 "is the laser on, and the probe on tissue?",
             )
+
+
+def _go_on() -> None:
+    """Let the run go on."""
 
 
 def _lost(row: TrackPoint) -> TrackPoint:

@@ -77,9 +77,11 @@ class Work(QWidget):
         self._bar.setRange(0, total)
         self._finished = finished
 
+        once = [work]  # napari keeps its workers, so that they shall keep nothing
+
         def guarded() -> tuple[Any, Exception | None]:
             try:
-                return work(), None
+                return once.pop()(), None
             except (ElsPlusError, Cancelled) as error:
                 return None, error
 
