@@ -7,7 +7,7 @@ import pytest
 
 from napari_elsplus import _sample_data
 from napari_elsplus.optics import PRESETS
-from napari_elsplus.processing.calibrate import calibrate
+from napari_elsplus.processing.calibrate import measure
 from napari_elsplus.simulation.instrument import Instrument
 
 
@@ -48,13 +48,13 @@ def test_the_calibration_set_gives_the_calibration_of_the_instrument_it_was_made
     layers = by_name(_sample_data.calibration_set())
     sweep, attributes = layers["calibration sweep"]
     every = slice(None, None, 8)
-    found = calibrate(
+    found = measure(
         line=np.asarray(layers["calibration line"][0]),
         sweep=np.asarray(sweep[every]),
         volts=attributes["metadata"]["elsplus"]["volts"][every],
         bundle=np.asarray(layers["calibration distal light"][0]),
         background=np.asarray(layers["calibration dark tube"][0][:10]),
-    )
+    ).calibration
     instrument = Instrument.of("240hz")
     assert found.offset.rows == pytest.approx(instrument.offset_rows, abs=0.05)
     assert found.galvo.volts_per_row == pytest.approx(instrument.volts_per_row, rel=2e-3)

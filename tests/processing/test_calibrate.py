@@ -14,9 +14,9 @@ from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError, Me
 from napari_elsplus.evaluation.calibration_accuracy import survey
 from napari_elsplus.evaluation.rigs import Rig
 from napari_elsplus.processing.calibrate import (
-    calibrate,
     map_galvo,
     mean_frame,
+    measure,
     measure_background,
     measure_flat,
     measure_offset,
@@ -49,7 +49,7 @@ def test_offset_has_its_sign_and_tilt_does_not_bias_it(down: bool) -> None:
     rig = replace(RIG, right=(128.3, 318.7)) if down else RIG
     frames = rig.line(3)
     alone = measure_offset(frames)
-    section = calibrate(line=frames, bundle=rig.bundle()).offset
+    section = measure(line=frames, bundle=rig.bundle()).calibration.offset
     assert section is not None
     assert alone.rows == pytest.approx(rig.offset_rows(1.3), abs=0.08)
     assert section.rows == pytest.approx(rig.offset_rows(1.3), abs=0.05)
@@ -61,7 +61,7 @@ def test_galvo_rows_are_taken_at_the_confocal_centre_with_or_without_its_image()
     volts = RIG.volts(60)
     sweep = RIG.sweep(volts)
     alone = map_galvo(sweep, volts)
-    section = calibrate(sweep=sweep[::-1], volts=volts[::-1], bundle=RIG.bundle()).galvo
+    section = measure(sweep=sweep[::-1], volts=volts[::-1], bundle=RIG.bundle()).calibration.galvo
     assert section is not None
     for slope, at_zero in (
         (alone.volts_per_row, alone.volts_at_row_zero),
@@ -76,7 +76,7 @@ def test_galvo_rows_are_taken_at_the_confocal_centre_with_or_without_its_image()
 
 def test_flat_field_has_mean_one_and_takes_the_illumination_away() -> None:
     rig = replace(RIG, uneven=0.4)
-    calibration = calibrate(bundle=rig.bundle(4))
+    calibration = measure(bundle=rig.bundle(4)).calibration
     assert calibration.flat is not None
     inside = disc(len(calibration.flat), 0.9 * rig.diameter_px)
     assert calibration.flat[inside].mean() == pytest.approx(1, abs=0.05)
@@ -86,11 +86,11 @@ def test_flat_field_has_mean_one_and_takes_the_illumination_away() -> None:
     with pytest.raises(MeasurementError, match="flat field is dark"):
         measure_flat(np.zeros((1, *rig.shape)), calibration)
     with pytest.raises(CalibrationError, match="no bundle section"):
-        measure_flat(rig.bundle(), calibrate(line=rig.line()))
+        measure_flat(rig.bundle(), measure(line=rig.line()).calibration)
 
 
 def test_views_cancel_better_after_the_core_filter() -> None:
-    quality = calibrate(bundle=RIG.bundle(4)).quality
+    quality = measure(bundle=RIG.bundle(4)).calibration.quality
     assert quality is not None
     assert quality.alignment_error_filtered < 0.5 * quality.alignment_error < 0.05
 
@@ -112,7 +112,7 @@ def test_background_that_is_given_is_used_by_line_and_sweep() -> None:
     lamp = np.zeros(RIG.shape, np.uint8)
     lamp[60:66] = 100
     line, dark = RIG.line() + lamp, RIG.background(10) + lamp
-    found = calibrate(line=line, background=dark).offset
+    found = measure(line=line, background=dark).offset
     assert found is not None
     assert found.rows == pytest.approx(RIG.offset_rows(1.3), abs=0.08)
     assert abs(measure_offset(line).rows - RIG.offset_rows(1.3)) > 1
@@ -137,7 +137,7 @@ def test_background_that_is_given_is_used_by_line_and_sweep() -> None:
 )
 def test_inputs_that_make_no_sense_are_told(inputs: dict[str, object], word: str) -> None:
     with pytest.raises(InputError, match=word):
-        calibrate(**inputs)  # type: ignore[arg-type]
+        measure(**inputs)  # type: ignore[arg-type]
 
 
 frames = hnp.arrays(
@@ -159,7 +159,7 @@ def test_no_frames_whatsoever_end_in_anything_but_a_clear_error(frames: np.ndarr
         {"background": frames},
     ):
         try:
-            calibrate(**inputs)  # type: ignore[arg-type]
+            measure(**inputs)  # type: ignore[arg-type]
         except ElsPlusError as error:
             said.append(str(error))
     assert all(len(line.splitlines()) == 1 for line in said)

@@ -182,8 +182,7 @@ def _disc(frame: Image, mask: NDArray[np.bool_], scale: float, threshold: float,
     radius = max(np.ptp(np.flatnonzero(mask.any(axis=axis))) for axis in (0, 1)) / 2 + 0.5
     circle = _outline_circle(mask, (row, column, radius))
     circle = np.r_[(circle[:2] + 0.5) * scale - 0.5, circle[2] * scale]
-    circle, influence, seen = fit_rim(frame, circle)
-    spread = np.linalg.norm(influence, axis=0)
+    circle, spread, seen = fit_rim(frame, circle)
     return Disc(
         centre=(float(circle[0]), float(circle[1] + first_column)),
         diameter_px=float(2 * circle[2]),

@@ -50,7 +50,6 @@ __all__ = [
     "Findings",
     "Pair",
     "SlitOffset",
-    "calibrate",
     "locate_pair",
     "map_galvo",
     "mean_frame",
@@ -76,40 +75,6 @@ class Findings:
     calibration: Calibration = field(default_factory=Calibration)
 
 
-def calibrate(
-    *,
-    line: Frames | None = None,
-    sweep: Frames | None = None,
-    volts: NDArray[np.floating] | None = None,
-    bundle: Frames | None = None,
-    background: Frames | None = None,
-    flat: Frames | None = None,
-    um_per_px: float | None = None,
-    bundle_um: float | None = None,
-    line_period_s: float | None = None,
-    rows_per_frame: float | None = None,
-) -> Calibration:
-    """Make a calibration of any subset of its inputs; see :func:`measure`.
-
-    Returns
-    -------
-    Calibration
-        With a section for each input.
-    """
-    return measure(
-        line=line,
-        sweep=sweep,
-        volts=volts,
-        bundle=bundle,
-        background=background,
-        flat=flat,
-        um_per_px=um_per_px,
-        bundle_um=bundle_um,
-        line_period_s=line_period_s,
-        rows_per_frame=rows_per_frame,
-    ).calibration
-
-
 def measure(
     *,
     line: Frames | None = None,
@@ -124,7 +89,7 @@ def measure(
     rows_per_frame: float | None = None,
     watch: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> Findings:
-    """Measure whatever the inputs allow.
+    """Make a calibration of any subset of its inputs.
 
     Parameters
     ----------

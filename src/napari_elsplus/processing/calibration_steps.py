@@ -16,6 +16,7 @@ from napari_elsplus.processing.galvo import GalvoMap, fit_galvo, lines_in_sweep
 from napari_elsplus.processing.line import Line, locate_line
 from napari_elsplus.processing.pair import Alignment, align_pair
 from napari_elsplus.processing.sectioning import Sectioner, disc
+from napari_elsplus.processing.uncertainty import in_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 MOST_SATURATED: Final = 0.01
 MOST_DRIFT: Final = 0.05
+_NEIGHBOURS: Final = 4
+"""Runs of columns that are taken together: those of the two views do not hold quite the same cores."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,14 +141,19 @@ def measure_offset(frames: Frames, background: Image | None = None, pair: Pair |
     columns = (left.column, right.column)
     if pair is not None:
         columns = (pair.left.centre[1], pair.right.centre[1] - split)
+    return _offset_at(columns, left, right, split)
+
+
+def offset_at(offset: SlitOffset, pair: Pair) -> SlitOffset:
+    """Return an offset that was measured before the bundle pair was known, taken at the bundle's centres."""
+    columns = pair.left.centre[1], pair.right.centre[1] - offset.split
+    return _offset_at(columns, offset.left, offset.right, offset.split)
+
+
+def _offset_at(columns: tuple[float, float], left: Line, right: Line, split: int) -> SlitOffset:
     influence = right.influence_at(columns[1]) - left.influence_at(columns[0])
-    return SlitOffset(
-        rows=right.row_at(columns[1]) - left.row_at(columns[0]),
-        uncertainty_rows=float(np.linalg.norm(influence)),
-        left=left,
-        right=right,
-        split=split,
-    )
+    rows = right.row_at(columns[1]) - left.row_at(columns[0])
+    return SlitOffset(rows, in_line(influence, _NEIGHBOURS), left, right, split)
 
 
 def map_galvo(

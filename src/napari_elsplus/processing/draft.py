@@ -20,6 +20,7 @@ from napari_elsplus.processing.calibrate import (
     offset_section,
     with_flat_and_quality,
 )
+from napari_elsplus.processing.calibration_steps import offset_at
 from napari_elsplus.processing.galvo import GalvoMap
 from napari_elsplus.processing.lag import ScanLag
 
@@ -297,14 +298,6 @@ def _with_lag(known: Calibration, lag: ScanLag) -> Calibration:
         raise InputError("a scan's lag belongs to a galvo map", "measure the galvo map first")
     late = {"lag_s": lag.lag_s, "lag_uncertainty_s": lag.uncertainty_s}
     return known.model_copy(update={"galvo": known.galvo.model_copy(update=late)})
-
-
-def offset_at(offset: SlitOffset, pair: Pair) -> SlitOffset:
-    """Return an offset that was measured before the bundle pair was known, taken at the bundle's centres."""
-    columns = pair.left.centre[1], pair.right.centre[1] - offset.split
-    influence = offset.right.influence_at(columns[1]) - offset.left.influence_at(columns[0])
-    rows = offset.right.row_at(columns[1]) - offset.left.row_at(columns[0])
-    return replace(offset, rows=rows, uncertainty_rows=float(np.linalg.norm(influence)))
 
 
 def _stale(calibration: Calibration, setup: Setup) -> dict[Step, str]:

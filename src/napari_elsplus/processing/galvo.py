@@ -15,7 +15,7 @@ from scipy import stats
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.line import Line, locate_line
-from napari_elsplus.processing.uncertainty import clustered_influence
+from napari_elsplus.processing.uncertainty import clustered_influence, overlapping_influence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -30,6 +30,8 @@ SHORTEST_CHORD: Final = 0.7
 """Of the longest line; nearer to the rim the line's halo is cut on one side and pulls the fit."""
 OUTLIER_SIGMAS: Final = 5.0
 RUNS: Final = 20
+_NEIGHBOURS: Final = 4
+"""Runs of voltages that are taken together: rows of cores pull the line to and fro over many voltages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +182,7 @@ def _fit(volts: Floats, rows: Floats, used: NDArray[np.bool_], tilt_deg: float, 
     level, per_half = np.linalg.lstsq(jacobian, y, rcond=None)[0]
     left = np.asarray(y - jacobian @ (level, per_half), np.float64)
     runs = np.argsort(np.argsort(v)) * RUNS // len(v)
-    influence = clustered_influence(jacobian, left, runs, RUNS)
+    influence = overlapping_influence(jacobian, left, runs, RUNS, _NEIGHBOURS)
     volts_per_row = half / per_half
     # volts at row zero = middle - half * level / per_half, and its derivatives
     at_zero = influence @ np.array([-half / per_half, half * level / per_half**2])

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 LEAST_CORRELATION: Final = 0.1
 GAINS: Final = (0.5, 2.0)
 LEAST_RING: Final = 200
+SAMPLING_PX: Final = 0.001
+"""What pixels that sample the cores, and interpolation between them, add to the alignment's uncertainty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +96,7 @@ def align_pair(image: NDArray[np.generic], left: Disc, right: Disc) -> Alignment
         residual_to_confocal=_right_to_left(fit.motion, left, right),
         model=model,
         evidence={other.value: criterion[other] - criterion[model] for other in PairModel},
-        uncertainty_px=fit.uncertainty_px,
+        uncertainty_px=float(np.hypot(fit.uncertainty_px, SAMPLING_PX)),
         gain=gain,
         gain_uncertainty=gain_uncertainty,
         correlation=fit.correlation,
@@ -127,20 +129,32 @@ def darkness(frame: NDArray[np.float32], left: Disc, right: Disc) -> NDArray[np.
     numpy.ndarray
         (rows, cols) float32: a plane fitted to the rings of 1.08 to 1.25 radii, robust against what shines in them.
     """
+    return _spread_out(_dark_plane(frame, left, right)[0], frame)
+
+
+def _spread_out(plane: Floats, frame: Image) -> Image:
+    rows, cols = np.ogrid[: frame.shape[0], : frame.shape[1]]
+    return np.asarray(plane[0] + plane[1] * rows + plane[2] * cols, np.float32)
+
+
+def _dark_plane(frame: Image, left: Disc, right: Disc) -> tuple[Floats, Floats]:
+    """Level and slopes per row and column of the darkness, and their covariance."""
     rows, cols = np.ogrid[: frame.shape[0], : frame.shape[1]]
     away = [np.hypot(rows - d.centre[0], cols - d.centre[1]) / (d.diameter_px / 2) for d in (left, right)]
     nearest = np.minimum(*away)
     y, x = np.nonzero((nearest > 1.08) & (nearest < 1.25))
     if len(y) < LEAST_RING:
-        return np.full_like(frame, frame.min())
+        return np.array([frame.min(), 0.0, 0.0]), np.zeros((3, 3))
     level = frame[y, x].astype(np.float64)
     terms = np.stack([np.ones(len(y)), y, x], axis=1)
-    plane = np.array([np.median(level), 0.0, 0.0])
+    plane, covariance = np.array([np.median(level), 0.0, 0.0]), np.zeros((3, 3))
     for _ in range(3):
         miss = level - terms @ plane
         kept = np.abs(miss) <= 4 * max(1.4826 * float(np.median(np.abs(miss))), 0.5)
-        plane = np.linalg.lstsq(terms[kept], level[kept], rcond=None)[0]
-    return np.asarray(plane[0] + plane[1] * rows + plane[2] * cols, np.float32)
+        inverse = np.linalg.pinv(terms[kept].T @ terms[kept])
+        plane = inverse @ (terms[kept].T @ level[kept])
+        covariance = inverse * float(np.var(level[kept] - terms[kept] @ plane))
+    return plane, covariance
 
 
 def _right_to_left(motion: Floats, left: Disc, right: Disc) -> Floats:
@@ -151,8 +165,9 @@ def _right_to_left(motion: Floats, left: Disc, right: Disc) -> Floats:
 
 
 def _gain(frame: Image, left: Disc, right: Disc, motion: Floats, matcher: CoreMatcher) -> tuple[float, float]:
-    """Brightness of the right view over the left, each above the darkness around it."""
-    above_dark = frame - darkness(frame, left, right)
+    """Brightness of the right view over the left, each above the darkness around it, and its uncertainty."""
+    plane, covariance = _dark_plane(frame, left, right)
+    above_dark = frame - _spread_out(plane, frame)
     confocal, residual = (
         resampled(above_dark, matcher.grid_to_frame(view.centre, shift), matcher.side)[matcher.inside]
         for view, shift in ((left, np.eye(2, 3)), (right, motion))
@@ -166,5 +181,6 @@ def _gain(frame: Image, left: Disc, right: Disc, motion: Floats, matcher: CoreMa
         )
     misses = np.bincount(tile, weights=residual - gain * confocal, minlength=count)
     filled = np.count_nonzero(np.bincount(tile, minlength=count))
-    spread = np.sqrt(np.square(misses).sum() * filled / max(filled - 1, 1)) / confocal.sum()
-    return gain, float(spread)
+    by_tiles = np.sqrt(np.square(misses).sum() * filled / max(filled - 1, 1)) / confocal.sum()
+    by_darkness = (gain * np.array([1, *left.centre]) - np.array([1, *right.centre])) / confocal.mean()
+    return gain, float(np.sqrt(by_tiles**2 + by_darkness @ covariance @ by_darkness))

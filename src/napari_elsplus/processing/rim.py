@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 ARCS: Final = 36
 """Arcs that the rim is divided into: the clusters of the circle's uncertainty."""
+UNSURE: Final = 0.05
+"""Share of the rim's roughness by which its half level may be off on all arcs alike: what arcs cannot tell."""
 AGREEING: Final = 0.4
 """Share of the rim's points that must see the true rim."""
 
@@ -41,8 +43,8 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
     -------
     circle : numpy.ndarray
         Row, column and radius.
-    influence : numpy.ndarray
-        What each arc contributes to their errors, shape (36, 3).
+    uncertainty : numpy.ndarray
+        One standard deviation of each, shape (3,).
     seen : float
         Share of the circumference on which the rim was found.
 
@@ -52,7 +54,7 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
         If no rim is seen on most of the circumference.
     """
     smooth = cv2.GaussianBlur(_evenly_lit(frame, circle), (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
-    influence, seen = np.zeros((ARCS, 3)), 0.0
+    uncertainty, seen = np.zeros(3), 0.0
     for reach in (0.25, 0.1, 0.1):
         points, arcs, rays = _half_level(smooth, circle, reach)
         if len(points) < max(ARCS, rays // 6):
@@ -60,11 +62,11 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
                 f"no bundle: a rim is seen on {100 * len(points) / rays:.0f} % of a circle",
                 "is the probe lit from the far end, and the bundle in view?",
             )
-        circle, influence, used = _fit_circle(points, arcs, circle)
+        circle, uncertainty, used = _fit_circle(points, arcs, circle)
         if not 0.5 < 2 * circle[2] / min(frame.shape) < 2 * max(frame.shape) / min(frame.shape):
             raise MeasurementError("no bundle: what is lit is no disc", "is the probe lit from the far end?")
         seen = used / rays
-    return circle, influence, seen
+    return circle, uncertainty, seen
 
 
 def circle_through(points: Floats, start: Floats, scale_px: float) -> Floats:
@@ -131,7 +133,7 @@ def _half_level(smooth: Image, circle: Floats, reach: float) -> tuple[Floats, ND
 
 
 def _fit_circle(points: Floats, arcs: NDArray[np.intp], start: Floats) -> tuple[Floats, Floats, int]:
-    """Circle through the points that agree; the arcs' influences give its uncertainty."""
+    """Circle through the points that agree, its uncertainty, and how many they are."""
     circle = start
     for _ in range(6):
         away = points - circle[:2]
@@ -144,8 +146,9 @@ def _fit_circle(points: Floats, arcs: NDArray[np.intp], start: Floats) -> tuple[
         circle = circle + step
         if np.abs(step).max() < 1e-3:
             break
-    influence = clustered_influence(jacobian, miss[good] - jacobian @ step, arcs[good], ARCS)
-    return circle, influence, int(good.sum())
+    left = miss[good] - jacobian @ step
+    by_arcs = np.linalg.norm(clustered_influence(jacobian, left, arcs[good], ARCS), axis=0)
+    return circle, np.hypot(by_arcs, UNSURE * left.std()), int(good.sum())
 
 
 def _where_most_agree(miss: Floats) -> tuple[float, float]:

@@ -74,3 +74,66 @@ def clustered(scores: Floats, curvature: Floats, clusters: NDArray[np.intp], cou
     filled = np.count_nonzero(np.bincount(clusters, minlength=count))
     freedom = filled / max(filled - scores.shape[1] / 2, 1.0)
     return np.asarray(np.sqrt(freedom) * (sums @ np.linalg.pinv(curvature)), np.float64)
+
+
+def in_line(influence: Floats, neighbours: int) -> float:
+    """One standard deviation of an estimate whose clusters lie in a row, neighbours not being quite independent.
+
+    Parameters
+    ----------
+    influence : numpy.ndarray
+        What each cluster contributes to the error, in order, shape (clusters,).
+    neighbours : int
+        Over so many neighbours the contributions are summed before they are squared; the sums overlap (Newey & West
+        1987, https://doi.org/10.2307/1913610).
+
+    Returns
+    -------
+    float
+
+    Notes
+    -----
+    Where one cluster takes what the next lacks, as where a core lies on the border between two, a sum of squares alone
+    would state too much; where they err alike, too little.
+
+    Examples
+    --------
+    >>> alternating = np.tile([1.0, -1.0], 10)
+    >>> round(in_line(alternating, 1), 2), round(in_line(alternating, 2), 2)
+    (4.47, 1.05)
+    """
+    sums = np.convolve(influence, np.ones(neighbours))
+    lost = neighbours / len(influence) if neighbours > 1 else 0.0  # all of them together sum to zero
+    return float(np.sqrt(np.square(sums).sum() / neighbours / (1 - lost)))
+
+
+def overlapping_influence(
+    jacobian: Floats, residuals: Floats, clusters: NDArray[np.intp], count: int, neighbours: int
+) -> Floats:
+    """Return what overlapping stretches of clusters in a row contribute to the error of a least-squares fit.
+
+    As :func:`clustered_influence`, for clusters of which neighbours are not independent. The fit takes a part of every
+    long wave out of its residuals; that is made up for, so that independent noise is stated truly.
+
+    Parameters
+    ----------
+    jacobian, residuals, clusters, count
+        As there; the clusters are numbered in order.
+    neighbours : int
+        Clusters of a stretch.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (stretches, parameters); the covariance is ``influence.T @ influence``.
+    """
+    parameters = jacobian.shape[1]
+    products = jacobian[:, :, None] * jacobian[:, None, :]
+    last = np.arange(count + neighbours - 1)[:, None]
+    stretch = ((clusters <= last) & (clusters > last - neighbours)).astype(np.float64)
+    scores = stretch @ (jacobian * residuals[:, None])
+    curvature = (stretch @ products.reshape(len(jacobian), -1)).reshape(-1, parameters, parameters)
+    inverse = np.linalg.pinv(products.sum(axis=0))
+    seen = curvature - curvature @ inverse @ curvature
+    expected = np.linalg.cholesky(inverse @ seen.sum(axis=0) @ inverse)
+    return np.asarray(scores @ inverse @ np.linalg.solve(expected.T, np.linalg.cholesky(inverse).T), np.float64)
