@@ -8,12 +8,8 @@ from napari_elsplus.processing.grid import Grid
 from napari_elsplus.processing.ladder import Climb, Remainder, Rung, angle_of, composed, scale_of, turned_by, upright
 from napari_elsplus.processing.motion import Displacement, RollingShutter, Velocity, Warp
 from napari_elsplus.processing.registration import Registrar, View
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import HandHeld, Spiral, Still, Trajectory, Turning
-from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.tracking_pipeline import Pipeline, RawPairs
+from napari_elsplus.simulation.trajectories import HandHeld, Spiral, Still, Turning
+from simulated import followed
 
 GRID = Grid(120, 1, (0, 0), (59.3, 59.8), 116.0, RollingShutter(150.0))
 LOOSE = (0.02, 0.02)
@@ -120,35 +116,18 @@ def test_a_turn_that_no_single_link_shows_is_noticed_in_their_sum() -> None:
     assert noticed(2e-4, 2e-3, 500)[0] is Rung.SIMILARITY
 
 
-def followed(path: Trajectory, name: str, frames: int) -> tuple[Pipeline, np.ndarray, np.ndarray]:
-    """A simulated recording, tracked and refined; true angles (degrees) and positions from the first frame."""
-    instrument = Instrument.of("240hz")
-    renderer = Renderer(instrument, scene(name), path, seed=1)
-    raw = np.stack([renderer.render(k) for k in range(frames)])
-    optics = instrument.optics
-    calibration = true_calibration(instrument, np.full(instrument.frame_shape, instrument.black_dn, np.float32))
-    pipeline = Pipeline(calibration, instrument.frame_shape)
-    pairs = RawPairs(raw, "els")
-    for k in range(frames):
-        pipeline.track(raw[k], k)
-    pipeline.finish(pairs)
-    times = (np.arange(frames) + instrument.left_centre[0] / optics.rows_per_frame) * optics.frame_period_s
-    angle = path.angles_rad(times) if isinstance(path, Turning) else np.zeros(frames)
-    place = (path.positions_um(times) - path.positions_um(times[:1])) / optics.um_per_px
-    return pipeline, np.rad2deg(angle - angle[0]), place @ turned_by(-angle[0]).T
-
-
 @pytest.mark.parametrize(
     ("path", "name"),
     [(Turning(Spiral(8000.0), 50.0), "fibres"), (Turning(Still(), -60.0), "nuclei")],
     ids=["fast and turning", "turning in place"],
 )
 def test_a_probe_that_turns_is_followed(path: Turning, name: str) -> None:
-    pipeline, angle, place = followed(path, name, 40)
+    pipeline, times, place = seen = followed(path, name, 40)
+    angle = path.angles_rad(times)
     assert {row.state for row in pipeline.rows} == {"tracked"}
-    assert np.abs(np.rad2deg([pose.angle for pose in pipeline.poses]) - angle).max() < 0.3
-    found = np.array([(row.row_px, row.col_px) for row in pipeline.rows])
-    assert np.abs(found - place).max() < 1.0
+    found = np.array([pose.angle for pose in pipeline.poses])
+    assert np.abs(np.rad2deg(found - (angle - angle[0]))).max() < 0.3
+    assert np.abs(seen.found_px - (place - place[0]) @ turned_by(-angle[0]).T).max() < 1.0
 
 
 def test_a_probe_that_does_not_turn_is_tracked_as_before() -> None:

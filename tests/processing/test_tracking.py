@@ -1,12 +1,16 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking import State
+from napari_elsplus.simulation.trajectories import Recorded
 from napari_elsplus.tracking_pipeline import Pipeline, RawPairs
 from recordings import Truth, fibres, record, smooth_path, texture
+from simulated import INSTRUMENT, followed
 
 
 def track(truth: Truth, *, finish: bool = True) -> Pipeline:
@@ -124,3 +128,27 @@ def test_a_saturated_recording_is_lost_though_the_flat_field_has_structure() -> 
     truth = record(texture(600, 6), np.full((6, 2), 300.0), gain=0.9)
     pipeline = track(blinded(truth, 0, 5, 255))
     assert [row.state for row in pipeline.rows] == ["tracked"] + ["lost"] * 4
+
+
+def uneven(change_px: float, seed: int) -> Recorded:
+    """A path whose velocity takes a new value each frame, evenly in between, camera pixels per frame."""
+    rng = np.random.default_rng(seed)
+    knots = 15.0 + rng.normal(0, change_px / 2, (34, 2))
+    t = np.arange(0, 32, 1 / 16)
+    velocity = np.stack([np.interp(t, np.arange(len(knots)), knot) for knot in knots.T], 1)
+    optics = INSTRUMENT.optics
+    return Recorded(t * optics.frame_period_s, np.cumsum(velocity, axis=0) / 16 * optics.um_per_px)
+
+
+@pytest.mark.parametrize("change_px", [4.0, 20.0, 60.0])
+def test_jerks_show_in_the_uncertainty_or_are_refused(change_px: float) -> None:
+    """Links are as wrong as they say, and none is called tracked that is 3 px off."""
+    seen = followed(uneven(change_px, 1), "fibres", 30, finish=False)
+    rows = seen.pipeline.rows
+    step = np.diff(seen.found_px, axis=0) - np.diff(seen.positions_px, axis=0)
+    linked = np.array([a.state == b.state == "tracked" and a.segment == b.segment for a, b in pairwise(rows)])
+    error, said = np.hypot(*step.T)[linked], np.array([row.sigma_px for row in rows[1:]])[linked]
+    assert (error > 3).sum() == 0
+    assert 0.3 < np.sqrt(np.mean((error / said) ** 2) / 2) < 3
+    assert linked.all() == (change_px < 30)
+    assert linked.sum() > 5

@@ -6,7 +6,7 @@ learnt from how far the last ones were.
 
 from __future__ import annotations
 
-from math import hypot
+from math import hypot, isfinite
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.motion import Displacement, Velocity
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.motion import RollingShutter
 
 AT_REST: Final = Velocity(0.0, 0.0)
+UNEVEN: Final = 0.03
+"""Error of a displacement, root mean square, per change of the acceleration (pixels per frame squared)."""
 _LEAST_SPREAD: Final = 1.0
 _MEMORY: Final = 0.3
 _FIRST_SURPRISE: Final = 4.0
@@ -69,6 +71,21 @@ class Motion:
             self.surprise += _MEMORY * (miss - self.surprise)
             gained = Velocity(velocity.row - self.velocity.row, velocity.col - self.velocity.col)
         self.velocity, self.change, self.known = velocity, gained, True
+
+    def unevenness(self, before: Velocity, velocity: Velocity, *, successive: bool) -> float:
+        """Error of a displacement, pixels, because the probe did not move evenly within the frames.
+
+        The rolling shutter's warp is exact for even motion within each frame, and stays so under a steady acceleration.
+        What remains grows with the change of the acceleration from frame to frame; where no acceleration is known yet,
+        with what the velocity gained from the frame `before`.
+        """
+        if not (successive and isfinite(self._shutter.rows_per_frame)):
+            return 0.0
+        row, col = velocity.row - before.row, velocity.col - before.col
+        if self.known:
+            row = velocity.row - self.velocity.row - self.change.row
+            col = velocity.col - self.velocity.col - self.change.col
+        return UNEVEN * hypot(row, col)
 
     @property
     def next_velocity(self) -> Velocity:

@@ -82,6 +82,8 @@ SURE_CORRELATION: Final = 0.9
 """Correlation below which a predicted link is compared with all other shifts."""
 SMOOTH_MOTION_PX: Final = 5.0
 """Spread of the velocity up to which the motion is so smooth that it tells where to look."""
+MOST_UNEVEN_PX: Final = 0.7
+"""Error of a displacement from uneven motion within the frames, up to which a link is used."""
 FALL_OF_CORRELATION: Final = 0.08
 """How far a link's correlation may lie below what was usual so far."""
 _MEMORY: Final = 0.2
@@ -136,6 +138,7 @@ class Tracker:
         self._began = self._covered = 0
         self._turned = 0.0
         self._turn_rate = 0.0
+        self._uneven = 0.0
         self._motion = Motion(grid.shutter)
         self._key: _Placed | None = None
         self._last: _Placed | None = None
@@ -184,8 +187,7 @@ class Tracker:
         link = self._link(key, here)
         if link is None:
             return None
-        self._place(key, here, link)
-        return self._track(here, link)
+        return self._track(here, link) if self._place(key, here, link) else None
 
     def _restart(self, here: _Placed) -> Pose | None:
         """Start a new segment from the frame before, which itself has no place, if the two can be linked."""
@@ -197,10 +199,9 @@ class Tracker:
         self._motion, self._usual = Motion(self.grid.shutter), nan
         origin = _Placed(previous.view, previous.index)
         link = self._link(origin, here)
-        if link is None:
+        if link is None or not self._place(origin, here, link):
             self._motion, self._usual = before
             return None
-        self._place(origin, here, link)
         here.row = here.col = here.angle = 0.0
         here.scale = 1.0
         self._key = here
@@ -326,20 +327,29 @@ class Tracker:
         needed = gap * LEAST_EVIDENCE * max(1.0, self._motion.spread / SMOOTH_MOTION_PX)
         return link.observed and link.evidence >= needed and usual
 
-    def _place(self, earlier: _Placed, here: _Placed, link: Link) -> None:
-        """Give a frame its position and velocity."""
-        shutter = self.grid.shutter
-        if here.index == earlier.index + 1:
-            before, after = shutter.velocities(link.warp)
-            if not self._motion.known:
-                earlier.velocity = before
-        else:
-            after = self._velocity_after_gap(earlier, here, link)
+    def _place(self, earlier: _Placed, here: _Placed, link: Link) -> bool:
+        """Give a frame its position and velocity; refuse if the probe moved too unevenly for the link to say so."""
+        shutter, last = self.grid.shutter, self._last
+        assert last is not None
+        after = self._velocity(earlier, here, link)
+        successive = here.index - last.index == 1 or not self._motion.known
+        before = shutter.velocities(link.warp)[0] if here.index == earlier.index + 1 else after
+        self._uneven = self._motion.unevenness(before, after, successive=successive)
+        if self._uneven > MOST_UNEVEN_PX:
+            return False
+        if not self._motion.known:
+            earlier.velocity = before
         moved = shutter.displacement(link.warp, after)
         here.angle, here.scale, here.velocity = earlier.angle + link.turn, earlier.scale * link.zoom, after
         row, col = moved if self.rung is Rung.TRANSLATION else turned_by(here.angle, here.scale) @ moved
         here.row, here.col = earlier.row + float(row), earlier.col + float(col)
         self.links.append((earlier.index, here.index, moved, link))
+        return True
+
+    def _velocity(self, earlier: _Placed, here: _Placed, link: Link) -> Velocity:
+        if here.index == earlier.index + 1:
+            return self.grid.shutter.velocities(link.warp)[1]
+        return self._velocity_after_gap(earlier, here, link)
 
     def _velocity_after_gap(self, earlier: _Placed, here: _Placed, link: Link) -> Velocity:
         """Velocity of a frame linked to one some frames before: from its shear, or from where it came to lie."""
@@ -368,7 +378,8 @@ class Tracker:
         self._last, self._newest = here, link
         known = isfinite(self._usual)
         self._usual = self._usual + _MEMORY * (link.correlation - self._usual) if known else link.correlation
+        sigma = hypot(link.sigma, self._uneven)
         return Pose(
-            self._segment, here.row, here.col, here.velocity, link.correlation, link.sigma, State.TRACKED,
+            self._segment, here.row, here.col, here.velocity, link.correlation, sigma, State.TRACKED,
             here.angle, here.scale,
         )  # fmt: skip

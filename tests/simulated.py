@@ -1,0 +1,45 @@
+"""Recordings of the simulated instrument, and where the probe was, for tests that need its motion within a frame."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.renderer import Renderer
+from napari_elsplus.simulation.scenes import scene
+from napari_elsplus.simulation.truth import true_calibration
+from napari_elsplus.tracking_pipeline import Pipeline, RawPairs
+
+if TYPE_CHECKING:
+    from napari_elsplus.simulation.trajectories import Trajectory
+
+INSTRUMENT = Instrument.of("240hz")
+
+
+class Followed(NamedTuple):
+    pipeline: Pipeline
+    times_s: np.ndarray
+    """When the bundle's middle row was read."""
+    positions_px: np.ndarray
+    """Where the probe then was, camera px."""
+
+    @property
+    def found_px(self) -> np.ndarray:
+        return np.array([(row.row_px, row.col_px) for row in self.pipeline.rows])
+
+
+def followed(path: Trajectory, name: str, frames: int, *, finish: bool = True) -> Followed:
+    """A simulated recording, tracked, and refined if asked for."""
+    renderer = Renderer(INSTRUMENT, scene(name), path, seed=1)
+    raw = np.stack([renderer.render(k) for k in range(frames)])
+    optics = INSTRUMENT.optics
+    calibration = true_calibration(INSTRUMENT, np.full(INSTRUMENT.frame_shape, INSTRUMENT.black_dn, np.float32))
+    pipeline = Pipeline(calibration, INSTRUMENT.frame_shape)
+    for k in range(frames):
+        pipeline.track(raw[k], k)
+    if finish:
+        pipeline.finish(RawPairs(raw, "els"))
+    times = (np.arange(frames) + INSTRUMENT.left_centre[0] / optics.rows_per_frame) * optics.frame_period_s
+    return Followed(pipeline, times, path.positions_um(times) / optics.um_per_px)
