@@ -143,6 +143,22 @@ def test_missing_frames_are_counted_by_cause(engine: Engine, rig: Any) -> None:
     assert engine.status().dropped == {"camera: gap": 3}
 
 
+def test_what_a_camera_skips_before_its_first_good_frame_is_not_lost(engine: Engine, rig: Any) -> None:
+    start = rig.camera.start
+
+    def start_and_skip() -> None:
+        start()
+        rig.camera.dropped = {"invalid after a change": 2}
+
+    rig.camera.start = start_and_skip
+    engine.start()
+    engine.stop()
+    engine.start()  # the engine itself has no frames to throw away any more
+    until(lambda: engine.status().acquired >= 10)
+    engine.stop()
+    assert engine.status().dropped == {}
+
+
 def test_gaps_that_the_camera_does_not_explain_are_counted_too(engine: Engine, rig: Any) -> None:
     class Forgetful(dict[str, int]):
         def __setitem__(self, key: str, value: int) -> None:

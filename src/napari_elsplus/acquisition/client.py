@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.live_images import View
     from napari_elsplus.acquisition.recorder import RecordingPlan
     from napari_elsplus.acquisition.status import Settings
+    from napari_elsplus.acquisition.tally import Latencies
+    from napari_elsplus.acquisition.usage import Usage
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.processing.calibrate import Background, Findings, Pair, SlitOffset
     from napari_elsplus.processing.draft import Flat, LitPair, Setup
@@ -185,6 +187,14 @@ class EngineClient:
     def cancel(self) -> Future[None]:
         """Give up the procedure that runs."""
         return self._ask("cancel")
+
+    def latencies(self) -> Future[Latencies]:
+        """Say how many frames of this run had which latency."""
+        return self._ask("latencies")
+
+    def usage(self) -> Future[Usage]:
+        """Say what the engine's process has used."""
+        return self._ask("usage")
 
     # looking
 

@@ -16,6 +16,8 @@ from napari_elsplus.acquisition.live_images import View
 from napari_elsplus.acquisition.mirror import Mirror
 from napari_elsplus.acquisition.run import Run
 from napari_elsplus.acquisition.status import Status
+from napari_elsplus.acquisition.tally import Latencies
+from napari_elsplus.acquisition.usage import Usage, usage
 from napari_elsplus.errors import DeviceError, ElsPlusError, InputError
 
 if TYPE_CHECKING:
@@ -291,6 +293,14 @@ class Engine:
             faults=self._faults.all(),
             stale=self.setup.stale(self._calibration),
         )
+
+    def latencies(self) -> Latencies:
+        """Return how many frames of this run had which latency."""
+        return Latencies() if self._run is None else self._run.tally.latency.counts()
+
+    def usage(self) -> Usage:
+        """Return what the engine's process has used."""
+        return usage()
 
     # the end
 

@@ -42,7 +42,7 @@ STATUS_PERIOD_S: Final = 0.1
 COMMANDS: Final = frozenset(
     {
         "configure", "use", "show", "start", "stop", "hold", "park", "scan", "record", "stop_recording",
-        "finish_recording", "fresh_frames",
+        "finish_recording", "fresh_frames", "latencies", "usage",
     }
 )  # fmt: skip
 """Methods of the engine that may be called over the connection."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass
 from math import nan
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,32 @@ class Latency:
     p50: float = nan
     p99: float = nan
     max: float = nan
+
+
+class Latencies(NamedTuple):
+    """How many frames had which latency.
+
+    Attributes
+    ----------
+    ms : numpy.ndarray
+        Lower edges of the bins that are not empty, increasing.
+    frames : numpy.ndarray
+        Frames in each.
+    """
+
+    ms: NDArray[np.float64] = np.zeros(0)
+    frames: NDArray[np.int64] = np.zeros(0, np.int64)
+
+    def quantile(self, share: float) -> float:
+        """Latency that so many of the frames do not exceed, to a bin; NaN where nothing was counted.
+
+        Examples
+        --------
+        >>> Latencies(np.array([1.0, 5.0]), np.array([99, 1])).quantile(0.99)
+        1.0
+        """
+        total = self.frames.sum()
+        return float(self.ms[np.searchsorted(np.cumsum(self.frames), share * total)]) if total else nan
 
 
 class LatencyHistogram:
@@ -60,10 +86,10 @@ class LatencyHistogram:
         p50, p99 = (float(np.searchsorted(upto, share * total) + 1) / _BINS_PER_MS for share in (0.5, 0.99))
         return Latency(min(p50, self._largest_ms), min(p99, self._largest_ms), self._largest_ms)
 
-    def counts(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Lower edges in milliseconds and counts of the bins that are not empty."""
+    def counts(self) -> Latencies:
+        """Return the bins that are not empty."""
         filled = np.flatnonzero(self._counts)
-        return filled / _BINS_PER_MS, self._counts[filled]
+        return Latencies(filled / _BINS_PER_MS, self._counts[filled])
 
 
 class Tally:

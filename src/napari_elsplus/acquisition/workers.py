@@ -115,8 +115,8 @@ class CameraWorker(Thread):
                 late_s = info.time_s - (info.exposed_s + self.camera_clock_s) - _START_TAKES_S - frame_period_s
                 settled = late_s < frame_period_s or info.time_s - started_s > _LONGEST_SETTLING_S
                 settled = settled and info.frame_number >= self._settling
+                before = dict(camera.dropped)  # what was lost before the first frame that counts does not count
                 if not settled:
-                    before = dict(camera.dropped)
                     continue
             if expected is not None and info.frame_number > expected:
                 missing += info.frame_number - expected

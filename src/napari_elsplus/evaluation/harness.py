@@ -48,6 +48,8 @@ class Chart(StrEnum):
     PARETO = "cost against error"
     FAILURES = "failure map"
     PARSIMONY = "error against parameters"
+    LATENCY = "how many frames are later than that"
+    LEVELS = "against a level"
 
 
 class Absent(ElsPlusError):

@@ -19,6 +19,8 @@ MODULES: dict[str, str] = {  # the module, and its benchmark where that is not c
     "tracking": "choices.tracking",
     "insertion": "choices.insertion",
     "live": "choices.live",
+    "engine": "choices.engine",
+    "display": "choices.display",
     "recording": "choices.recording",
     "motion": "parsimony.motion",
     "parsimony-line": "parsimony.line",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -46,6 +47,10 @@ def draw_benchmark(result: Result) -> Figure:
             figure = _failures(result)
         case Chart.PARSIMONY:
             figure = _parsimony(result)
+        case Chart.LATENCY:
+            figure = _latency(result)
+        case Chart.LEVELS:
+            figure = _levels(result)
     figure.suptitle(result.benchmark.question)
     absent = f"   absent: {', '.join(result.absent)}" if result.absent else ""
     figure.supxlabel(result.machine + absent, fontsize=7, color="0.4")
@@ -164,5 +169,50 @@ def _parsimony(result: Result) -> Figure:
         if all(0 < row.error < np.inf for row in rows):
             axes.set_yscale("log")
         axes.margins(x=0.3, y=0.2)
+        axes.grid(visible=True, which="major", color="0.92")
+    return figure
+
+
+def _latency(result: Result) -> Figure:
+    """For each method, the share of frames that are later than a latency."""
+    figure, panels = _panels(len(result.cases))
+    for axes, case in zip(panels, result.cases, strict=True):
+        for row, style in zip(result.of_case(case), cycle(("o-", "s--", "^:"))):
+            known = {name.removesuffix(" % / ms"): ms for name, ms in row.details.items() if name.endswith(" % / ms")}
+            later = [1 - float(percent) / 100 for percent in known]
+            drawn = [(ms, share) for ms, share in zip(known.values(), later, strict=True) if share > 0]
+            label = f"{row.method}, {row.cost_us:.0f} \N{MICRO SIGN}s of processor time a frame"
+            axes.plot(*zip(*drawn, strict=True), style, color=COLOURS[row.role], label=label)
+            axes.plot(max(known.values()), drawn[-1][1] / 3, "|", color=COLOURS[row.role])
+        axes.set_title(case, fontsize=10)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("latency / ms (bars: the largest)")
+        axes.set_ylabel("share of frames that are later")
+        axes.grid(visible=True, which="major", color="0.92")
+        axes.legend(frameon=False, fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.13))
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+    return figure
+
+
+def _levels(result: Result) -> Figure:
+    """Draw what is measured against a level: its rate, and what each image costs."""
+    figure, (rate, cost) = _panels(2)
+    for method in dict.fromkeys(row.method for row in result.rows):
+        rows = [row for row in result.rows if row.method == method]
+        levels, colour = [row.level for row in rows], COLOURS[rows[0].role]
+        rate.plot(levels, [1e3 / row.error for row in rows], "o-", color=colour, label=method)
+        for name, style in (("update / ms", "o-"), ("drawing and all else / ms", "s:")):
+            label = f"{name.removesuffix(' / ms')}, {method}"
+            cost.plot(levels, [row.details[name] for row in rows], style, color=colour, label=label)
+    rate.set_ylabel("images shown each second")
+    cost.set_ylabel("time of the window for each image / ms")
+    for axes in (rate, cost):
+        axes.set_xlabel(result.rows[0].group)
+        axes.set_xticks(sorted({row.level for row in result.rows}))
+        axes.set_ylim(bottom=0)
+        axes.legend(frameon=False, fontsize=7)
         axes.grid(visible=True, which="major", color="0.92")
     return figure

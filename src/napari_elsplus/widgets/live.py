@@ -21,6 +21,7 @@ from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.processing.cores import CoreFilter
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.settings import recall, remember
+from napari_elsplus.widgets.drawing import Drawing
 from napari_elsplus.widgets.engine_panel import EnginePanel
 from napari_elsplus.widgets.live_layers import KINDS, LiveLayers
 from napari_elsplus.widgets.panel import told
@@ -53,6 +54,7 @@ class Live(EnginePanel):
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
         self.layers = LiveLayers(viewer)
+        self.drawing = Drawing(self)
         self._faults_told: set[str] = set()
         self._arranged: object = None
         self._shown_at_s: list[float] = []
@@ -124,7 +126,7 @@ class Live(EnginePanel):
         """Show the newest frame, if there is a new one."""
         client = self.connection.client
         now_s = time.perf_counter()
-        if client is not None and self.live:
+        if client is not None and self.live and not self.drawing.pending:
             self._look(client, now_s)
         if now_s - self._status_at_s > STATUS_S:
             self._status_at_s = now_s
@@ -174,6 +176,7 @@ class Live(EnginePanel):
         whole = now_s - self._whole_at_s > WHOLE_S
         if self.layers.update(ring, whole=whole) is None:
             return
+        self.drawing.ask()
         self._shown_at_s = [*self._shown_at_s[-60:], now_s]
         if whole:
             self._whole_at_s = now_s
