@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 LEVELS: Final = 8
 """Halves of halves that are kept: enough for 65,000 pixels."""
+FRAME_STEP_PX: Final = 2 << (LEVELS - 1)
+"""The image's edges are multiples of this: what two pixels of the last level span."""
 COARSEST_PX: Final = 512
 """The last level that is shown is no larger."""
 _WHITE_SHARE: Final = 1e-3
@@ -66,8 +68,8 @@ class GrowingImage:
     >>> image.update({0: mosaic})
     Change(pixels=True, frame=True, places=False)
     >>> [level.shape for level in image.levels], image.frame
-    ([(1024, 1024), (512, 512)], Rectangle(top=-512, left=-512, bottom=512, right=512))
-    >>> float(image.levels[0][512, 512]), image.update({0: mosaic}).pixels
+    ([(512, 512), (256, 256)], Rectangle(top=-256, left=-256, bottom=256, right=256))
+    >>> float(image.levels[0][256, 256]), image.update({0: mosaic}).pixels
     (7.0, False)
     """
 
@@ -90,7 +92,7 @@ class GrowingImage:
         """
         moved = self.sheet.arrange(canvases, like)
         dirty = self._pyramid.refresh()
-        frame = _aligned(self.sheet.extent or self.frame)
+        frame = _aligned(self.sheet.drawn or self.frame)
         reframed = frame != self.frame
         if reframed:
             self.frame = frame
@@ -192,10 +194,9 @@ def _halved(frame: Rectangle, level: int) -> Rectangle:
 
 
 def _aligned(extent: Rectangle) -> Rectangle:
-    """Round outwards to what a pixel of the last level spans."""
-    step = 1 << (LEVELS - 1)
-    top, left = (step * (first // step) for first in (extent.top, extent.left))
-    bottom, right = (-step * (-last // step) for last in (extent.bottom, extent.right))
+    """Round outwards, so far that the image seldom needs another frame while it grows."""
+    top, left = (FRAME_STEP_PX * (first // FRAME_STEP_PX) for first in (extent.top, extent.left))
+    bottom, right = (-FRAME_STEP_PX * (-last // FRAME_STEP_PX) for last in (extent.bottom, extent.right))
     return Rectangle(top, left, bottom, right)
 
 

@@ -30,7 +30,8 @@ SCORES: Final = (0.5, 1.0)
 """Correlations at the ends of the track's colours."""
 _COLOURS: Final = {PREDICTED: "#e69f00", LOST: "#d55e00", BEGINS: "#56b4e9"}
 _SYMBOLS: Final = {PREDICTED: "ring", LOST: "x", BEGINS: "disc"}
-_MARK_PX: Final = 9
+_LINE_SHARE: Final = 0.004
+_MARK_SHARE: Final = 0.015
 _FILLED: Final = 0.9
 
 
@@ -196,6 +197,7 @@ class MosaicLayers:
                 layer.refresh_colors()
             self._made.add(TRACK)
             if layer is not None:
+                layer.edge_width = max(2.0, _LINE_SHARE * max(lead.frame.shape))
                 layer.translate = place
         self._draw_marks(drawn, place)
 
@@ -213,7 +215,7 @@ class MosaicLayers:
             if MARKS in self._made:
                 return
             layer = Points(
-                drawn.marks, features=features, symbol=symbols, face_color=colours, border_color=colours, size=_MARK_PX,
+                drawn.marks, features=features, symbol=symbols, face_color=colours, border_color=colours,
                 text={"string": "{label}", "color": _COLOURS[BEGINS], "anchor": "lower_left", "size": 11},
                 name="mosaic track marks",
             )  # fmt: skip
@@ -223,8 +225,8 @@ class MosaicLayers:
             layer.data = drawn.marks
             layer.features = features
             layer.symbol, layer.face_color, layer.border_color = symbols, colours, colours
-            layer.size = _MARK_PX
         self._made.add(MARKS)
+        layer.size = max(8.0, _MARK_SHARE * max(self._images[self._lead].frame.shape))
         layer.translate = place
 
     def _draw_maps(self, mosaics: Mosaics) -> None:
