@@ -8,7 +8,6 @@ weights of a row are constants.
 from __future__ import annotations
 
 from enum import StrEnum
-from threading import Lock
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,7 +16,7 @@ from napari_elsplus.compiled import lean_kernel
 from napari_elsplus.processing.grid import FIELD
 from napari_elsplus.processing.ladder import turned_by, unsheared, upright
 from napari_elsplus.processing.motion import Velocity
-from napari_elsplus.processing.tiles import HeapTiles, Rectangle, TileStore, tile_rectangle
+from napari_elsplus.processing.tiles import Rectangle, TiledCanvas, TileStore, tile_rectangle
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,7 +65,7 @@ def rim_weights(grid: Grid, line_away: float = 0.0) -> NDArray[np.float32]:
     return weights
 
 
-class Mosaic:
+class Mosaic(TiledCanvas):
     """Frames of one segment on a canvas without edges; pixels are those of the tracking grid.
 
     One thread inserts; any thread may read.
@@ -81,11 +80,6 @@ class Mosaic:
         (side, side) float32 weight of each pixel of a frame; :func:`rim_weights` by default.
     store : TileStore, optional
         Where the tiles are kept; the heap by default.
-
-    Attributes
-    ----------
-    extent : Rectangle or None
-        What has been drawn on.
     """
 
     def __init__(
@@ -98,13 +92,10 @@ class Mosaic:
     ) -> None:
         self.grid = grid
         self.insertion = Insertion(insertion)
-        self.extent: Rectangle | None = None
+        super().__init__(store, blended=self.insertion is Insertion.FEATHERED)
         self._weights = rim_weights(grid) if weights is None else weights
-        self._store: TileStore = HeapTiles() if store is None else store
         self._spans = grid.spans()
         self._turned = np.zeros((grid.side, grid.side), np.float32)
-        self._lock = Lock()
-        self._dirty: Rectangle | None = None
 
     def insert(
         self,
@@ -149,51 +140,8 @@ class Mosaic:
                     tile.value, tile.weight, at.top, at.left, image, self._weights, *self._spans,
                     *self.grid.centre, row, col, stretch, shear, blend,
                 )  # fmt: skip
-            self.extent = touched if self.extent is None else self.extent.around(touched)
-            self._dirty = touched if self._dirty is None else self._dirty.around(touched)
+            self._touched(touched)
         return touched
-
-    def take_dirty(self) -> Rectangle | None:
-        """Return what changed since the last call, or None."""
-        with self._lock:
-            dirty, self._dirty = self._dirty, None
-        return dirty
-
-    def read(self, part: Rectangle | None = None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Copy a part of the canvas.
-
-        Parameters
-        ----------
-        part : Rectangle, optional
-            All that was drawn on by default.
-
-        Returns
-        -------
-        image : numpy.ndarray
-            (rows, cols) float32 grey levels; 0 where nothing was drawn.
-        weight : numpy.ndarray
-            (rows, cols) float32; the sum of weights where frames are blended, the weight of the frame on top where not.
-        """
-        part = part or self.extent or Rectangle(0, 0, 0, 0)
-        image, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
-        with self._lock:
-            existing = set(self._store.keys())
-            for key in part.tiles():
-                if key not in existing:
-                    continue
-                tile, at = self._store.tile(*key), tile_rectangle(*key)
-                shared = part.within(at)
-                here, there = shared.slices(part), shared.slices(at)
-                image[here], weight[here] = tile.value[there], tile.weight[there]
-        if self.insertion is Insertion.FEATHERED:
-            np.divide(image, weight, out=image, where=weight > 0)
-        return image, weight
-
-    def clear(self) -> None:
-        """Forget everything that was drawn."""
-        with self._lock:
-            self._store.clear()
-            self.extent = self._dirty = None
 
     def _reach(self, row: float, col: float, stretch: float, shear: float) -> Rectangle:
         radius = 0.5 * FIELD * self.grid.diameter

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import Lock
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -142,6 +143,77 @@ class HeapTiles:
     def clear(self) -> None:
         """Forget all tiles."""
         self._tiles.clear()
+
+
+class TiledCanvas:
+    """A canvas without edges, of tiles. One thread draws; any thread may read.
+
+    Parameters
+    ----------
+    store : TileStore, optional
+        Where the tiles are kept; the heap by default.
+    blended : bool
+        Whether tiles hold weighted sums, of which the means are read.
+
+    Attributes
+    ----------
+    extent : Rectangle or None
+        What has been drawn on.
+    """
+
+    def __init__(self, store: TileStore | None = None, *, blended: bool = False) -> None:
+        self.extent: Rectangle | None = None
+        self._store: TileStore = HeapTiles() if store is None else store
+        self._blended = blended
+        self._lock = Lock()
+        self._dirty: Rectangle | None = None
+
+    def take_dirty(self) -> Rectangle | None:
+        """Return what changed since the last call, or None."""
+        with self._lock:
+            dirty, self._dirty = self._dirty, None
+        return dirty
+
+    def read(self, part: Rectangle | None = None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Copy a part of the canvas.
+
+        Parameters
+        ----------
+        part : Rectangle, optional
+            All that was drawn on by default.
+
+        Returns
+        -------
+        image : numpy.ndarray
+            (rows, cols) float32 grey levels; 0 where nothing was drawn.
+        weight : numpy.ndarray
+            (rows, cols) float32; the sum of weights where frames are blended, the weight of the frame on top where not.
+        """
+        part = part or self.extent or Rectangle(0, 0, 0, 0)
+        image, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
+        with self._lock:
+            existing = set(self._store.keys())
+            for key in part.tiles():
+                if key not in existing:
+                    continue
+                tile, at = self._store.tile(*key), tile_rectangle(*key)
+                shared = part.within(at)
+                here, there = shared.slices(part), shared.slices(at)
+                image[here], weight[here] = tile.value[there], tile.weight[there]
+        if self._blended:
+            np.divide(image, weight, out=image, where=weight > 0)
+        return image, weight
+
+    def clear(self) -> None:
+        """Forget everything that was drawn."""
+        with self._lock:
+            self._store.clear()
+            self.extent = self._dirty = None
+
+    def _touched(self, part: Rectangle) -> None:
+        """Take note of what was drawn on; with the lock held."""
+        self.extent = part if self.extent is None else self.extent.around(part)
+        self._dirty = part if self._dirty is None else self._dirty.around(part)
 
 
 def around_all(parts: Iterable[Rectangle]) -> Rectangle | None:
