@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.compiled import kernel
+from napari_elsplus.compiled import lean_kernel
 from napari_elsplus.processing.lucas_kanade import align, correlation
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ _BEYOND_DOUBT: Final = 1.0
 """Evidence against the nearest rivals, nats per pixel, that makes farther ones needless."""
 
 
-@kernel
+@lean_kernel
 def rival_evidence(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
@@ -36,8 +36,9 @@ def rival_evidence(
     middle: float,
     warp: NDArray[np.float64],
     information: NDArray[np.float64],
-    stiffness: NDArray[np.float64],
+    stiffness: tuple[float, float],
     correlated_px: float,
+    work: NDArray[np.float64],
 ) -> float:
     """Evidence for a warp against the best of its rivals.
 
@@ -49,10 +50,14 @@ def rival_evidence(
         (n,) int32: lit columns of each row.
     middle : float
         Row of the bundle's centre at half resolution.
-    warp, information, stiffness : numpy.ndarray
-        (4,) warp in pixels of full resolution, its (4, 4) information, and what of that was known beforehand.
+    warp, information : numpy.ndarray
+        (4,) warp in pixels of full resolution, and its (4, 4) information.
+    stiffness : tuple of float
+        Information on a and s that was there beforehand.
     correlated_px : float
         Pixels of full resolution that share one noise value.
+    work : numpy.ndarray
+        From :func:`napari_elsplus.processing.lucas_kanade.workspace`.
 
     Returns
     -------
@@ -63,34 +68,39 @@ def rival_evidence(
     _, across, along, a_follows, s_follows = weakest_direction(information)
     if across == 0.0 and along == 0.0:
         return 0.0
-    unit = np.array([1.0, 2.0, 1.0, 2.0])  # from half to full resolution
-    held = stiffness.copy()
-    held[1, 1] += _HELD * across * across
-    held[1, 3] += _HELD * across * along
-    held[3, 1] += _HELD * across * along
-    held[3, 3] += _HELD * along * along
-    for i in range(4):
-        for j in range(4):
-            held[i, j] *= unit[i] * unit[j]
-    rho, count = correlation(template, image, first, last, middle, warp / unit, _ROW_STEP)
+    held, scratch, rival, start = work[3], work[4], work[5, 0], work[5, 1]
+    held[:] = 0.0
+    held[0, 0], held[2, 2] = stiffness
+    held[1, 1] = 4 * _HELD * across * across  # in pixels of half resolution
+    held[1, 3] = held[3, 1] = 4 * _HELD * across * along
+    held[3, 3] = 4 * _HELD * along * along
+    in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), start)
+    rho, count = correlation(template, image, first, last, middle, start, _ROW_STEP)
     if count == 0:
         return 0.0
-    scratch = np.empty((4, 4))
     smallest = np.inf
     for k in range(4):
         if k == 2 and smallest > _BEYOND_DOUBT:
             break
         shift = RIVAL_PX * (1 + k // 2) * (1 - 2 * (k % 2))
-        rival = warp + shift * np.array([a_follows, across, s_follows, along])
-        rival /= unit
+        a, b = warp[0] + shift * a_follows, warp[1] + shift * across
+        s, d = warp[2] + shift * s_follows, warp[3] + shift * along
+        in_pixels_of(2.0, (a, b, s, d), start)
+        in_pixels_of(2.0, (a, b, s, d), rival)
         other, _ = align(
-            template, image, first, last, middle, _ROW_STEP, 3, 0.02, rival.copy(), held, correlated_px, rival, scratch
+            template, image, first, last, middle, _ROW_STEP, 3, 0.02, start, held, correlated_px, rival, scratch, work
         )
         smallest = min(smallest, evidence_between(rho, other))
     return float(smallest)
 
 
-@kernel
+@lean_kernel
+def in_pixels_of(px: float, warp: tuple[float, ...], out: NDArray[np.float64]) -> None:
+    """Write a warp in pixels of another size."""
+    out[0], out[1], out[2], out[3] = warp[0], warp[1] / px, warp[2], warp[3] / px
+
+
+@lean_kernel
 def evidence_between(found: float, other: float) -> float:
     """Evidence of one correlation against another, nats per pixel.
 
@@ -100,7 +110,7 @@ def evidence_between(found: float, other: float) -> float:
     return float(0.5 * np.log((1 - rival**2) / (1 - explained**2)))
 
 
-@kernel
+@lean_kernel
 def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
     """How well a shift is known in the direction in which it is known least.
 
@@ -111,14 +121,13 @@ def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, f
     determinant = aa * ss - shear * shear
     if not determinant > 0:
         return np.inf, 0.0, 0.0, 0.0, 0.0
-    # follow: how stretch and shear make up for a shift; what is left is known of the shift itself
-    follow = np.empty((2, 2))
-    for n, t in enumerate((1, 3)):
-        follow[0, n] = -(ss * information[0, t] - shear * information[2, t]) / determinant
-        follow[1, n] = -(aa * information[2, t] - shear * information[0, t]) / determinant
-    rows = information[1, 1] + information[1, 0] * follow[0, 0] + information[1, 2] * follow[1, 0]
-    both = information[1, 3] + information[1, 0] * follow[0, 1] + information[1, 2] * follow[1, 1]
-    cols = information[3, 3] + information[3, 0] * follow[0, 1] + information[3, 2] * follow[1, 1]
+    # how stretch and shear make up for a shift; what is left is known of the shift itself
+    ab, sb, ad, sd = information[0, 1], information[2, 1], information[0, 3], information[2, 3]
+    a_row, s_row = -(ss * ab - shear * sb) / determinant, -(aa * sb - shear * ab) / determinant
+    a_col, s_col = -(ss * ad - shear * sd) / determinant, -(aa * sd - shear * ad) / determinant
+    rows = information[1, 1] + ab * a_row + sb * s_row
+    both = information[1, 3] + ab * a_col + sb * s_col
+    cols = information[3, 3] + ad * a_col + sd * s_col
     if not (rows > 0 and cols > 0):
         return np.inf, 0.0, 0.0, 0.0, 0.0
     angle = 0.5 * np.arctan2(2 * both, rows - cols)  # of the direction known best
@@ -128,6 +137,6 @@ def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, f
         1 / np.sqrt(known) if known > 0 else np.inf,
         across,
         along,
-        follow[0, 0] * across + follow[0, 1] * along,
-        follow[1, 0] * across + follow[1, 1] * along,
+        a_row * across + a_col * along,
+        s_row * across + s_col * along,
     )

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.compiled import kernel
+from napari_elsplus.compiled import lean_kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,7 +25,12 @@ PARAMETERS = 4
 _UNKNOWNS = PARAMETERS + 2  # and the gain and offset between the frames
 
 
-@kernel
+def workspace() -> NDArray[np.float64]:
+    """Return what :func:`align` and what is built on it work in; one for each thread at work."""
+    return np.zeros((7, _UNKNOWNS, _UNKNOWNS))
+
+
+@lean_kernel
 def row_shift(
     row: int, height: int, middle: float, warp: NDArray[np.float64], first: NDArray[np.int32], last: NDArray[np.int32]
 ) -> tuple[int, float, int, float, int, int]:
@@ -46,7 +51,41 @@ def row_shift(
     return above, at - above, whole, shift - whole, begin, max(begin, end)
 
 
-@kernel
+@lean_kernel
+def neighbours(image: NDArray[np.float32], above: int, left: int, size: int) -> tuple[NDArray[np.float32], ...]:
+    """Return the four runs of pixels between which a row of samples lies: upper, right of it, lower, right of it."""
+    end = left + size
+    return (
+        image[above, left:end],
+        image[above, left + 1 : end + 1],
+        image[above + 1, left:end],
+        image[above + 1, left + 1 : end + 1],
+    )
+
+
+@lean_kernel
+def bilinear(down: float, across: float) -> tuple[float, ...]:
+    """Weights of these four."""
+    return (
+        np.float32((1 - down) * (1 - across)),
+        np.float32((1 - down) * across),
+        np.float32(down * (1 - across)),
+        np.float32(down * across),
+    )
+
+
+@lean_kernel
+def between(corners: tuple[NDArray[np.float32], ...], weights: tuple[float, ...], k: int) -> float:
+    """Sample k of such a row."""
+    return (
+        weights[0] * corners[0][k]
+        + weights[1] * corners[1][k]
+        + weights[2] * corners[2][k]
+        + weights[3] * corners[3][k]
+    )
+
+
+@lean_kernel
 def accumulate(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
@@ -74,17 +113,12 @@ def accumulate(
         above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
         if end <= begin:
             continue
-        w00, w01 = np.float32((1 - down) * (1 - across)), np.float32((1 - down) * across)
-        w10, w11 = np.float32(down * (1 - across)), np.float32(down * across)
         size = end - begin
         here = template[row, begin:end]
         left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
         over, under = template[row - 1, begin:end], template[row + 1, begin:end]
-        upper, upper_next = image[above, begin + whole : end + whole], image[above, begin + whole + 1 : end + whole + 1]
-        lower, lower_next = (
-            image[above + 1, begin + whole : end + whole],
-            image[above + 1, begin + whole + 1 : end + whole + 1],
-        )
+        corners = neighbours(image, above, begin + whole, size)
+        weights = bilinear(down, across)
         zero = np.float32(0)
         t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
         y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
@@ -92,7 +126,7 @@ def accumulate(
             t = here[k]
             gx = np.float32(0.5) * (right_of[k] - left[k])
             gy = np.float32(0.5) * (under[k] - over[k])
-            i = w00 * upper[k] + w01 * upper_next[k] + w10 * lower[k] + w11 * lower_next[k]
+            i = between(corners, weights, k)
             e = i - gain * t - offset
             t1 += t
             i1 += i
@@ -159,7 +193,7 @@ def accumulate(
     )
 
 
-@kernel
+@lean_kernel
 def correlation(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
@@ -176,19 +210,14 @@ def correlation(
         above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
         if end <= begin:
             continue
-        w00, w01 = np.float32((1 - down) * (1 - across)), np.float32((1 - down) * across)
-        w10, w11 = np.float32(down * (1 - across)), np.float32(down * across)
         here = template[row, begin:end]
-        upper, upper_next = image[above, begin + whole : end + whole], image[above, begin + whole + 1 : end + whole + 1]
-        lower, lower_next = (
-            image[above + 1, begin + whole : end + whole],
-            image[above + 1, begin + whole + 1 : end + whole + 1],
-        )
+        corners = neighbours(image, above, begin + whole, end - begin)
+        weights = bilinear(down, across)
         zero = np.float32(0)
         t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
         for k in range(end - begin):
             t = here[k]
-            i = w00 * upper[k] + w01 * upper_next[k] + w10 * lower[k] + w11 * lower_next[k]
+            i = between(corners, weights, k)
             t1 += t
             i1 += i
             tt += t * t
@@ -208,14 +237,14 @@ def correlation(
     ), count
 
 
-@kernel
+@lean_kernel
 def _correlation(count: float, template: float, image: float, both: float) -> float:
     if count < 2 or not (template > 0 and image > 0):
         return 0.0
     return float(both / np.sqrt(template * image))
 
 
-@kernel
+@lean_kernel
 def align(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
@@ -230,6 +259,7 @@ def align(
     correlated_px: float,
     warp: NDArray[np.float64],
     information: NDArray[np.float64],
+    work: NDArray[np.float64],
 ) -> tuple[float, float]:
     """Refine a warp in place; fill its information matrix; return correlation and number of pixels of the overlap.
 
@@ -248,14 +278,16 @@ def align(
     tolerance_px : float
         A step that moves no pixel farther than this is the last.
     expected, stiffness : numpy.ndarray
-        (4,) and (4, 4) float64: what is known of the warp beforehand, and its information; zero leaves a parameter
-        free.
+        (4,) and (4, 4) float64, or larger: what is known of the warp beforehand, and its information; zero leaves a
+        parameter free.
     correlated_px : float
         Number of pixels that share one independent noise value: scales the information.
     warp : numpy.ndarray
         (4,) float64: a, b, s, d; where to start, and the result.
     information : numpy.ndarray
         (4, 4) float64: inverse covariance of the result, what was known beforehand included.
+    work : numpy.ndarray
+        From :func:`workspace`; its first three parts are used.
 
     Returns
     -------
@@ -264,9 +296,8 @@ def align(
     float
         Number of pixels in it.
     """
-    normal = np.empty((_UNKNOWNS, _UNKNOWNS))
-    right = np.empty(_UNKNOWNS)
-    tone = np.array([1.0, 0.0])  # gain and offset of the image against the template
+    normal, right, tone = work[0], work[1, 0], work[1, 1]
+    tone[0], tone[1] = 1.0, 0.0  # gain and offset of the image against the template
     ncc, count = 0.0, 0.0
     information[:] = 0.0
     for _ in range(steps):
@@ -281,7 +312,7 @@ def align(
             for k in range(PARAMETERS):
                 normal[i, k] += stiffness[i, k] * noise
                 right[i] += stiffness[i, k] * noise * (warp[k] - expected[k])
-        if not solve(normal, right):
+        if not solve(normal, right, work[2]):
             return 0.0, count
         da, db, ds, dd = right[0], right[1], right[2], right[3]
         if abs(da) > 0.2 or abs(ds) > 0.2:
@@ -291,7 +322,8 @@ def align(
         warp[1] -= a * db
         warp[3] -= dd + s * db
         warp[0], warp[2] = a, s
-        tone += right[PARAMETERS:]
+        tone[0] += right[PARAMETERS]
+        tone[1] += right[PARAMETERS + 1]
         # what is known of the warp once gain and offset are eliminated: the Schur complement, left by the elimination
         for i in range(PARAMETERS):
             for k in range(PARAMETERS):
@@ -301,9 +333,12 @@ def align(
     return ncc, count
 
 
-@kernel
-def solve(normal: NDArray[np.float64], right: NDArray[np.float64]) -> bool:
-    """Solve symmetric equations in place, gain and offset first; leave the warp's Schur complement in `normal`."""
+@lean_kernel
+def solve(normal: NDArray[np.float64], right: NDArray[np.float64], rest: NDArray[np.float64]) -> bool:
+    """Solve symmetric equations in place, gain and offset first; leave the warp's Schur complement in `normal`.
+
+    `rest` is scratch of the size of `normal`.
+    """
     size = len(right)
     for pivot in range(size - 1, PARAMETERS - 1, -1):
         p = normal[pivot, pivot]
@@ -314,7 +349,9 @@ def solve(normal: NDArray[np.float64], right: NDArray[np.float64]) -> bool:
             for k in range(pivot):
                 normal[i, k] -= f * normal[pivot, k]
             right[i] -= f * right[pivot]
-    rest = normal[:PARAMETERS, :PARAMETERS].copy()
+    for i in range(PARAMETERS):
+        for k in range(PARAMETERS):
+            rest[i, k] = normal[i, k]
     for pivot in range(PARAMETERS):
         p = rest[pivot, pivot]
         if not p > 1e-9 * normal[pivot, pivot]:

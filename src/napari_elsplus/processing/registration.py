@@ -13,10 +13,17 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.compiled import kernel
 from napari_elsplus.processing import ladder
-from napari_elsplus.processing.evidence import RIVAL_PX, evidence_between, rival_evidence, weakest_direction
-from napari_elsplus.processing.lucas_kanade import align
+from napari_elsplus.processing.descent import (
+    CORRELATED_PX,
+    LEVELS,
+    ROW_STEP,
+    align_candidate,
+    fill_coarser,
+    link_levels,
+)
+from napari_elsplus.processing.evidence import RIVAL_PX, evidence_between, weakest_direction
+from napari_elsplus.processing.lucas_kanade import workspace
 from napari_elsplus.processing.motion import Displacement, Velocity, Warp
 from napari_elsplus.processing.shift_search import LEAST_OVERLAP, ShiftSearch, prior, support
 
@@ -25,7 +32,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.grid import Grid
 
-LEVELS: Final = 3
 LEAST_EVIDENCE: Final = 0.1
 """Evidence that a link needs against each of its rivals, in nats per pixel."""
 _AT_REST: Final = Velocity(0.0, 0.0)
@@ -33,8 +39,6 @@ _SURE: Final = 0.9
 _TURNS: Final = 4
 _SMALL_TURN: Final = 0.004
 """Angle, in radians, up to which one linear step is exact enough: half a pixel at the rim."""
-_CORRELATED_PX: Final = 20.0
-"""Pixels that share one noise value: the front end smooths, and the core pattern is correlated."""
 
 
 @dataclass(slots=True)
@@ -116,7 +120,8 @@ class Registrar:
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         self._spans = [grid.spans(level=level) for level in range(LEVELS)]
-        self._middles = [grid.middle(level) for level in range(LEVELS)]
+        self._first, self._last = (tuple(span[end] for span in self._spans) for end in (0, 1))
+        self._middles = tuple(grid.middle(level) for level in range(LEVELS))
         self._centre = self._middles[1], (grid.centre[1] - 0.5) / 2
         self._pixels = [float((last - first).sum()) for first, last in self._spans]
         self._everywhere = ShiftSearch(*self._spans[-1], 2.0 ** (LEVELS - 1))
@@ -129,8 +134,7 @@ class Registrar:
     def prepare(self, view: View) -> View:
         """Fill the coarser levels from the image at full resolution."""
         view.spectra = None
-        for fine, coarse in zip(view.levels, view.levels[1:], strict=False):
-            halve(fine, coarse)
+        fill_coarser(view.levels)
         return view
 
     def link(self, earlier: View, later: View, expected: Warp, spread: tuple[float, float]) -> Link:
@@ -145,23 +149,20 @@ class Registrar:
         spread : tuple of float
             Standard deviations beforehand of the stretch a and the shear s about their expected values.
         """
-        warp = np.array(expected, float)
-        information = np.empty((4, 4))
-        stiffness = np.diag([spread[0] ** -2, 0.0, spread[1] ** -2, 0.0])
-        scores = self._descend(earlier, later, warp, stiffness, information)
-        first, last = self._spans[1]
-        evidence = rival_evidence(
-            earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, information, stiffness,
-            _CORRELATED_PX / 8,
+        warp, information = np.array(expected, float), np.empty((4, 4))
+        correlation, count, evidence = link_levels(
+            earlier.levels, later.levels, self._first, self._last, self._middles, (spread[0] ** -2, spread[1] ** -2),
+            warp, information, workspace(),
         )  # fmt: skip
-        return Link(Warp(*warp.tolist()), information, scores[0], scores[1] / self._pixels[0] * _ROW_STEP, evidence)
+        overlap = count / self._pixels[0] * ROW_STEP
+        return Link(Warp(*warp.tolist()), information, correlation, overlap, evidence)
 
     def remainder(self, earlier: View, later: View, warp: Warp, spread: tuple[float, float]) -> ladder.Remainder | None:
         """Ask what rotation and scale would add to a warp; None where the frames say nothing."""
         first, last = self._spans[1]
         stiffness = spread[0] ** -2, spread[1] ** -2
         return ladder.remainder(
-            earlier.levels[1], later.levels[1], first, last, self._centre, warp, 2.0, stiffness, _CORRELATED_PX / 4
+            earlier.levels[1], later.levels[1], first, last, self._centre, warp, 2.0, stiffness, CORRELATED_PX / 4
         )
 
     def turned(self, view: View, velocity: Velocity, turn: float, zoom: float, out: View) -> View:
@@ -258,9 +259,11 @@ class Registrar:
             How far the shift may well be from what is expected.
         """
         found: list[tuple[float, float, Warp]] = []
+        first, last = self._spans[1]
+        work = workspace()
         for shift in self._everywhere.peaks(self._spectra(earlier), self._spectra(later), expected, reach_px):
             warp = np.array([expected.a, shift[0], expected.s, shift[1]])
-            ncc, count = self._half_resolution(earlier, later, warp)
+            ncc, count = align_candidate(earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, work)
             likely = support(np.array(ncc), np.array(count / 4))
             score = float(likely + prior(warp[1] - expected.b, warp[3] - expected.d, reach_px))
             if ncc > 0:
@@ -277,77 +280,3 @@ class Registrar:
         if view.spectra is None:
             view.spectra = self._everywhere.spectra(view.levels[-1])
         return view.spectra
-
-    def _descend(
-        self,
-        earlier: View,
-        later: View,
-        warp: NDArray[np.float64],
-        stiffness: NDArray[np.float64],
-        information: NDArray[np.float64],
-    ) -> tuple[float, float]:
-        expected = warp.copy()
-        scores = (0.0, 0.0)
-        for level, steps, tolerance_px, row_step, stiff in _SCHEDULE:
-            unit, units = _UNITS[level]
-            scaled = warp / unit
-            first, last = self._spans[level]
-            scores = align(
-                earlier.levels[level],
-                later.levels[level],
-                first,
-                last,
-                self._middles[level],
-                row_step,
-                steps,
-                tolerance_px,
-                expected / unit,
-                _RIGID if stiff else stiffness * units,
-                _CORRELATED_PX / row_step / 4**level,
-                scaled,
-                information,
-            )
-            if scores[0] == 0.0:
-                break
-            warp[:] = scaled * unit
-        return scores
-
-    def _half_resolution(self, earlier: View, later: View, warp: NDArray[np.float64]) -> tuple[float, float]:
-        first, last = self._spans[1]
-        scaled = warp / np.array([1.0, 2.0, 1.0, 2.0])
-        score = align(
-            earlier.levels[1],
-            later.levels[1],
-            first,
-            last,
-            self._middles[1],
-            1,
-            8,
-            0.1,
-            scaled.copy(),
-            _RIGID,
-            1.0,
-            scaled,
-            np.empty((4, 4)),
-        )
-        warp[:] = scaled * np.array([1.0, 2.0, 1.0, 2.0])
-        return score
-
-
-_ROW_STEP: Final = 2
-_UNIT: Final = [np.array([1.0, 2.0**level, 1.0, 2.0**level]) for level in range(LEVELS)]
-_UNITS: Final = [(unit, np.outer(unit, unit)) for unit in _UNIT]
-"""What a warp and its information are counted in at each level of the pyramid."""
-_RIGID: Final = np.diag([1e12, 0.0, 1e12, 0.0])
-_SCHEDULE: Final = ((2, 12, 0.2, 1, True), (1, 10, 0.1, 1, False), (0, 6, 0.02, _ROW_STEP, False))
-"""Level of the pyramid, steps, tolerance, every how many rows, whether only the translation is free."""
-
-
-@kernel
-def halve(fine: NDArray[np.float32], coarse: NDArray[np.float32]) -> None:
-    """Fill `coarse` (n / 2, n / 2) with the means of two by two pixels of `fine`."""
-    quarter = np.float32(0.25)
-    for row in range(coarse.shape[0]):
-        upper, lower, into = fine[2 * row], fine[2 * row + 1], coarse[row]
-        for col in range(coarse.shape[1]):
-            into[col] = quarter * (upper[2 * col] + upper[2 * col + 1] + lower[2 * col] + lower[2 * col + 1])
