@@ -27,7 +27,7 @@ ROW_STEP: Final = 2
 _RIGID: Final = 1e12
 _STEPS: Final = (6, 10, 12)
 _TOLERANCE_PX: Final = (0.02, 0.1, 0.2)
-_ROW_STEPS: Final = (ROW_STEP, 1, 1)
+_ROW_STEPS: Final = (ROW_STEP, 2, 1)
 """Of each level, the finest first: largest number of steps, smallest step in its own pixels, rows used."""
 _CANDIDATE_STEPS: Final = 8
 

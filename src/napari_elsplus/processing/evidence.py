@@ -23,6 +23,8 @@ RIVAL_PX: Final = 4.0
 _HELD: Final = 1e8
 _BEST_CORRELATION: Final = 0.995
 _ROW_STEP: Final = 2
+_STEPS: Final = 2
+"""In which a rival is fitted: it starts near its best."""
 _BEYOND_DOUBT: Final = 1.0
 """Evidence against the nearest rivals, nats per pixel, that makes farther ones needless."""
 
@@ -87,9 +89,11 @@ def rival_evidence(
         s, d = warp[2] + shift * s_follows, warp[3] + shift * along
         in_pixels_of(2.0, (a, b, s, d), start)
         in_pixels_of(2.0, (a, b, s, d), rival)
-        other, _ = align(
-            template, image, first, last, middle, _ROW_STEP, 3, 0.02, start, held, correlated_px, rival, scratch, work
-        )
+        align(
+            template, image, first, last, middle, _ROW_STEP, _STEPS, 0.02, start, held, correlated_px, rival, scratch,
+            work,
+        )  # fmt: skip
+        other, _ = correlation(template, image, first, last, middle, rival, _ROW_STEP)
         smallest = min(smallest, evidence_between(rho, other))
     return float(smallest)
 

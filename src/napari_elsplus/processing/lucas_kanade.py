@@ -64,7 +64,7 @@ def neighbours(image: NDArray[np.float32], above: int, left: int, size: int) -> 
 
 
 @lean_kernel
-def bilinear(down: float, across: float) -> tuple[float, ...]:
+def bilinear(down: float, across: float) -> tuple[np.float32, ...]:
     """Weights of these four."""
     return (
         np.float32((1 - down) * (1 - across)),
@@ -75,14 +75,15 @@ def bilinear(down: float, across: float) -> tuple[float, ...]:
 
 
 @lean_kernel
-def between(corners: tuple[NDArray[np.float32], ...], weights: tuple[float, ...], k: int) -> float:
+def between(corners: tuple[NDArray[np.float32], ...], weights: tuple[np.float32, ...], k: int) -> np.float32:
     """Sample k of such a row."""
-    return (
+    sample: np.float32 = (
         weights[0] * corners[0][k]
         + weights[1] * corners[1][k]
         + weights[2] * corners[2][k]
         + weights[3] * corners[3][k]
     )
+    return sample
 
 
 @lean_kernel
@@ -179,9 +180,9 @@ def accumulate(
     normal[5, 5] = count
     right[4] = sum_ti - tone[0] * sum_tt - tone[1] * sum_t
     right[5] = sum_i - tone[0] * sum_t - tone[1] * count
-    for i in range(_UNKNOWNS):
-        for k in range(i):
-            normal[i, k] = normal[k, i]
+    for m in range(_UNKNOWNS):
+        for n in range(m):
+            normal[m, n] = normal[n, m]
     if count == 0 or steep == 0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
     return (
