@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.grid import Grid
     from napari_elsplus.processing.registration import View
     from napari_elsplus.processing.sectioning import Frames
+    from napari_elsplus.processing.tiles import TileStore
 
 
 _TIMING_FRAMES = 600
@@ -128,6 +129,8 @@ class Pipeline:
         How the probe is tracked.
     insertion : Insertion or str
         How frames are laid over one another.
+    new_store : callable, optional
+        Makes the store of a segment's tiles; on the heap by default.
 
     Attributes
     ----------
@@ -150,6 +153,7 @@ class Pipeline:
         *,
         method: Method | str = Method.ELSPLUS,
         insertion: Insertion | str = Insertion.DEAD_LEAF,
+        new_store: Callable[[int], TileStore] | None = None,
     ) -> None:
         ours = Method(method) is Method.ELSPLUS
         make: Callable[..., _Tracking] = _Ours if ours else _Papers
@@ -158,6 +162,7 @@ class Pipeline:
         if calibration.optics is not None and calibration.optics.um_per_px is not None:
             self._um_per_px = calibration.optics.um_per_px
         self._insertion = Insertion(insertion)
+        self._new_store = new_store
         self._weights = np.ones((self.grid.side,) * 2, np.float32)
         if ours:
             subtracts = Mode(mode) in (Mode.ELS, Mode.ELSA) and calibration.offset is not None
@@ -210,6 +215,15 @@ class Pipeline:
         """Lay a raw frame down where another pipeline, of another mode, has found it to be."""
         self._lay(self._tracking.image(raw, raw if raw_residual is None else raw_residual), pose)
 
+    def forget(self, segment: int) -> None:
+        """Take a segment's mosaic away, and call its frames lost."""
+        self.mosaics.pop(segment, None)
+        for index, pose in enumerate(self.poses):
+            if pose.segment == segment and pose.state is not State.LOST:
+                lost = pose._replace(row=np.nan, col=np.nan, score=np.nan, sigma=np.nan, state=State.LOST)
+                self.poses[index] = lost
+                self.rows[index] = self._row(lost, self.rows[index].frame, self.rows[index].time_s)
+
     def finish(
         self,
         raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
@@ -240,7 +254,9 @@ class Pipeline:
             return
         mosaic = self.mosaics.get(pose.segment)
         if mosaic is None:
-            mosaic = self.mosaics[pose.segment] = Mosaic(self.grid, self._insertion, weights=self._weights)
+            store = None if self._new_store is None else self._new_store(pose.segment)
+            mosaic = Mosaic(self.grid, self._insertion, weights=self._weights, store=store)
+            self.mosaics[pose.segment] = mosaic
         mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
 
     def _row(self, pose: Pose, frame: int, time_s: float) -> TrackPoint:

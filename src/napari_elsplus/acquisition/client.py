@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.live_images import View
     from napari_elsplus.acquisition.recorder import RecordingPlan
     from napari_elsplus.acquisition.status import Settings
+    from napari_elsplus.acquisition.tracking import TrackPlan
     from napari_elsplus.acquisition.tally import Latencies
     from napari_elsplus.acquisition.usage import Usage
     from napari_elsplus.calibration import Calibration
@@ -118,6 +119,18 @@ class EngineClient:
     def record(self, plan: RecordingPlan) -> Future[None]:
         """Record raw frames."""
         return self._ask("record", plan)
+
+    def track(self, plan: TrackPlan | None) -> Future[None]:
+        """Lay every frame into a mosaic from now on, a new one; None lets the one there is rest."""
+        return self._ask("track", plan)
+
+    def undo_segment(self) -> Future[bool]:
+        """Forget the mosaic's last segment; whether there was one."""
+        return self._ask("undo_segment")
+
+    def clear_mosaic(self) -> Future[None]:
+        """End tracking, and forget track and mosaic."""
+        return self._ask("clear_mosaic")
 
     def stop_recording(self) -> Future[None]:
         """Finish the recording."""

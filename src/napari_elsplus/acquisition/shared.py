@@ -1,8 +1,9 @@
-"""Rings in shared memory: readers attach without owning it, and what a killed owner left is swept up."""
+"""Rings and other segments in shared memory: readers attach without owning it, and what a killed owner left is swept up."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from contextlib import suppress
 from multiprocessing import resource_tracker
@@ -12,17 +13,37 @@ from secrets import token_hex
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.acquisition.ring import Ring
+from napari_elsplus.errors import DeviceError
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.ring import Layout
 
 _PREFIX: Final = "elsplus"
+_LEFT_TO_OTHERS: Final = 8 << 20
 _FOLDER: Final = Path("/dev/shm")  # only Linux shows its segments; elsewhere there is nothing to list
 
 
-def create(nbytes: int) -> SharedMemory:
-    """Make a segment that belongs to this process, all zero; its name says whose it is."""
-    return SharedMemory(f"{_PREFIX}-{os.getpid()}-{token_hex(4)}", create=True, size=nbytes)
+def create(nbytes: int, name: str | None = None) -> SharedMemory:
+    """Make a segment that belongs to this process, all zero; its name says whose it is.
+
+    Parameters
+    ----------
+    nbytes : int
+        Its size.
+    name : str, optional
+        The name of another of this process's segments, and something more; a new one by default.
+
+    Raises
+    ------
+    DeviceError
+        If there is less shared memory left: writing to it would end the process.
+    """
+    if _FOLDER.is_dir() and (left := shutil.disk_usage(_FOLDER).free) < nbytes + _LEFT_TO_OTHERS:
+        raise DeviceError(
+            f"{left >> 20} MB of shared memory are left, {nbytes >> 20} MB are wanted",
+            f"clear the mosaic, or let the system give {_FOLDER} more",
+        )
+    return SharedMemory(name or f"{_PREFIX}-{os.getpid()}-{token_hex(4)}", create=True, size=nbytes)
 
 
 def attach(name: str) -> SharedMemory:

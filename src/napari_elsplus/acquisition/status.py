@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.faults import Fault
     from napari_elsplus.acquisition.ring import Layout
+    from napari_elsplus.acquisition.tracking import TrackState
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +109,8 @@ class Status:
         Sections of the calibration that do not hold any more, with the reason.
     progress : Progress, optional
         Of the procedure that runs.
+    track : TrackState, optional
+        The live track and mosaic, while there is one.
     """
 
     live: bool = False
@@ -126,6 +129,7 @@ class Status:
     faults: tuple[Fault, ...] = ()
     stale: Mapping[str, str] = field(default_factory=dict)
     progress: Progress | None = None
+    track: TrackState | None = None
 
     def report(self) -> dict[str, Any]:
         """Return the content of `acquire`'s report: frames, rate, latencies, faults; null where there is no number."""
