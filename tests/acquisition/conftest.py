@@ -54,7 +54,10 @@ class PacedCamera:
             raise InputError(f"a slit of {slit_rows} rows", "choose a smaller one")
         self.shape, self.rate_hz = region.shape, frame_rate_hz
         across = np.linspace(0, 6 * np.pi, region.cols)
-        self.picture = (90 + 60 * np.sin(across) * np.sin(across[: region.rows, None])).astype(np.uint8)
+        waves = 70 + 50 * np.sin(across) * np.sin(across[: region.rows, None])
+        blocks = np.random.default_rng(0).integers(0, 80, (region.rows // 12 + 1, region.cols // 12 + 1))
+        grain = blocks.repeat(12, axis=0).repeat(12, axis=1)[: region.rows, : region.cols]  # something to be tracked by
+        self.picture = (waves + grain).astype(np.uint8)
 
     def start(self) -> None:
         self.streams, self.number, self.dropped = True, -1, {}

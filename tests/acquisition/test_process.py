@@ -13,12 +13,15 @@ import pytest
 
 from napari_elsplus.acquisition.client import EngineClient
 from napari_elsplus.acquisition.live_images import View
+from napari_elsplus.acquisition.mosaic_board import MosaicFeed
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.tracking import TrackPlan
 from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
 from napari_elsplus.hardware.virtual.card_process import start_card
 from napari_elsplus.io import open_recording
+from napari_elsplus.processing.sectioning import Mode
 
 SLOW = Settings("240hz", frame_rate_hz=100.0)
 CLEAR_V = -0.9
@@ -28,6 +31,7 @@ STREAMER = f"""
 import sys, time
 from pathlib import Path
 from napari_elsplus.acquisition.client import EngineClient
+from napari_elsplus.acquisition.mosaic_board import MosaicFeed
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.calibration import Calibration
@@ -124,6 +128,65 @@ def test_errors_come_back_as_they_were_raised(client: EngineClient, calibration:
     with pytest.raises(DeviceError, match="no rig is open"):
         client.start().result(60)
     client.open("small").result(60)
+
+
+def test_the_mosaic_crosses_the_processes(client: EngineClient, calibration: Calibration) -> None:
+    with pytest.raises(CalibrationError, match="no calibration to track by"):
+        client.track(TrackPlan()).result(60)
+    client.use(calibration).result(60)
+    with pytest.raises(InputError, match="ELSA"):
+        client.track(TrackPlan(Mode.ELSA)).result(60)
+    client.track(TrackPlan(Mode.LS)).result(60)
+    client.start().result(60)
+    until(lambda: client.status.track is not None and client.status.track.counts.get("tracked", 0) > 20)
+    track = client.status.track
+    assert track is not None
+    assert track.newest is not None
+    assert track.newest.state == "tracked"
+    feed = MosaicFeed(track.board)
+    try:
+        until(lambda: feed.update() and len(feed.rows) > 30)
+        assert [row.frame for row in feed.rows] == list(range(len(feed.rows)))
+        image, weight = feed.canvases[0].read()
+        assert np.ptp(image[weight > 0]) > 50  # the camera's waves
+        client.track(None).result(60)
+        client.stop().result(60)
+        client.start().result(60)
+        until(lambda: client.status.processed > 5)
+        feed.update()
+        rest = len(feed.rows)
+        assert not feed.update()
+        assert client.undo_segment().result(60)
+        feed.update()
+        assert feed.canvases == {}
+        assert len(feed.rows) == rest
+        client.clear_mosaic().result(60)
+        until(lambda: client.status.track is None)
+        if Path("/dev/shm").is_dir():
+            assert not [path for path in segments(client.pid) if path.name.startswith(track.board)]
+    finally:
+        feed.close()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
+@pytest.mark.parametrize("killed", [False, True])
+def test_of_the_mosaic_nothing_is_left(client: EngineClient, calibration: Calibration, killed: bool) -> None:
+    client.use(calibration).result(60)
+    client.start().result(60)
+    client.track(TrackPlan(Mode.LS)).result(60)
+    until(lambda: client.status.track is not None and client.status.track.counts.get("tracked", 0) > 5)
+    feed = MosaicFeed(client.status.track.board)  # type: ignore[union-attr]
+    feed.update()
+    pid = client.pid
+    if killed:
+        os.kill(pid, signal.SIGKILL)
+        until(lambda: client.died is not None)
+        feed.update()  # what is mapped can still be read
+    else:
+        client.close()
+    assert feed.canvases[0].read()[0].any()
+    feed.close()
+    until(lambda: segments(pid) == [])
 
 
 def test_closing_leaves_nothing(client: EngineClient, log: Path) -> None:

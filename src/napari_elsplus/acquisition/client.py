@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.live_images import View
     from napari_elsplus.acquisition.recorder import RecordingPlan
     from napari_elsplus.acquisition.status import Settings
-    from napari_elsplus.acquisition.tracking import TrackPlan
     from napari_elsplus.acquisition.tally import Latencies
+    from napari_elsplus.acquisition.tracking import TrackPlan
     from napari_elsplus.acquisition.usage import Usage
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.processing.calibrate import Background, Findings, Pair, SlitOffset

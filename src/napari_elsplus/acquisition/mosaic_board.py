@@ -37,8 +37,8 @@ _CHANGE: Final = np.dtype(
 )  # fmt: skip
 _ROW: Final = np.dtype(
     [
-        ("frame", "<i8"), ("time_s", "<f8"), ("segment", "<i8"), ("row_px", "<f8"), ("col_px", "<f8"), ("row_um", "<f8"),
-        ("col_um", "<f8"), ("score", "<f8"), ("sigma_px", "<f8"), ("state", "<i8"),
+        ("frame", "<i8"), ("time_s", "<f8"), ("segment", "<i8"), ("row_px", "<f8"), ("col_px", "<f8"),
+        ("row_um", "<f8"), ("col_um", "<f8"), ("score", "<f8"), ("sigma_px", "<f8"), ("state", "<i8"),
     ]
 )  # fmt: skip
 _STATES: Final = tuple(state.value for state in State)
@@ -317,4 +317,4 @@ class MosaicFeed:
         while len(self.rows) < count:
             rows, within = self._tables.rows(len(self.rows))
             fresh = rows[within : within + count - len(self.rows)].tolist()
-            self.rows += [TrackPoint(*values[:-1], state=_STATES[values[-1]]) for values in fresh]
+            self.rows += [TrackPoint(*[*values[:-1], _STATES[values[-1]]]) for values in fresh]

@@ -24,6 +24,7 @@ from napari_elsplus.acquisition import guided, procedures, shared
 from napari_elsplus.acquisition.calibrating import span_of_the_bundle
 from napari_elsplus.acquisition.engine import Engine
 from napari_elsplus.acquisition.guardian import Guardian
+from napari_elsplus.acquisition.live_mosaic import LiveMosaic
 from napari_elsplus.acquisition.priority import keep_pace
 from napari_elsplus.acquisition.shared import SharedRing
 from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
@@ -85,6 +86,7 @@ class Server:
         self._sending = Lock()
         self._ended = Event()
         self._engine: Engine | None = None
+        self._mosaic: LiveMosaic | None = None
         self._rig: Rig | None = None
         self._guardian: Guardian | None = None
         self._cancelled = Event()
@@ -124,17 +126,21 @@ class Server:
             held.callback(opened.close)
             self._guardian = None if opened.park is None else Guardian(opened.park)
             held.pop_all()
-        self._engine = Engine(opened, make_ring=_shared_ring, guardian=self._guardian)
+        self._engine = engine = Engine(opened, make_ring=_shared_ring, guardian=self._guardian)
+        self._mosaic = LiveMosaic(engine)
         gc.collect()
         gc.freeze()  # what exists now lives as long as the process: do not look through it again while frames stream
 
     def close(self) -> None:
         """Close the rig."""
         engine, self._engine = self._engine, None
+        mosaic, self._mosaic = self._mosaic, None
         guardian, self._guardian = self._guardian, None
         self._cancelled.set()
         if engine is not None:
             engine.close()
+        if mosaic is not None:
+            mosaic.clear()
         if guardian is not None:
             guardian.dismiss()
 
@@ -156,8 +162,8 @@ class Server:
         own: dict[str, Callable[..., Any]] = {"open": self.open, "close": self.close, "cancel": self.cancel}
         if name in own:
             return own[name]
-        engine, rig = self._engine, self._rig
-        if engine is None or rig is None:
+        engine, rig, mosaic = self._engine, self._rig, self._mosaic
+        if engine is None or rig is None or mosaic is None:
             raise DeviceError("no rig is open", "connect to a rig first")
         steps: dict[str, Callable[..., Any]] = {
             "measure_offset": partial(procedures.offset, engine),
@@ -178,6 +184,13 @@ class Server:
         }
         if name in steps:
             return partial(self._go_through, name, steps[name])
+        of_mosaic: dict[str, Callable[..., Any]] = {
+            "track": mosaic.track,
+            "undo_segment": mosaic.undo,
+            "clear_mosaic": mosaic.clear,
+        }
+        if name in of_mosaic:
+            return of_mosaic[name]
         if name not in COMMANDS:
             raise ValueError(f"there is no command {name!r}")
         method: Callable[..., Any] = getattr(engine, name)
@@ -206,8 +219,9 @@ class Server:
 
     def _tell(self) -> None:
         while not self._ended.wait(STATUS_PERIOD_S):
-            engine = self._engine
-            self._send(replace(Status() if engine is None else engine.status(), progress=self._progress))
+            engine, mosaic = self._engine, self._mosaic
+            status = Status() if engine is None else engine.status()
+            self._send(replace(status, progress=self._progress, track=None if mosaic is None else mosaic.state))
 
     def _send(self, message: object) -> None:
         try:

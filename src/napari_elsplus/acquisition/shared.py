@@ -1,4 +1,4 @@
-"""Rings and other segments in shared memory: readers attach without owning it, and what a killed owner left is swept up."""
+"""Rings and other segments in shared memory: readers attach without owning, and what a killed owner left is swept."""
 
 from __future__ import annotations
 

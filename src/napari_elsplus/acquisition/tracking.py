@@ -111,6 +111,7 @@ class LiveTrack:
         self._origin: tuple[int, float] | None = None
         self._before: Stamp | None = None
         self._counts: Counter[str] = Counter()
+        self._closed = False
         how = {"method": plan.method, "insertion": plan.insertion}
         rehearse(Pipeline(calibration, frame_shape, plan.mode, **how), frame_shape)  # type: ignore[arg-type]
         self.pipeline = Pipeline(
@@ -121,6 +122,8 @@ class LiveTrack:
     def add(self, raw: NDArray[np.uint8], stamp: Stamp) -> None:
         """Track a frame and lay it into the mosaic."""
         with self._lock:
+            if self._closed:
+                return
             number, time_s = self._since_the_first(stamp)
             point = self.pipeline.add(raw, number, time_s)
             self._counts[point.state] += 1
@@ -158,11 +161,12 @@ class LiveTrack:
         )
 
     def close(self) -> None:
-        """Give the board's memory back."""
+        """End, and give the board's memory back."""
         with self._lock:
+            self._closed = True
             board, self._board = self._board, None
+            self.pipeline.mosaics.clear()
             if board is not None:
-                self.pipeline.mosaics.clear()
                 board.close()
 
     def _since_the_first(self, stamp: Stamp) -> tuple[int, float]:
