@@ -22,7 +22,7 @@ from napari_elsplus.processing.calibrate import (
     measure_background,
     measure_offset,
 )
-from napari_elsplus.processing.lag import ScanLag, fit_lag
+from napari_elsplus.processing.lag import ScanLag, search_lag
 from napari_elsplus.processing.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
@@ -42,10 +42,6 @@ BUNDLE_FRAMES: Final = 20
 LAG_FRAMES: Final = 4
 SETTLED_S: Final = 2e-3
 """A galvo of 1 kHz stands still by then."""
-_COARSE_STEP_ROWS: Final = 5.0
-_FINE_STEP_ROWS: Final = 1.5
-_FINE_STEPS: Final = 8
-LONGEST_LAG_S: Final = 0.8e-3
 
 
 def take_standing(engine: Engine, volts: float, count: int) -> NDArray[np.uint8]:
@@ -147,45 +143,25 @@ def lag(engine: Engine, watch: Watch = iter) -> ScanLag:
     if calibration is not None:
         calibration.require("galvo", "bundle")
     with _streaming(engine):
-        measured = _LagScan(engine)
-        line_s = measured.line_period_s
-        coarse = np.arange(0.0, LONGEST_LAG_S, _COARSE_STEP_ROWS * line_s)
-        fine = np.arange(-_FINE_STEPS, _FINE_STEPS + 1) * _FINE_STEP_ROWS * line_s
-        best = 0.0
-        for number in watch(range(len(coarse) + len(fine))):
-            if number < len(coarse):
-                measured.add(coarse[number])
-                best = measured.best_s
-            else:
-                measured.add(best + fine[number - len(coarse)])
-    return fit_lag(np.array(measured.leads_s), np.array(measured.signal), line_s)
+        return search_lag(_signal_of_leads(engine), engine.setup.line_period_s, watch)
 
 
-class _LagScan:
-    """Signal against lead."""
+def _signal_of_leads(engine: Engine) -> Callable[[float], float]:
+    """Make what scans with a lead, and returns the mean confocal grey level."""
+    engine.scan()
+    calibration = engine.calibration
+    assert calibration is not None
+    assert calibration.galvo is not None
+    known, galvo = calibration, calibration.galvo
+    sectioner = Sectioner(known, engine.setup.frame_shape)
+    inside = disc(sectioner.side, 0.9 * sectioner.diameter_px)
 
-    def __init__(self, engine: Engine) -> None:
-        engine.scan()
-        calibration = engine.calibration
-        assert calibration is not None
-        assert calibration.galvo is not None
-        self._engine, self._calibration, self._galvo = engine, calibration, calibration.galvo
-        self._sectioner = Sectioner(calibration, engine.setup.frame_shape)
-        self._inside = disc(self._sectioner.side, 0.9 * self._sectioner.diameter_px)
-        self.line_period_s = engine.setup.line_period_s
-        self.leads_s: list[float] = []
-        self.signal: list[float] = []
+    def signal_at(lead_s: float) -> float:
+        engine.scan(known.model_copy(update={"galvo": galvo.model_copy(update={"lag_s": lead_s})}))
+        frames = engine.fresh_frames(LAG_FRAMES, time.perf_counter() + SETTLED_S)
+        return float(sectioner.ls(mean_frame(frames))[inside].mean())
 
-    @property
-    def best_s(self) -> float:
-        return self.leads_s[int(np.argmax(self.signal))]
-
-    def add(self, lead_s: float) -> None:
-        galvo = self._galvo.model_copy(update={"lag_s": float(lead_s)})
-        self._engine.scan(self._calibration.model_copy(update={"galvo": galvo}))
-        frames = self._engine.fresh_frames(LAG_FRAMES, time.perf_counter() + SETTLED_S)
-        self.leads_s.append(float(lead_s))
-        self.signal.append(float(self._sectioner.ls(mean_frame(frames))[self._inside].mean()))
+    return signal_at
 
 
 @contextmanager

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import ElsPlusError
+from napari_elsplus.optics import LINE_RATE_HZ
 from napari_elsplus.processing.calibrate import Findings, Pair, measure
+from napari_elsplus.processing.lag import search_lag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -52,7 +54,8 @@ CENTRE: Final = Quantity("bundle centre, per axis", "px", 0.1)
 DIAMETER: Final = Quantity("bundle diameter", "%", 0.5)
 ALIGNMENT: Final = Quantity("pair alignment at the rim, per axis", "px", 0.2)
 GAIN: Final = Quantity("gain of the right view", "%", 0.5)
-QUANTITIES: Final = (OFFSET, TILT, SLOPE, INTERCEPT, CENTRE, DIAMETER, ALIGNMENT, GAIN)
+LAG: Final = Quantity("scan lag", "rows", 0.3)
+QUANTITIES: Final = (OFFSET, TILT, SLOPE, INTERCEPT, CENTRE, DIAMETER, ALIGNMENT, GAIN, LAG)
 
 Errors = dict[Quantity, list[tuple[float, float]]]
 """Error and stated standard deviation of each measurement."""
@@ -150,9 +153,11 @@ def _calibrated(rig: Rig, voltages: int) -> Errors | str:
             bundle=rig.bundle(),
             background=rig.background(10),
         )
+        lag = search_lag(lambda lead_s: rig.scanned_signal(lead_s * LINE_RATE_HZ), 1 / LINE_RATE_HZ)
     except ElsPlusError as error:
         return str(error)
-    return errors_of(found, rig)
+    late = lag.lag_s * LINE_RATE_HZ - rig.lag_rows
+    return errors_of(found, rig) | {LAG: [(late, lag.uncertainty_s * LINE_RATE_HZ)]}
 
 
 def errors_of(found: Findings, rig: Rig) -> Errors:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 from scipy import sparse
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
     Frame = NDArray[np.uint8]
+
+
+LASER_NOISE: Final = 0.003
+"""Standard deviation of the light from one reading of the scan's signal to the next, as a fraction."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ class Rig:
         Fall of the far-end light towards one side, as a fraction.
     electrons_per_dn, read_noise_e, black_dn : float
         The camera.
+    lag_rows : float
+        Rows by which the line is late at full speed.
     seed : int
         Of the cores and of the noise.
     """
@@ -68,6 +74,7 @@ class Rig:
     electrons_per_dn: float = 8.0
     read_noise_e: float = 4.0
     black_dn: float = 4.0
+    lag_rows: float = 25.0
     seed: int = 0
 
     @classmethod
@@ -97,6 +104,7 @@ class Rig:
             read_noise_e=random.uniform(1, 4),
             black_dn=random.uniform(3, 9),
             seed=seed,
+            lag_rows=random.uniform(3, 60),
         )
 
     def with_photons(self, photons: float) -> Self:
@@ -186,6 +194,24 @@ class Rig:
     def background(self, count: int = 50) -> Frame:
         """Frames of the dark tube, (count, rows, cols)."""
         return self._noisy(np.zeros((count, *self.shape)), 4)
+
+    def scanned_signal(self, lead_rows: float, slit_rows: int = 3, frames: int = 4) -> float:
+        """Mean grey level of the left disc, the slit running over it and the line running ahead of it by a lead."""
+        y, x = self.cores.T
+        sigma = 0.33 * self.pitch_px
+        row = np.arange(-4, 5)[:, None] + np.rint(y)
+        light = np.zeros(len(y))
+        for exposed in np.arange(slit_rows) - (slit_rows - 1) / 2:
+            away = y - row - exposed - (lead_rows - self.lag_rows) - np.tan(np.radians(self.tilt_deg)) * x
+            line = np.exp(-(away**2) / (2 * self.line_rows**2))
+            halo = np.exp(-(away**2) / (2 * self.halo_rows**2)) * self.line_rows / self.halo_rows
+            lit = (1 - self.halo_share) * line + self.halo_share * halo
+            light += (lit * np.exp(-((row - y) ** 2) / (2 * sigma**2))).sum(axis=0) / slit_rows
+        electrons = frames * self.photons * np.sqrt(2 * np.pi) * sigma * float(light @ self.transmission)
+        random = np.random.default_rng((self.seed, 5, round(1000 * (lead_rows + 100))))
+        pixels = np.pi * (self.diameter_px / 2) ** 2
+        seen = random.poisson(electrons) + random.normal(0, self.read_noise_e * np.sqrt(frames * pixels))
+        return float(seen * random.normal(1, LASER_NOISE) / (frames * pixels * self.electrons_per_dn) + self.black_dn)
 
     @cached_property
     def _spots(self) -> sparse.csr_matrix:

@@ -7,21 +7,27 @@ passes the slit is largest where the lead equals the lag; against the lead it fa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.optimize import curve_fit
+from scipy.optimize import least_squares
 
 from napari_elsplus.errors import MeasurementError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
 
-_REACH_ROWS = 13.0
+_REACH_ROWS: Final = 13.0
 """Leads that are farther than this from the best one show the halo of the line, not the line."""
-_LEAST_POINTS = 6
+_LEAST_POINTS: Final = 6
+LONGEST_LAG_S: Final = 0.8e-3
+_COARSE_STEP_ROWS: Final = 5.0
+_FINE_STEP_ROWS: Final = 1.5
+_FINE_STEPS: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +46,39 @@ class ScanLag:
     uncertainty_s: float
     leads_s: Floats
     signal: Floats
+
+
+def search_lag(
+    signal_at: Callable[[float], float], line_period_s: float, watch: Callable[[Iterable[int]], Iterable[int]] = iter
+) -> ScanLag:
+    """Try leads, coarsely over all that a galvo may need and finely about the best, and fit the lag to them.
+
+    Parameters
+    ----------
+    signal_at : callable
+        Scans with a lead in seconds, and returns the mean confocal grey level.
+    line_period_s : float
+        Seconds from one row to the next.
+    watch : callable, optional
+        Wraps the numbers of the leads, to show how far it is, or to give up.
+
+    Returns
+    -------
+    ScanLag
+
+    Raises
+    ------
+    MeasurementError
+        If the signal has no maximum within the leads.
+    """
+    leads = np.arange(0.0, LONGEST_LAG_S, _COARSE_STEP_ROWS * line_period_s).tolist()
+    coarse, fine = len(leads), np.arange(-_FINE_STEPS, _FINE_STEPS + 1) * _FINE_STEP_ROWS * line_period_s
+    signal: list[float] = []
+    for number in watch(range(coarse + len(fine))):
+        if number == coarse:
+            leads += (leads[int(np.argmax(signal))] + fine).tolist()
+        signal.append(signal_at(leads[number]))
+    return fit_lag(np.array(leads), np.array(signal), line_period_s)
 
 
 def fit_lag(leads_s: Floats, signal: Floats, line_period_s: float) -> ScanLag:
@@ -81,20 +120,28 @@ def fit_lag(leads_s: Floats, signal: Floats, line_period_s: float) -> ScanLag:
             f"the signal has no maximum at leads of {1e6 * leads_s.min():.0f} to {1e6 * leads_s.max():.0f} us",
             "put the probe onto something that fluoresces evenly, and check the galvo map",
         )
-    start = (best, 5.0, span, float(y.min()))
-    try:
-        found, covariance = curve_fit(
-            _gaussian, x, y, p0=start, bounds=((x.min(), 1.0, 0, -np.inf), (x.max(), 60.0, np.inf, np.inf))
-        )
-    except RuntimeError:
-        found, covariance = np.array(start), np.full((4, 4), np.inf)
-    uncertainty = float(np.sqrt(covariance[0, 0]))
-    if not uncertainty < 0.5 * _REACH_ROWS or found[2] < 0.05 * abs(y.max()):
+    bounds = (x.min(), 1.0, 0, -np.inf), (x.max(), 60.0, np.inf, np.inf)
+    fit = least_squares(lambda guess: _gaussian(x, *guess) - y, (best, 5.0, span, float(y.min())), bounds=bounds)
+    found, uncertainty = fit.x, _first_uncertainty(fit.jac, fit.fun)
+    if not (fit.success and uncertainty < 0.5 * _REACH_ROWS) or found[2] < 0.05 * abs(y.max()):
         raise MeasurementError(
             f"the signal hardly depends on the lead ({100 * span / max(abs(float(y.max())), 1e-9):.1f} %)",
             "put the probe onto something that fluoresces evenly, and raise the light",
         )
     return ScanLag(float(found[0]) * line_period_s, uncertainty * line_period_s, leads_s, signal)
+
+
+def _first_uncertainty(jacobian: Floats, residuals: Floats) -> float:
+    """One standard deviation of the first parameter, from what leaving out each point would change.
+
+    Light that flickers is noisier where there is more of it, and no line is quite a Gaussian: residuals alike in size
+    everywhere would state too little. For few points the spread itself is uncertain: Student's t is wider.
+    """
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    leverage = np.einsum("ij,jk,ik->i", jacobian, inverse, jacobian)
+    changes = (jacobian @ inverse[:, 0]) * residuals / np.maximum(1 - leverage, 1e-3)
+    free = max(len(jacobian) - jacobian.shape[1], 3)
+    return float(np.linalg.norm(changes) * np.sqrt(free / (free - 2)))
 
 
 def _gaussian(x: Floats, middle: float, sigma: float, height: float, floor: float) -> Floats:

@@ -30,6 +30,8 @@ WIDEST_FIT_ROWS: Final = 120
 """Rows to either side that a fit may use."""
 TAPER: Final = 1.5
 """Standard deviation of the weights across the line, in those of the smoothed profile."""
+LEAST_SURE_ROWS: Final = 1.0
+"""A slit of three rows that is a row off loses a good part of the light."""
 WORST_MISFIT: Final = 0.04
 """Weighted departure of the mean profile from a Gaussian, over its height. Lines stay below 0.008, dim ones too."""
 _ROW, _SLOPE = 3, 4
@@ -185,7 +187,7 @@ def _fit(image: Image, streak: Streak) -> Line:
     amplitude, level, log_width, shift, turn, ramp = (float(value) for value in parameters)
     fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2 - spread, 0.1)))
     misfit = _misfit(data, seen, parameters, u, x)
-    _must_be_a_line(amplitude, float(np.linalg.norm(influence[:, 0])), shift, reach, misfit)
+    _must_be_a_line(amplitude, np.linalg.norm(influence[:, [0, _ROW]], axis=0), shift, reach, misfit)
     return Line(
         row=streak.row + streak.slope * (middle - streak.column) + shift,
         column=middle,
@@ -280,7 +282,8 @@ def _misfit(data: Floats, seen: NDArray[np.bool_], parameters: Floats, u: Floats
     return float(np.abs(profile).max() / max(abs(float(parameters[0])), 1e-12))
 
 
-def _must_be_a_line(amplitude: float, noise: float, shift: float, reach: int, misfit: float) -> None:
+def _must_be_a_line(amplitude: float, spread: Floats, shift: float, reach: int, misfit: float) -> None:
+    noise, spread_rows = spread
     sigmas = amplitude / max(noise, 1e-12)
     if not sigmas > VISIBLE_SIGMAS:
         raise MeasurementError(
@@ -290,6 +293,11 @@ def _must_be_a_line(amplitude: float, noise: float, shift: float, reach: int, mi
         )
     if abs(shift) > reach:
         raise MeasurementError(f"no laser line: the fit wandered off by {shift:.0f} rows", "is the laser on?")
+    if spread_rows > LEAST_SURE_ROWS:
+        raise MeasurementError(
+            f"no laser line: what may be one is so dim that it is known to {spread_rows:.1f} rows only",
+            "give more light, or more frames",
+        )
     if misfit > WORST_MISFIT:
         raise MeasurementError(
             f"no laser line: the brightest streak departs from a Gaussian by {100 * misfit:.0f} % of its height",
