@@ -81,7 +81,9 @@ def _look(folder: Path, name: str, flat_name: str | None) -> Photograph:
         )
         known = Calibration(bundle=section)
         field = measure_flat([even], known)
-        flattened = _fine_contrast(Sectioner(known, image.shape).ls(image) / np.maximum(field, np.float32(0.1)))
+        flattened = _fine_contrast(
+            np.divide(Sectioner(known, image.shape).ls(image), np.maximum(field, 0.1), dtype=np.float32)
+        )
     return Photograph(name, found, flat, honeycomb, flattened)
 
 

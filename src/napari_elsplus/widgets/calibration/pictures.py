@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
 from math import floor, inf, log10
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.evaluation.sectioning import Choice, weigh_offset
+from napari_elsplus.evaluation.trade import line_as_seen, weigh
 from napari_elsplus.optics import BUNDLE_UM
 from napari_elsplus.processing.calibrate import Background, SlitOffset
 from napari_elsplus.processing.draft import MOVED_ROWS, Draft, Flat, Found, LitPair, Setup, Step
 from napari_elsplus.processing.galvo import PAPER_VOLTAGES, GalvoMap
 from napari_elsplus.processing.lag import ScanLag
-from napari_elsplus.simulation.axial_response import drop_offs
 from napari_elsplus.widgets.plots import Band, Curve
 
 if TYPE_CHECKING:
@@ -99,22 +97,6 @@ def picture(found: Found, draft: Draft, setup: Setup, target_um: float) -> Pictu
             return _flat(found)
 
 
-def weigh(offset_um: float, slit_um: float) -> tuple[Choice, float] | None:
-    """Predict what an offset costs and gives, and its 3 dB drop-off; None without an offset.
-
-    The closed form is quick, the clipped share takes half a second at first: not for the window's thread.
-    """
-    return _weigh(round(2 * abs(offset_um)) / 2, round(slit_um, 2))
-
-
-@lru_cache(maxsize=256)
-def _weigh(offset_um: float, slit_um: float) -> tuple[Choice, float] | None:
-    if offset_um == 0:
-        return None
-    choice = weigh_offset(offset_um, slit_um=slit_um)
-    return choice, drop_offs(offset_um=offset_um, slit_um=slit_um).drop_3db_um
-
-
 def scale_of(draft: Draft, setup: Setup) -> float | None:
     """Micrometres per pixel: measured, or what the objective should have."""
     return draft.um_per_px or setup.um_per_px
@@ -150,7 +132,7 @@ def _offset(found: SlitOffset, draft: Draft, setup: Setup, target_um: float) -> 
         sign = -1 if found.rows < 0 else 1
         ends = sorted(sign * (target_um + side) / scale for side in (-TOLERANCE_UM, TOLERANCE_UM))
         bands.append(Band(ends[0], ends[1], "green"))
-        lines += _trade(offset_um, slit_rows * scale)
+        lines += _trade(found, draft, setup, scale)
     if abs(found.rows) < slit_rows:
         warnings.append("the offset is smaller than the slit: the residual holds most of the signal")
     curves = [*_profile("left", found.left, 0.0, "blue"), *_profile("right", found.right, found.rows, "orange")]
@@ -158,15 +140,18 @@ def _offset(found: SlitOffset, draft: Draft, setup: Setup, target_um: float) -> 
     return Picture(headline, lines, warnings, [plot], good)
 
 
-def _trade(offset_um: float, slit_um: float) -> list[str]:
-    weighed = weigh(offset_um, slit_um)
-    if weighed is None:
+def _trade(found: SlitOffset, draft: Draft, setup: Setup, scale: float) -> list[str]:
+    if found.rows == 0:
         return ["without an offset ELS+ is zero everywhere"]
-    choice, drop_3db_um = weighed
+    slit_rows = setup.acquired_with.slit_rows or _SLIT_ROWS
+    line = line_as_seen(found.left, slit_rows, scale)
+    light_dn, gain_db = found.left.amplitude, setup.acquired_with.gain_db or 0.0
+    given = weigh(found.rows * scale, slit_rows * scale, line, light_dn, gain_db=gain_db, bundle_um=draft.bundle_um)
     return [
-        f"predicted drop-offs {drop_3db_um:.0f} µm (3 dB), {choice.drop_10db_um:.0f} µm (10 dB)",
-        f"signal kept {100 * choice.signal_kept:.0f} %, contrast to noise {choice.contrast_to_noise:.0f}, "
-        f"{100 * choice.clipped:.1f} % of the field clipped",
+        f"predicted drop-offs {given.drop_3db_um:.0f} µm (3 dB), {given.drop_10db_um:.0f} µm (10 dB)",
+        f"signal kept {100 * given.signal_kept:.0f} %, contrast to noise {given.contrast_to_noise:.0f}, "
+        f"{100 * given.clipped:.1f} % of the field clipped",
+        f"with this line: {line.core_um:.1f} µm wide (SD), {light_dn:.0f} grey levels",
     ]
 
 

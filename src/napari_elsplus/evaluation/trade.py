@@ -1,0 +1,118 @@
+"""What a slit offset gives and costs with the line as it is seen: quick enough to follow a hand on the tilt mirror."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.optics import BUNDLE_UM
+from napari_elsplus.processing.axial import contrast_to_noise
+from napari_elsplus.simulation.axial_response import LINE_MODELS, LineModel, drop_offs, line_response, signal_kept
+
+if TYPE_CHECKING:
+    from napari_elsplus.processing.line import Line
+
+ELECTRONS_PER_DN: Final = 40.0
+"""Of an 8-bit camera without gain; assumed, like the read noise, since frames of a line do not tell."""
+READ_NOISE_E: Final = 12.0
+_NARROWEST_CORE_UM: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Trade:
+    """What a slit offset gives and costs.
+
+    Parameters
+    ----------
+    drop_3db_um, drop_10db_um : float
+        Depths at which ELS+ has fallen by so much.
+    signal_kept : float
+        ELS+ over LS in contact.
+    contrast_to_noise : float
+        Of an in-focus plane as bright as the line, in one pixel of one frame.
+    clipped : float
+        Share of the field whose residual slit leaves the bundle.
+    """
+
+    drop_3db_um: float
+    drop_10db_um: float
+    signal_kept: float
+    contrast_to_noise: float
+    clipped: float
+
+
+def line_as_seen(seen: Line, slit_rows: float, um_per_px: float, model: LineModel = LINE_MODELS["a"]) -> LineModel:
+    """Return a line's model with its core as wide as it is seen; the halo, which no fit near the line tells, is kept.
+
+    Parameters
+    ----------
+    seen : Line
+        The standing line.
+    slit_rows : float
+        Rows that are exposed at once; they widen what is seen.
+    um_per_px : float
+        Micrometres per camera pixel.
+    model : LineModel
+        What it starts from.
+    """
+    core_rows = np.sqrt(max(seen.width_rows**2 - slit_rows**2 / 12, 0.0))
+    core_um = float(np.clip(core_rows * um_per_px, _NARROWEST_CORE_UM, 0.9 * model.halo_um))
+    return replace(model, core_um=core_um)
+
+
+def weigh(
+    offset_um: float,
+    slit_um: float,
+    line: LineModel,
+    light_dn: float,
+    *,
+    gain_db: float = 0.0,
+    bundle_um: float = BUNDLE_UM,
+) -> Trade:
+    """Predict what an offset gives and costs.
+
+    Parameters
+    ----------
+    offset_um : float
+        Slit offset, either sign, not zero.
+    slit_um : float
+        Width of the slit at the bundle.
+    line : LineModel
+        The laser line.
+    light_dn : float
+        Grey levels of the line in focus.
+    gain_db : float
+        Of the camera.
+    bundle_um : float
+        Diameter of the bundle's image.
+
+    Returns
+    -------
+    Trade
+
+    Examples
+    --------
+    >>> at_29_um = weigh(-29.0, 2.9, LINE_MODELS["a"], 80.0)
+    >>> round(at_29_um.drop_10db_um), round(at_29_um.signal_kept, 2), round(at_29_um.clipped, 2)
+    (121, 0.82, 0.06)
+    """
+    offset_um = abs(offset_um)
+    drops = drop_offs(offset_um=offset_um, slit_um=slit_um, line=line)
+    aside = line_response(0.0, offset_um, slit_um, line) / line_response(0.0, 0.0, slit_um, line)
+    confocal_e = max(light_dn, 0.0) * ELECTRONS_PER_DN / 10 ** (gain_db / 20)
+    noise = contrast_to_noise(confocal_e, confocal_e * float(aside), np.sqrt(2) * READ_NOISE_E)
+    return Trade(
+        drops.drop_3db_um,
+        drops.drop_10db_um,
+        signal_kept(offset_um=offset_um, slit_um=slit_um, line=line),
+        float(noise),
+        _outside_when_moved(offset_um / bundle_um),
+    )
+
+
+def _outside_when_moved(diameters: float) -> float:
+    """Share of a disc that lies outside of itself, moved by so many diameters."""
+    share = min(diameters, 1.0)
+    return float(1 - 2 / np.pi * (np.arccos(share) - share * np.sqrt(1 - share**2)))
