@@ -109,7 +109,9 @@ def measure_background(frames: Frames) -> Background:
     return Background(mean, len(frames), drift)
 
 
-def measure_offset(frames: Frames, background: Image | None = None, pair: Pair | None = None) -> SlitOffset:
+def measure_offset(
+    frames: Frames, background: Image | None = None, pair: Pair | None = None, near: SlitOffset | None = None
+) -> SlitOffset:
     """Step (i): where the standing line is in both views, and the difference.
 
     Parameters
@@ -120,21 +122,29 @@ def measure_offset(frames: Frames, background: Image | None = None, pair: Pair |
         Mean frame of the dark tube.
     pair : Pair, optional
         The bundle images; without them each view's middle is the middle of the lit part of the line.
+    near : SlitOffset, optional
+        What was found a moment ago, which saves the search.
 
     Raises
     ------
     MeasurementError
         If there is no line in one of the views.
     """
-    frame = mean_frame(frames)
-    if background is not None:
-        frame = frame - background
+    alone = near is not None and len(frames) == 1
+    frame: NDArray[Any] = np.asarray(frames[0]) if alone else mean_frame(frames)
     _must_not_be_saturated(frames[0], "image of the line")
-    split = pair.split if pair is not None else _between_views(frame)
+    if near is not None:
+        split = near.split
+    elif pair is not None:
+        split = pair.split
+    else:
+        split = _between_views(np.asarray(frame, np.float32) if background is None else frame - background)
     lines = []
-    for name, view in (("left", frame[:, :split]), ("right", frame[:, split:])):
+    for name, part in (("left", slice(0, split)), ("right", slice(split, None))):
+        dark = None if background is None else background[:, part]
+        before = None if near is None else near.left if name == "left" else near.right
         try:
-            lines.append(locate_line(view))
+            lines.append(locate_line(frame[:, part], dark, before))
         except MeasurementError as error:
             raise MeasurementError(f"{name} view: {error.problem}", error.remedy) from None
     left, right = lines

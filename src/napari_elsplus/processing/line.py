@@ -107,7 +107,7 @@ class Line:
         return float(np.linalg.norm(self.influence_at(self.column if column is None else column)))
 
 
-def locate_line(view: NDArray[np.generic], background: Image | None = None) -> Line:
+def locate_line(view: NDArray[np.generic], background: Image | None = None, near: Line | None = None) -> Line:
     """Find the laser line in one view: threshold, Gaussian, tilt, uncertainty.
 
     Parameters
@@ -116,6 +116,8 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None) -> L
         One view of the bundle (rows, cols), any real dtype, with a single standing line along the rows.
     background : numpy.ndarray, optional
         Mean frame of the dark tube for the same pixels.
+    near : Line, optional
+        Where it was a moment ago. If it has moved by less than its width, the search for it is saved.
 
     Returns
     -------
@@ -142,17 +144,32 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None) -> L
     31.25
     """
     image = np.asarray(view, np.float32) if background is None else np.subtract(view, background, dtype=np.float32)
-    streak = brightest_streak(image)
-    first, band = _band_around(image, streak)
-    line = _fit(band, streak._replace(row=streak.row - first))
-    # A whole row in the middle: what interpolation skews left and right of it then cancels.
-    line = _fit(band, Streak(round(line.row), line.column, line.slope, line.width_rows))
+    line = None if near is None else _still_near(image, near)
+    if line is None:
+        streak = brightest_streak(image)
+        first, band = _band_around(image, streak)
+        line = _fit(band, streak._replace(row=streak.row - first))
+        # A whole row in the middle: what interpolation skews left and right of it then cancels.
+        line = _fit(band, Streak(round(line.row), line.column, line.slope, line.width_rows))
+        line = replace(line, row=line.row + first)
     if line.width_rows > len(image) / 8:
         raise MeasurementError(
             f"no laser line: the brightest streak is {2.355 * line.width_rows:.0f} of {len(image)} rows wide",
             "is other light on?",
         )
-    return replace(line, row=line.row + first)
+    return line
+
+
+def _still_near(image: Image, near: Line) -> Line | None:
+    """Fit the line where it was; None if it is no more within its width of there."""
+    streak = Streak(round(near.row), near.column, near.slope, near.width_rows)
+    first, band = _band_around(image, streak)
+    try:
+        line = _fit(band, streak._replace(row=streak.row - first))
+    except MeasurementError:
+        return None
+    line = replace(line, row=line.row + first)
+    return line if abs(line.row_at(near.column) - near.row) < near.width_rows else None
 
 
 def _band_around(image: Image, streak: Streak) -> tuple[int, Image]:
