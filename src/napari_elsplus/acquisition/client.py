@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.tracking import TrackPlan
     from napari_elsplus.acquisition.usage import Usage
     from napari_elsplus.calibration import Calibration
+    from napari_elsplus.errors import MeasurementError
     from napari_elsplus.processing.calibrate import Background, Findings, Pair, SlitOffset
     from napari_elsplus.processing.draft import Flat, LitPair, Setup
     from napari_elsplus.processing.galvo import GalvoMap
@@ -141,6 +142,14 @@ class EngineClient:
     ) -> Future[SlitOffset]:
         """Measure the slit offset, the line held at a voltage."""
         return self._ask("measure_offset", volts, background, pair)
+
+    def follow_offset(self, volts: float, background: NDArray[np.float32] | None = None) -> Future[None]:
+        """Measure the slit offset in frame after frame, the line held at a voltage, until :meth:`cancel`."""
+        return self._ask("follow_offset", volts, background)
+
+    def newest_offset(self, number: int) -> Future[tuple[int, SlitOffset | MeasurementError] | None]:
+        """Wait shortly for what :meth:`follow_offset` found after that number; None if nothing came."""
+        return self._ask("newest_offset", number)
 
     def map_galvo(
         self,

@@ -11,7 +11,6 @@ import numpy as np
 
 from napari_elsplus.acquisition import procedures
 from napari_elsplus.acquisition.calibrating import SWEEP_VOLTAGES, Target
-from napari_elsplus.errors import MeasurementError
 from napari_elsplus.hardware.virtual.frame_source import Circle
 from napari_elsplus.optics import preset
 from napari_elsplus.processing.calibrate import Background, locate_pair, mean_frame, measure_flat
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.procedures import Watch
     from napari_elsplus.acquisition.rig import Rig
     from napari_elsplus.calibration import Calibration
+    from napari_elsplus.errors import MeasurementError
     from napari_elsplus.processing.calibrate import SlitOffset
     from napari_elsplus.processing.lag import ScanLag
 
@@ -159,8 +159,10 @@ class GuidedCalibration:
         finally:
             client.prepare(None).result()
 
-    def watch_offset(self, draft: Draft, go_on: Callable[[], bool]) -> Iterator[SlitOffset | MeasurementError]:
-        """Measure the slit offset again and again, while the tilt mirror is being turned.
+    def watch_offset(
+        self, draft: Draft, go_on: Callable[[], bool]
+    ) -> Iterator[tuple[int, SlitOffset | MeasurementError]]:
+        """Look at the slit offset while the tilt mirror is being turned; the engine measures it in frame after frame.
 
         Parameters
         ----------
@@ -171,24 +173,32 @@ class GuidedCalibration:
 
         Yields
         ------
+        int
+            Frames measured so far.
         SlitOffset or MeasurementError
-            What was found, or why nothing was.
+            What the newest shows, or why it shows nothing.
+
+        Raises
+        ------
+        DeviceError
+            If camera or mirror fail.
         """
         client = self._client
         client.prepare(TARGETS[Step.OFFSET]).result()
-        was_live = client.status.live
         try:
-            middle = self._middle(draft)
-            if not was_live:
-                client.start().result()
-            while go_on():
-                try:
-                    yield client.measure_offset(middle, draft.calibration.background).result()
-                except MeasurementError as error:
-                    yield error
+            old = client.newest_offset(-1).result()
+            first = seen = 0 if old is None else old[0]
+            followed = client.follow_offset(self._middle(draft), draft.calibration.background)
+            try:
+                while go_on() and not followed.done():
+                    newest = client.newest_offset(seen).result()
+                    if newest is not None:
+                        seen, found = newest
+                        yield seen - first, found
+            finally:
+                client.cancel().result()
+                followed.result()
         finally:
-            if not was_live:
-                client.stop().result()
             client.prepare(None).result()
 
     def _middle(self, draft: Draft) -> float:

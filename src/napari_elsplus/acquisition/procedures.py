@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibrate import (
     Background,
     Pair,
@@ -23,6 +24,7 @@ from napari_elsplus.processing.calibrate import (
     measure_offset,
 )
 from napari_elsplus.processing.lag import ScanLag, search_lag
+from napari_elsplus.processing.live_offset import OffsetFollower
 from napari_elsplus.processing.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
@@ -95,6 +97,39 @@ def offset(
 ) -> SlitOffset:
     """Step (i) live: the line held at a voltage; see :func:`napari_elsplus.processing.calibrate.measure_offset`."""
     return measure_offset(take_line(engine, volts), background, pair)
+
+
+def follow_offset(
+    engine: Engine,
+    volts: float,
+    background: NDArray[np.float32] | None,
+    tell: Callable[[SlitOffset | MeasurementError], None],
+    go_on: Callable[[], bool],
+) -> None:
+    """Measure the slit offset in frame after frame while the tilt mirror is being turned, the line held at a voltage.
+
+    Parameters
+    ----------
+    engine : Engine
+        Streaming or not.
+    volts : float
+        Puts the line near the middle of the bundle.
+    background : numpy.ndarray, optional
+        Mean frame of the dark tube.
+    tell : callable
+        Gets what each frame shows, or why it shows nothing.
+    go_on : callable
+        Asked before each frame.
+    """
+    follower = OffsetFollower(background)
+    with _streaming(engine):
+        frame = take_standing(engine, volts, 1)[0]
+        while go_on():
+            try:
+                tell(follower.measure(frame))
+            except MeasurementError as error:
+                tell(error)
+            frame = engine.fresh_frames(1)[0]
 
 
 def sweep(

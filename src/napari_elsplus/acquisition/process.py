@@ -25,11 +25,12 @@ from napari_elsplus.acquisition.calibrating import span_of_the_bundle
 from napari_elsplus.acquisition.engine import Engine
 from napari_elsplus.acquisition.guardian import Guardian
 from napari_elsplus.acquisition.live_mosaic import LiveMosaic
+from napari_elsplus.acquisition.newest import Newest
 from napari_elsplus.acquisition.priority import keep_pace
 from napari_elsplus.acquisition.shared import SharedRing
 from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
 from napari_elsplus.acquisition.status import Progress, Status
-from napari_elsplus.errors import DeviceError, ElsPlusError, InputError
+from napari_elsplus.errors import DeviceError, ElsPlusError, InputError, MeasurementError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.procedures import Watch
     from napari_elsplus.acquisition.rig import Rig
     from napari_elsplus.acquisition.ring import Layout, Ring
+    from napari_elsplus.processing.calibrate import SlitOffset
 
 STATUS_PERIOD_S: Final = 0.1
 COMMANDS: Final = frozenset(
@@ -90,6 +92,7 @@ class Server:
         self._rig: Rig | None = None
         self._guardian: Guardian | None = None
         self._cancelled = Event()
+        self._offsets: Newest[SlitOffset | MeasurementError] = Newest()
         self._progress: Progress | None = None
 
     def serve(self) -> None:
@@ -159,7 +162,12 @@ class Server:
         self._send(reply)
 
     def _method(self, name: str) -> Callable[..., Any]:
-        own: dict[str, Callable[..., Any]] = {"open": self.open, "close": self.close, "cancel": self.cancel}
+        own: dict[str, Callable[..., Any]] = {
+            "open": self.open,
+            "close": self.close,
+            "cancel": self.cancel,
+            "newest_offset": self._offsets.after,
+        }
         if name in own:
             return own[name]
         engine, rig, mosaic = self._engine, self._rig, self._mosaic
@@ -167,6 +175,9 @@ class Server:
             raise DeviceError("no rig is open", "connect to a rig first")
         steps: dict[str, Callable[..., Any]] = {
             "measure_offset": partial(procedures.offset, engine),
+            "follow_offset": partial(
+                procedures.follow_offset, engine, tell=self._offsets.put, go_on=lambda: not self._cancelled.is_set()
+            ),
             "map_galvo": partial(
                 procedures.sweep, engine, watch=self._watch("sweep"), watch_fit=self._watch("fit of the lines")
             ),
