@@ -117,7 +117,7 @@ def test_watching_the_offset_goes_on_until_stopped_and_what_was_seen_can_be_acce
 
     def several():
         if live.candidate is not None:
-            seen.add(live.candidate[0].rows)
+            seen.add(live.candidate.found.rows)
         return len(seen) >= 3
 
     qtbot.waitUntil(several, timeout=LONG_MS)
@@ -127,8 +127,8 @@ def test_watching_the_offset_goes_on_until_stopped_and_what_was_seen_can_be_acce
     assert "rows" in form.headline.text()
     assert "drop-offs" in form.numbers.text()
     assert [curve.name for curve in form.plots[0].curves] == ["left", "left fit", "right", "right fit"]
-    (band,) = live.candidate[2].plots[0].bands
-    assert band.start < live.candidate[0].rows < band.stop
+    (band,) = live.candidate.picture.plots[0].bands
+    assert band.start < live.candidate.found.rows < band.stop
     form.watch.click()
     idle(qtbot, live)
     assert live.connection.client.status.live is False
@@ -230,7 +230,8 @@ def test_closing_the_window_leaves_no_engine(make_napari_viewer_proxy, qtbot):
 
 def test_an_offset_that_moved_makes_the_pair_stale(panel, qtbot, open_recording):
     from_file(qtbot, panel, Step.OFFSET, open_recording / "line.tif")
-    found, setup, drawn = panel.candidate
+    shown = panel.candidate
+    found = shown.found
     panel.form.accept.click()
     from_file(qtbot, panel, Step.PAIR, open_recording / "transmission.tif")
     panel.form.accept.click()
@@ -238,7 +239,7 @@ def test_an_offset_that_moved_makes_the_pair_stale(panel, qtbot, open_recording)
     panel.choose(Step.OFFSET)
     turned = replace(found, rows=found.rows + 3, right=replace(found.right, row=found.right.row + 3))
     before = panel.draft.calibration.offset.rows
-    panel.candidate = turned, setup, drawn
+    panel.candidate = shown._replace(found=turned)
     panel.accept()
     assert state(panel, Step.PAIR) is State.STALE
     assert "the offset has moved by" in panel.form.steps[Step.PAIR].toolTip()

@@ -73,6 +73,7 @@ class Form:
         self.accept, self.discard, self.undo = QPushButton("Accept"), QPushButton("Discard"), QPushButton("Undo")
         self.load, self.save = QPushButton("Load..."), QPushButton("Save...")
         self.load.setToolTip("Read a calibration and take it into force")
+        self.save_plots, self.script = QPushButton("Save plots..."), QPushButton("Copy as script")
         self.plots = [ThemedPlot("", "", theme) for _ in range(PLOTS)]
         self._lay_out(panel, work)
         self.follow(theme)
@@ -144,6 +145,7 @@ class Form:
         needs: str,
         candidate: bool,
         past: bool,
+        scripted: bool,
         state: State,
     ) -> None:
         """Enable what may be done now; what may not says why."""
@@ -168,6 +170,9 @@ class Form:
         _allow(self.discard, nothing, "Forget it; the calibration stays as it was")
         _allow(self.undo, "" if past else "nothing was accepted yet", "Go back to before the last step was accepted")
         _allow(self.save, "", "Write the calibration, for recordings that have none of their own")
+        unseen = "" if self.plots[0].curves else "nothing is plotted yet"
+        _allow(self.save_plots, unseen, "Save what is plotted as pictures (.png) or tables (.csv)")
+        _allow(self.script, "" if scripted else "no step was measured here", "Copy Python that makes this calibration")
         for plain, shown in ((self.target, Step.OFFSET), (self.voltages, Step.GALVO)):
             plain.setVisible(step is shown)
             label = self._options.labelForField(plain)
@@ -204,6 +209,7 @@ class Form:
         layout.addWidget(self.numbers)
         layout.addLayout(_row(self.accept, self.discard, self.undo))
         layout.addLayout(_row(self.load, self.save))
+        layout.addLayout(_row(self.save_plots, self.script))
 
 
 def _allow(button: QPushButton, why_not: str, tooltip: str) -> None:

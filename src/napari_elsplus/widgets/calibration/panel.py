@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
-from typing import TYPE_CHECKING, Final
+from time import perf_counter, sleep
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QTimer
@@ -19,24 +19,36 @@ from napari_elsplus.io import open_recording, read_calibration, read_volts, writ
 from napari_elsplus.processing.draft import Draft, Found, LitPair, Setup, State, Step, step_of
 from napari_elsplus.processing.stepwise import measure_step, setup_of
 from napari_elsplus.settings import put_in_force, recall, remember
+from napari_elsplus.viewing.calibration_script import Source, calibration_script
 from napari_elsplus.viewing.outlines import outline_layer, summary
 from napari_elsplus.widgets.calibration.explained import EXPLAINED, PREPARE
 from napari_elsplus.widgets.calibration.explained import SIMULATED as SIMULATED_TARGETS
 from napari_elsplus.widgets.calibration.form import Form
 from napari_elsplus.widgets.calibration.pictures import Picture, picture
 from napari_elsplus.widgets.connection import join
-from napari_elsplus.widgets.panel import Panel, told
+from napari_elsplus.widgets.panel import Panel, copy_as_script, told
 from napari_elsplus.widgets.window_end import WindowEnd
 from napari_elsplus.widgets.work import Work
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     import napari.viewer
 
-    Shown = tuple[Found, Setup, Picture]
-
 POLL_MS: Final = 50
+LOOK_S: Final = 0.04
+"""The engine measures the offset in every frame; nobody reads more than so often."""
 SECTION: Final = "calibration"
 IMAGE, OUTLINES = "calibration: bundle", "calibration: outlines"
+
+
+class Shown(NamedTuple):
+    """What a step found, what it was measured with, how it is shown, and where its frames came from."""
+
+    found: Found
+    setup: Setup
+    picture: Picture
+    source: Source
 
 
 class CalibrationPanel(Panel):
@@ -60,6 +72,8 @@ class CalibrationPanel(Panel):
         self._watching = self._left = False
         self._window_end = WindowEnd(self, self.cleanup)
         self._refused: BaseException | None = None
+        self._stale: dict[str, str] = {}
+        self._changed = False
         self.connection = join()
         self.work = Work(self._work_ended, self._cancel)
         self.form = Form(self, self.work, viewer.theme)
@@ -98,7 +112,7 @@ class CalibrationPanel(Panel):
         """Measure the step live, in a thread of its own."""
         with told():
             guided = GuidedCalibration(self.connection.require(), self.form.voltages.value())
-            step, draft, target_um = self.step, self.draft, self.form.target.value()
+            step, draft, target_um, source = self.step, self.draft, self.form.target.value(), self._live_source()
 
             def work() -> Shown:
                 setup = guided.setup()
@@ -107,7 +121,7 @@ class CalibrationPanel(Panel):
                 except ElsPlusError as error:
                     self._excuse(error)
                     raise
-                return found, setup, picture(found, draft, setup, target_um)
+                return Shown(found, setup, picture(found, draft, setup, target_um), source)
 
             self.work.begin(0, work, self._found)
         self._refresh()
@@ -118,7 +132,7 @@ class CalibrationPanel(Panel):
             self._watching = False
             return
         with told():
-            guided, draft = GuidedCalibration(self.connection.require()), self.draft
+            guided, draft, source = GuidedCalibration(self.connection.require()), self.draft, self._live_source()
             self._watching, self._watched = True, None
 
             def work() -> None:
@@ -132,7 +146,8 @@ class CalibrationPanel(Panel):
                         else:
                             shown = picture(found, draft, setup, self.form.target_um)
                             rate = f"{(count - 1) / max(perf_counter() - begun, 1e-3):.0f} measurements a second"
-                            self._watched = found, setup, replace(shown, lines=[*shown.lines, rate])
+                            self._watched = Shown(found, setup, replace(shown, lines=[*shown.lines, rate]), source)
+                        sleep(LOOK_S)
                 except ElsPlusError as error:
                     self._excuse(error)
                     raise
@@ -151,7 +166,8 @@ class CalibrationPanel(Panel):
                 given = None if volts is None else read_volts(volts)
                 setup = setup_of(frames)
                 found = measure_step(step, frames, draft, given, self.work.watch)
-            return found, setup, picture(found, draft, setup, target_um)
+            source = Source(step, Path(path), None if volts is None else Path(volts))
+            return Shown(found, setup, picture(found, draft, setup, target_um), source)
 
         self.work.begin(0, work, self._found)
         self._refresh()
@@ -160,10 +176,10 @@ class CalibrationPanel(Panel):
         """Take what was found into the calibration, and the calibration into force."""
         if self.candidate is None:
             return
-        found, setup, _ = self.candidate
         with told():
-            draft = self.draft.take(found, setup)
+            draft = self.draft.take(self.candidate.found, self.candidate.setup)
             self._past.append((self.draft, dict(self._accepted)))
+            self._accepted.pop(self.step, None)  # the order in which steps were accepted is the script's
             self._accepted[self.step] = self.candidate
             self.candidate = None
             self._take(draft)
@@ -200,6 +216,22 @@ class CalibrationPanel(Panel):
             put_in_force(written)
             show_info(f"saved {written.name}: {summary(self.draft.calibration)}")
 
+    def save_plots(self, path: str | Path) -> None:
+        """Save what the step shows: pictures to NAME.png, numbers to NAME.csv; a second plot to NAME-2."""
+        with told():
+            path = Path(path)
+            shown = [plot for plot in self.form.plots if plot.curves]
+            if not shown:
+                raise InputError(f"nothing is plotted of the {self.step}", "measure it first")
+            for number, plot in enumerate(shown, 1):
+                plot.save(path if number == 1 else path.with_stem(f"{path.stem}-{number}"))
+
+    def copy_script(self) -> None:
+        """Copy Python that makes this calibration again to the clipboard."""
+        with told():
+            sources = [shown.source for shown in self._accepted.values()]
+            copy_as_script(calibration_script(sources, self.draft.bundle_um))
+
     def cleanup(self) -> None:
         """Stop measuring, take the layers away, let go of the engine and the viewer."""
         if self._left:
@@ -228,7 +260,18 @@ class CalibrationPanel(Panel):
             button.clicked.connect(self._step_clicked)
         form.load.clicked.connect(self._ask_what_to_load)
         form.save.clicked.connect(self._ask_where_to_save)
+        form.save_plots.clicked.connect(self._ask_where_to_save_plots)
+        form.script.clicked.connect(self.copy_script)
         self.listen(self.viewer.events.theme, self._theme_changed)
+
+    def _live_source(self) -> Source:
+        form = self.form
+        return Source(
+            self.step,
+            rig=self.connection.rig or "",
+            preset=form.preset.currentText(),
+            voltages=form.voltages.value(),
+        )
 
     def _step_clicked(self) -> None:
         self.choose(next(step for step, button in self.form.steps.items() if button is self.sender()))
@@ -248,8 +291,13 @@ class CalibrationPanel(Panel):
         self._setup = setup
         self._take(self.draft)
 
+    def _set_up_anew(self, done: Future[Setup]) -> None:
+        """Not in the window's thread: note that another panel has changed how frames are taken."""
+        if done.exception() is None:
+            self._setup, self._changed = done.result(), True
+
     def _found(self, shown: Shown) -> None:
-        self.choose(step_of(shown[0]))
+        self.choose(step_of(shown.found))
         self.candidate = shown
 
     def _take(self, draft: Draft) -> None:
@@ -275,12 +323,19 @@ class CalibrationPanel(Panel):
         progress = None if client is None else client.status.progress
         if self.work.busy and progress is not None:
             self.work.tell(progress.step, progress.done, progress.total)
+        stale = {} if client is None else dict(client.status.stale)
+        if client is not None and stale != self._stale and not self.work.busy:
+            self._stale = stale
+            client.setup().add_done_callback(self._set_up_anew)
+        if self._changed:
+            self._changed = False
+            self._refresh()
         watched, self._watched = self._watched, None
         if isinstance(watched, str):
             self.form.say(watched)
         elif watched is not None and self.step is Step.OFFSET:
             self.candidate = watched
-            self.form.show_picture(watched[2])
+            self.form.show_picture(watched.picture)
 
     def _refresh(self) -> None:
         """Show the step, its state, and what may be done now."""
@@ -293,6 +348,8 @@ class CalibrationPanel(Panel):
         if connected and self.connection.rig == SIMULATED:
             prepare += f" {SIMULATED_TARGETS}"
         form.explain(EXPLAINED[self.step], prepare)
+        shown = self.candidate or self._accepted.get(self.step)
+        form.show_picture(None if shown is None else shown.picture)
         form.allow(
             step=self.step,
             connected=connected,
@@ -301,23 +358,22 @@ class CalibrationPanel(Panel):
             needs=self.draft.needs(self.step),
             candidate=self.candidate is not None,
             past=bool(self._past),
+            scripted=bool(self._accepted),
             state=self.draft.state(self.step, self._setup)[0],
         )
-        shown = self.candidate or self._accepted.get(self.step)
-        form.show_picture(None if shown is None else shown[2])
         if shown is None and self.draft.state(self.step)[0] is not State.MISSING:
             form.say("known from a file; measure it to see more")
         self._show_bundle(shown)
 
     def _show_bundle(self, shown: Shown | None) -> None:
         """Show the bundle's image with both discs outlined while the bundle pair is looked at."""
-        lit = shown[0] if shown is not None and isinstance(shown[0], LitPair) else None
+        lit = shown.found if shown is not None and isinstance(shown.found, LitPair) else None
         for name in (IMAGE, OUTLINES):
             if name in self.viewer.layers:
                 self.viewer.layers.remove(name)
         if lit is None or shown is None:
             return
-        accepted = self.draft if self.draft.found.get(Step.PAIR) is lit else self.draft.take(lit, shown[1])
+        accepted = self.draft if self.draft.found.get(Step.PAIR) is lit else self.draft.take(lit, shown.setup)
         data, attributes, _ = outline_layer(accepted.calibration, OUTLINES)
         placed = {key: attributes[key] for key in ("scale", "units") if key in attributes}
         self.viewer.add_image(lit.image, name=IMAGE, **placed)
@@ -346,3 +402,10 @@ class CalibrationPanel(Panel):
         path, _ = QFileDialog.getSaveFileName(self, "Save the calibration", "calibration.json", "Calibration (*.json)")
         if path:
             self.save(path)
+
+    def _ask_where_to_save_plots(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(
+            self, "Save the plots", f"{self.step}.png", "Picture (*.png);;Table (*.csv)"
+        )
+        if path:
+            self.save_plots(path)
