@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from threading import Lock
 from typing import TYPE_CHECKING
 
@@ -27,12 +28,13 @@ class LiveMosaic:
         self._engine = engine
         self._lock = Lock()
         self._track: LiveTrack | None = None
+        self._runs = False
 
     @property
     def state(self) -> TrackState | None:
         """How it goes; None while there is no track."""
         track = self._track
-        return None if track is None else track.state
+        return None if track is None else replace(track.state, running=self._runs)
 
     def track(self, plan: TrackPlan | None) -> None:
         """Begin a new mosaic; None lets the one there is rest.
@@ -49,6 +51,7 @@ class LiveMosaic:
         with self._lock:
             if plan is None:
                 self._engine.track(None)
+                self._runs = False
                 return
             if plan.mode is Mode.ELSA:
                 raise InputError("ELSA takes two frames for each image", "choose LS or ELS+ for the live mosaic")
@@ -62,7 +65,7 @@ class LiveMosaic:
                 board.close()
                 raise
             self._engine.track(track)
-            before, self._track = self._track, track
+            before, self._track, self._runs = self._track, track, True
             if before is not None:
                 before.close()
 
@@ -75,6 +78,6 @@ class LiveMosaic:
         """End tracking, and give its memory back."""
         with self._lock:
             self._engine.track(None)
-            track, self._track = self._track, None
+            track, self._track, self._runs = self._track, None, False
             if track is not None:
                 track.close()

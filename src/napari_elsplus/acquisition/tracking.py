@@ -63,6 +63,8 @@ class TrackState:
         Frames by their state.
     newest : TrackPoint or None
         Where the probe was last.
+    running : bool
+        Whether frames are still laid down.
     """
 
     plan: TrackPlan
@@ -71,6 +73,7 @@ class TrackState:
     radius_px: float
     counts: Mapping[str, int]
     newest: TrackPoint | None
+    running: bool = True
 
 
 class LiveTrack:

@@ -52,6 +52,13 @@ class Sheet:
         self._places: dict[int, _Place] = {}
         self._dirty: Rectangle | None = None
 
+    @classmethod
+    def of(cls, canvases: Mapping[int, Canvas], like: Sheet | None = None) -> Sheet:
+        """Put canvases on a new sheet as :meth:`arrange` does, but leave what changed on them to others."""
+        sheet = cls()
+        sheet._places = sheet._stacked(canvases) if like is None else like.places_for(canvases)
+        return sheet
+
     def arrange(self, canvases: Mapping[int, Canvas], like: Sheet | None = None) -> bool:
         """Take the segments' canvases with what changed on them, and make room where one has grown.
 

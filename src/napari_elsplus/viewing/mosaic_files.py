@@ -57,8 +57,7 @@ def save_mosaics(
     targets = [path.with_name(one + ending) for one in names.values() for ending in (".ome.tif", ".png")]
     for target in (*targets, table):
         refuse_existing(target, force=force)
-    layout = Sheet()
-    layout.arrange(mosaics.canvases[plan.tracked])
+    layout = Sheet.of(mosaics.canvases[plan.tracked])
     part = layout.drawn
     if part is None:
         raise InputError("there is no mosaic to save", "make one first")
@@ -67,9 +66,7 @@ def save_mosaics(
         str(segment + 1): [row - part.top, col - part.left] for segment, (row, col) in layout.places.items()
     }  # fmt: skip
     for mode, one in names.items():
-        sheet = Sheet()
-        sheet.arrange(mosaics.canvases[mode], layout)
-        image, weight = sheet.read(part)
+        image, weight = Sheet.of(mosaics.canvases[mode], layout).read(part)
         settings = {"mode": mode.value, "method": plan.method.value, "insertion": plan.insertion.value}
         write_mosaic(
             path.with_name(f"{one}.ome.tif"), image, um_per_px, calibration=calibration,

@@ -185,7 +185,7 @@ class StackMosaics:
             per_pixel,
             None if optics is None else optics.um_per_px,
             0.5 * FIELD * grid.diameter,
-            fastest_px_per_frame(grid, per_pixel, self.plan.method),
+            fastest_px_per_frame(grid.diameter, per_pixel, self.plan.method),
         )
 
     def run(self, watch: Watch = iter, checkpoint: Callable[[], None] | None = None) -> None:
@@ -206,15 +206,10 @@ class StackMosaics:
 
     def undo(self) -> bool:
         """Take the last segment away, and call its frames lost; whether there was one."""
-        numbers = {number for canvases in self.canvases.values() for number in canvases}
-        if not numbers:
+        left = without_last_segment(self.canvases, self.rows)
+        if left is None:
             return False
-        last = max(numbers)
-        self._shown = {
-            mode: {number: canvas for number, canvas in canvases.items() if number != last}
-            for mode, canvases in self.canvases.items()
-        }
-        self._rows = [_lost(row) if row.segment == last else row for row in self.rows]
+        self._shown, self._rows = left
         self.revision += 1
         return True
 
@@ -267,6 +262,21 @@ class StackMosaics:
         if optics is None or not optics.line_period_s or not optics.rows_per_frame:
             return nan
         return frame * optics.line_period_s * optics.rows_per_frame
+
+
+def without_last_segment(
+    canvases: Mapping[Mode, Mapping[int, Canvas]], rows: Sequence[TrackPoint]
+) -> tuple[dict[Mode, dict[int, Canvas]], list[TrackPoint]] | None:
+    """Return mosaics and track without the last segment, its frames called lost; None if there is no segment."""
+    numbers = {number for segments in canvases.values() for number in segments}
+    if not numbers:
+        return None
+    last = max(numbers)
+    kept = {
+        mode: {number: canvas for number, canvas in segments.items() if number != last}
+        for mode, segments in canvases.items()
+    }
+    return kept, [_lost(row) if row.segment == last else row for row in rows]
 
 
 def images_as_they_are(frames: Frames, um_per_px: float | None = None) -> Calibration:

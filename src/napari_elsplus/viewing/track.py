@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.io import TrackPoint
-    from napari_elsplus.processing.grid import Grid
 
 LEAST_STEP_PX: Final = 2.0
 """Frames that are closer than this to the last one drawn, in pixels of the mosaic, are not drawn."""
@@ -210,22 +209,28 @@ class Speed:
         return self.px_per_frame / self.fastest_px
 
 
-def fastest_px_per_frame(grid: Grid, camera_px_per_pixel: float, method: Method | str) -> float:
+def fastest_px_per_frame(diameter: float, camera_px_per_pixel: float, method: Method | str) -> float:
     """Displacement from one frame to the next that a method can still follow, camera pixels.
 
     Ours looks as far as 0.6 bundle diameters; the paper's template of 128 pixels must lie within the next image of 250.
 
+    Parameters
+    ----------
+    diameter : float
+        Of the bundle, pixels of the mosaic.
+    camera_px_per_pixel : float
+        Camera pixels per pixel of the mosaic.
+    method : Method or str
+        How the probe is tracked.
+
     Examples
     --------
-    >>> from napari_elsplus.processing.motion import RollingShutter
-    >>> from napari_elsplus.processing.grid import Grid
-    >>> grid = Grid(236, 2, (0, 0), (117.5, 117.5), 232.0, RollingShutter(272.0))
-    >>> round(fastest_px_per_frame(grid, 2.0, "elsplus"), 1)
+    >>> round(fastest_px_per_frame(232.0, 2.0, "elsplus"), 1)
     278.4
     """
     if Method(method) is Method.PAPER:
         return (SIDE_PX - TEMPLATE_PX) / 2 * camera_px_per_pixel
-    return FARTHEST * grid.diameter * camera_px_per_pixel
+    return FARTHEST * diameter * camera_px_per_pixel
 
 
 def speed_of(rows: Sequence[TrackPoint], fastest_px: float, um_per_px: float | None = None) -> Speed:

@@ -14,13 +14,16 @@ from qtpy.QtCore import QTimer
 from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
 from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
+from napari_elsplus.acquisition.tracking import TrackPlan
 from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import read_calibration
 from napari_elsplus.processing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.settings import recall, remember
 from napari_elsplus.tracking_pipeline import Method
 from napari_elsplus.viewing.layers import TITLES
+from napari_elsplus.viewing.live_mosaic import LiveMosaics
 from napari_elsplus.viewing.mosaic_files import mosaic_script, save_mosaics
 from napari_elsplus.viewing.mosaicking import MosaicPlan, StackMosaics
 from napari_elsplus.viewing.track import speed_of
@@ -28,17 +31,26 @@ from napari_elsplus.widgets.engine_panel import EnginePanel
 from napari_elsplus.widgets.mosaic_layers import MosaicLayers
 from napari_elsplus.widgets.mosaic_sources import Source, source_names, source_of
 from napari_elsplus.widgets.panel import copy_as_script, told
+from napari_elsplus.widgets.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.speed_bar import SpeedBar
 from napari_elsplus.widgets.work import Work
 
 if TYPE_CHECKING:
     import napari.viewer
 
+    from napari_elsplus.acquisition.client import EngineClient
+
 SECTION: Final = "mosaic"
 TICK_MS: Final = 50
 WHOLE_TICKS: Final = 10
 """The track, the maps and what else costs more is drawn every so many ticks."""
-KEYS: Final = {"start": "Ctrl+Shift+M", "clear": "Ctrl+Shift+K", "undo": "Ctrl+Shift+U", "save": "Ctrl+Shift+E"}
+KEYS: Final = {
+    "start": "Ctrl+Shift+M",
+    "live": "Ctrl+Shift+L",
+    "clear": "Ctrl+Shift+K",
+    "undo": "Ctrl+Shift+U",
+    "save": "Ctrl+Shift+E",
+}
 MODES: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
 
 
@@ -56,14 +68,17 @@ class MosaicPanel(EnginePanel):
         self.layers = MosaicLayers(viewer)
         self.work = Work(self._ended)
         self._stack: StackMosaics | None = None
-        self._shown: StackMosaics | None = None
+        self._shown: StackMosaics | LiveMosaics | None = None
         self._source: Source | None = None
         self._hidden: list[Any] = []
         self._ticks = 0
+        self._stale = False
+        self._goes_live, self._cleared = True, ""
         self._build()
         self._timer = QTimer(self)
         self._timer.setInterval(TICK_MS)
         self._timer.timeout.connect(self.tick)
+        self._timer.start()
         self.listen(viewer.layers.events.inserted, self._layers_changed)
         self.listen(viewer.layers.events.removed, self._layers_changed)
         self.listen(viewer.events.theme, self._theme_changed)
@@ -99,23 +114,49 @@ class MosaicPanel(EnginePanel):
                 mosaics.run(self.work.watch, self.work.stop_if_cancelled)
                 return mosaics
 
+            self._leave_live()
+            self._goes_live = False
             self._stack, self._source = None, source
             self._hide_others()
             self._shown = None
-            self._timer.start()
             self.work.begin(source.steps(plan), made, self._made)
+
+    @property
+    def live(self) -> bool:
+        """Whether the engine lays its frames into a mosaic."""
+        client = self.connection.client
+        track = None if client is None else client.status.track
+        return track is not None and track.running
+
+    def toggle_live(self) -> None:
+        """Lay the live stream into a mosaic, connecting and starting first where that is needed; or let it rest."""
+        self._goes_live = True
+        client = self.connection.client
+        if client is not None and client.status.progress is not None:
+            self.asking.ask(client.cancel())
+        elif client is not None and self.live:
+            self.asking.ask(client.track(None))
+        elif client is not None:
+            self._start_live(client)
+        else:
+            rig, settings = remembered_rig(), remembered_settings()
+            self.asking.do(lambda: self.connection.connect(rig, settings), self._start_live)
+        self.refresh()
 
     def tick(self) -> None:
         """Show what came since the last time."""
         self._ticks += 1
+        self._follow_live()
         if self._stack is not None and self._stack is not self._shown:
             self._shown = self._stack
             assert self._source is not None
             self.layers.show(self._shown, self._shown.plan.tracked, self._source.titles)
-        if self._shown is None:
-            return
+        shown = self._shown
+        self._stale |= shown.update() if isinstance(shown, LiveMosaics) else self.work.busy
         whole = self._ticks % WHOLE_TICKS == 0
-        self.layers.update(whole=whole)
+        if shown is not None and self._stale:
+            self.layers.update(whole=whole)
+            self._stale = not whole
         if whole:
             self.refresh()
 
@@ -123,7 +164,11 @@ class MosaicPanel(EnginePanel):
         """Take the mosaics away, and show again what was hidden."""
         if self.work.busy:
             self.work.cancel()
-        self._timer.stop()
+        client = self.connection.client
+        if client is not None and client.status.track is not None:
+            self._cleared = client.status.track.board
+            self.asking.ask(client.clear_mosaic())
+        self._leave_live()
         self._stack = self._shown = None
         self.layers.forget()
         for layer in self._hidden:
@@ -135,10 +180,14 @@ class MosaicPanel(EnginePanel):
 
     def undo(self) -> None:
         """Take the last segment away."""
-        if self._shown is None or self.work.busy:
+        shown = self._shown
+        if shown is None or self.work.busy:
             return
-        if not self._shown.undo():
-            show_info("there is no segment left")
+        client = self.connection.client
+        if isinstance(shown, LiveMosaics) and shown.follows and client is not None:
+            self.asking.ask(client.undo_segment(), _tell_if_none)
+            return
+        _tell_if_none(shown.undo())
         self.layers.update(whole=True)
         self.refresh()
 
@@ -170,6 +219,10 @@ class MosaicPanel(EnginePanel):
     def refresh(self) -> None:
         """Say how it goes, and what can be done."""
         busy, there = self.work.busy, self._shown is not None
+        client = self.connection.client
+        calibrating = client is not None and client.status.progress is not None
+        self.going_live.text = "Cancel calibration" if calibrating else "Rest" if self.live else "Live mosaic"
+        self.going_live.enabled = calibrating or not (busy or self.asking.busy)
         self.start.text = "Stop" if busy else "Mosaic"
         self.start.enabled = busy or bool(self.recording.choices)
         self.start.tooltip = (
@@ -193,9 +246,49 @@ class MosaicPanel(EnginePanel):
         self._timer.stop()
         if self.work.busy:
             self.work.cancel()
+        self._leave_live()
         super().cleanup()
 
     # inside
+
+    def _start_live(self, client: EngineClient) -> None:
+        if client.calibration is None and self.connection.rig == SIMULATED:
+            self.asking.ask(client.calibrate_simulated(), lambda _: self._start_live(client))
+        elif not client.status.live:
+            self.asking.ask(client.start(), lambda _: self._track(client))
+        else:
+            self._track(client)
+
+    def _track(self, client: EngineClient) -> None:
+        with told():
+            plan = self.plan
+            self._remember()
+            self.asking.ask(client.track(TrackPlan(plan.tracked, plan.method, plan.insertion)))
+
+    def _follow_live(self) -> None:
+        """Look at the engine's mosaic where there is a new one; at none where the engine is gone."""
+        client = self.connection.client
+        track = None if client is None else client.status.track
+        shown = self._shown if isinstance(self._shown, LiveMosaics) else None
+        if client is None or track is None:
+            if shown is not None and shown.follows:
+                shown.update()
+                shown.close()
+            return
+        known = track.board == self._cleared or (shown is not None and shown.board == track.board)
+        if known or not track.running or not self._goes_live:
+            return
+        try:
+            live = LiveMosaics(track, client.calibration)
+        except FileNotFoundError:  # replaced a moment ago; the next status says by what
+            return
+        self._leave_live()
+        self._stack, self._shown = None, live
+        self.layers.show(live, live.plan.tracked)
+
+    def _leave_live(self) -> None:
+        if isinstance(self._shown, LiveMosaics):
+            self._shown.close()
 
     def _made(self, mosaics: StackMosaics) -> None:
         for note in mosaics.notes:
@@ -205,13 +298,17 @@ class MosaicPanel(EnginePanel):
         if self._shown is not None or self._stack is not None:
             self.tick()
             self.layers.update(whole=True)
-        self._timer.stop()
         self.refresh()
 
     def _said(self) -> str:
         drawing = self.layers.drawing
+        client = self.connection.client
+        if client is not None and client.status.progress is not None:
+            step = client.status.progress
+            return f"Calibrating: {step.step}, {step.done} of {step.total}"
         if self._shown is None or drawing is None:
-            return "Starting..." if self.work.busy else "Choose a recording and press Mosaic."
+            waits = self.work.busy or self.asking.busy
+            return "Starting..." if waits else "Choose a stack and press Mosaic, or go live."
         counts = drawing.counts
         total = sum(counts.values())
         words = f"<b>{counts['tracked']}</b> of {total} frames tracked"
@@ -291,6 +388,10 @@ class MosaicPanel(EnginePanel):
             tooltip="dead-leaf: the newest frame on top; feathered: the mean of all",
         )  # fmt: skip
         self.start = PushButton(text="Mosaic")
+        self.going_live = PushButton(text="Live mosaic")
+        self.going_live.tooltip = (
+            f"Lay the frames of the connected rig into a mosaic, one image only; or let it rest ({KEYS['live']})"
+        )
         self.clearing, self.undoing = PushButton(text="Clear"), PushButton(text="Undo segment")
         self.saving = PushButton(text="Save...")
         self.script = PushButton(text="Copy as script", tooltip="Copy Python that makes and saves these mosaics")
@@ -303,13 +404,19 @@ class MosaicPanel(EnginePanel):
         boxes = Container(widgets=list(self.modes.values()), layout="horizontal", labels=False)
         for part in (form, boxes, choices):
             layout.addWidget(part.native)
-        for buttons in ([self.start, self.opening], [self.clearing, self.undoing], [self.saving, self.script]):
-            layout.addWidget(Container(widgets=buttons, layout="horizontal", labels=False).native)
+        for buttons in (
+            [self.start, self.going_live],
+            [self.clearing, self.undoing],
+            [self.saving, self.script],
+            [self.opening],
+        ):
+            layout.addWidget(Container(widgets=list(buttons), layout="horizontal", labels=False).native)
         for widget in (self.work, self.speed, self.status):
             layout.addWidget(widget)
         layout.addStretch(1)
         pressed = {
             "start": (self.start, self.toggle),
+            "live": (self.going_live, self.toggle_live),
             "clear": (self.clearing, self.clear),
             "undo": (self.undoing, self.undo),
             "save": (self.saving, self._ask_where_to_save),
@@ -319,6 +426,11 @@ class MosaicPanel(EnginePanel):
             QShortcut(QKeySequence(KEYS[name]), self).activated.connect(slot)
         self.opening.clicked.connect(self._ask_for_file)
         self.script.clicked.connect(self.copy_script)
+
+
+def _tell_if_none(undone: bool) -> None:
+    if not undone:
+        show_info("there is no segment left")
 
 
 def _known(value: Any, choices: list[str]) -> str:

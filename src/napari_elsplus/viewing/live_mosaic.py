@@ -1,0 +1,93 @@
+"""The mosaic of a running engine, as it is looked at: copied piece by piece, and kept when the engine is gone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from napari_elsplus.acquisition.mosaic_board import MosaicFeed
+from napari_elsplus.processing.grid import FIELD
+from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.viewing.mosaicking import MosaicPlan, MosaicScale, without_last_segment
+from napari_elsplus.viewing.track import fastest_px_per_frame
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from napari_elsplus.acquisition.tracking import TrackState
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.io import TrackPoint
+    from napari_elsplus.processing.sectioning import Mode
+    from napari_elsplus.processing.tiles import Canvas
+
+
+class LiveMosaics:
+    """Follows the board of an engine in another process.
+
+    Parameters
+    ----------
+    state : TrackState
+        What the engine says of its track.
+    calibration : Calibration, optional
+        In force there.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the board is gone.
+    """
+
+    def __init__(self, state: TrackState, calibration: Calibration | None) -> None:
+        self.board, self.calibration = state.board, calibration
+        plan = state.plan
+        self.plan = MosaicPlan((plan.mode,), plan.method, plan.insertion)
+        optics = None if calibration is None else calibration.optics
+        diameter = 2 * state.radius_px / FIELD
+        self.scale = MosaicScale(
+            state.camera_px_per_pixel,
+            None if optics is None else optics.um_per_px,
+            state.radius_px,
+            fastest_px_per_frame(diameter, state.camera_px_per_pixel, plan.method),
+        )
+        self._feed: MosaicFeed | None = MosaicFeed(state.board, blended=plan.insertion is Insertion.FEATHERED)
+        self._rows: Sequence[TrackPoint] = self._feed.rows
+        self._canvases: Mapping[Mode, Mapping[int, Canvas]] = {plan.mode: {}}
+        self.revision = 0
+
+    @property
+    def rows(self) -> Sequence[TrackPoint]:
+        """The track, as far as it was copied."""
+        return self._rows
+
+    @property
+    def canvases(self) -> Mapping[Mode, Mapping[int, Canvas]]:
+        """The segments, as far as they were copied."""
+        return self._canvases
+
+    @property
+    def follows(self) -> bool:
+        """Whether the board is still looked at."""
+        return self._feed is not None
+
+    def update(self) -> bool:
+        """Copy what is new; whether there was anything."""
+        feed = self._feed
+        if feed is None or not feed.update():
+            return False
+        self._rows, self._canvases = feed.rows, {self.plan.tracked: dict(feed.canvases)}
+        self.revision = feed.revision
+        return True
+
+    def undo(self) -> bool:
+        """Once it is closed: take the last segment away; whether there was one."""
+        left = without_last_segment(self._canvases, self._rows)
+        if left is None:
+            return False
+        self._canvases, self._rows = left
+        self.revision += 1
+        return True
+
+    def close(self) -> None:
+        """Look at the board no more; what was copied stays."""
+        feed, self._feed = self._feed, None
+        if feed is not None:
+            feed.close()
