@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 
 import pytest
 from napari.utils.notifications import notification_manager
+
+from napari_elsplus.acquisition.client import EngineClient
+from napari_elsplus.acquisition.status import Settings
+from processes import exists
+
+HERE = Path(__file__).parents[1] / "acquisition"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -14,6 +21,25 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for item in items:
             if "widgets" in item.path.parts:
                 item.add_marker(pytest.mark.skip("no screen, and Qt would end the whole run: start under xvfb-run"))
+
+
+@pytest.fixture
+def small_engine(tmp_path, monkeypatch):
+    """Panels start the engine on a rig of a few lines, at a rate that leaves time for other tests' work."""
+    monkeypatch.setenv("ELSPLUS_CONFIG", str(tmp_path / "settings"))
+    command = (sys.executable, str(HERE / "engine_process.py"), str(tmp_path / "mirror.log"))
+    clients = []
+
+    def start():
+        clients.append(EngineClient(command))
+        return clients[-1]
+
+    monkeypatch.setattr("napari_elsplus.widgets.connection.EngineClient", start)
+    for panel in ("live", "mosaic"):
+        slow = f"napari_elsplus.widgets.{panel}.remembered_settings"
+        monkeypatch.setattr(slow, lambda: Settings("240hz", frame_rate_hz=100.0))
+    yield clients
+    assert not any(exists(client.pid) for client in clients), "an engine was left behind"
 
 
 @pytest.fixture

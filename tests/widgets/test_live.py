@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import runpy
 import signal
-import sys
 import time
 from pathlib import Path
 
@@ -14,32 +13,13 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
-from napari_elsplus.acquisition.client import EngineClient
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.io import open_recording
 from napari_elsplus.settings import recall
+from processes import exists
 
 PLUGIN = "napari-elsplus"
 HERE = Path(__file__).parents[1] / "acquisition"
-
-
-@pytest.fixture
-def small_engine(tmp_path, monkeypatch):
-    """Panels start the engine on a rig of a few lines, at a rate that leaves time for other tests' work."""
-    monkeypatch.setenv("ELSPLUS_CONFIG", str(tmp_path / "settings"))
-    command = (sys.executable, str(HERE / "engine_process.py"), str(tmp_path / "mirror.log"))
-    clients = []
-
-    def start():
-        clients.append(EngineClient(command))
-        return clients[-1]
-
-    monkeypatch.setattr("napari_elsplus.widgets.connection.EngineClient", start)
-    monkeypatch.setattr(
-        "napari_elsplus.widgets.live.remembered_settings", lambda: Settings("240hz", frame_rate_hz=100.0)
-    )
-    yield clients
-    assert not any(exists(client.pid) for client in clients), "an engine was left behind"
 
 
 @pytest.fixture
@@ -55,14 +35,6 @@ def panel(viewer, qtbot, tmp_path):
     client.use(runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()).result(60)
     panel.folder.value = tmp_path
     return panel
-
-
-def exists(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def ended(panel):

@@ -1,0 +1,98 @@
+"""The Mosaic panel on the live stream, driven as a user drives it, with the engine in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import runpy
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.io import read_track
+
+PLUGIN = "napari-elsplus"
+HERE = Path(__file__).parents[1] / "acquisition"
+
+
+@pytest.fixture
+def viewer(small_engine, make_napari_viewer_proxy):
+    return make_napari_viewer_proxy()
+
+
+@pytest.fixture
+def panel(viewer, qtbot):
+    """The Mosaic panel, connected to a calibrated rig; LS is laid, since the small rig's views differ little."""
+    _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic")
+    client = panel.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
+    client.use(runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()).result(60)
+    for mode, box in panel.modes.items():
+        box.value = mode == "ls"
+    return panel
+
+
+def go_live(viewer, panel, qtbot, frames=20):
+    qtbot.waitUntil(lambda: panel.going_live.enabled and panel.going_live.text == "Live mosaic", timeout=30_000)
+    panel.going_live.native.click()
+    drawing = lambda: panel.layers.drawing  # noqa: E731
+    qtbot.waitUntil(
+        lambda: "mosaic LS" in viewer.layers and drawing() is not None and drawing().counts["tracked"] > frames,
+        timeout=60_000,
+    )
+
+
+def test_the_live_mosaic_grows_rests_is_undone_saved_and_cleared(viewer, panel, qtbot, tmp_path):
+    go_live(viewer, panel, qtbot)
+    layer = viewer.layers["mosaic LS"]
+    qtbot.waitUntil(lambda: np.asarray(layer.data[0]).max() > 50, timeout=10_000)
+    assert layer.scale == pytest.approx([2.66, 2.66])
+    assert panel.live
+    qtbot.waitUntil(lambda: "mm/s of at most" in panel.speed.text, timeout=10_000)
+    qtbot.waitUntil(lambda: panel.going_live.text == "Rest" and panel.going_live.enabled, timeout=10_000)
+    panel.save(tmp_path / "live.ome.tif")
+    qtbot.waitUntil(lambda: not panel.work.busy and panel.going_live.enabled, timeout=30_000)
+    rows = read_track(tmp_path / "live.track.csv")
+    assert [row.frame for row in rows] == list(range(len(rows)))
+    assert (tmp_path / "live.png").exists()
+
+    panel.going_live.native.click()
+    qtbot.waitUntil(lambda: not panel.live, timeout=30_000)
+    assert panel.connection.client.status.live
+    panel.undo()
+    qtbot.waitUntil(lambda: not np.asarray(layer.data[0]).any(), timeout=30_000)
+    panel.clearing.native.click()
+    qtbot.waitUntil(lambda: panel.connection.client.status.track is None, timeout=30_000)
+    assert not [one.name for one in viewer.layers if one.name.startswith("mosaic")]
+    go_live(viewer, panel, qtbot)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
+def test_the_mosaic_of_a_killed_engine_stays_and_can_be_saved(viewer, panel, qtbot, tmp_path):
+    go_live(viewer, panel, qtbot)
+    os.kill(panel.connection.client.pid, signal.SIGKILL)
+    qtbot.waitUntil(lambda: panel.connection.client is None, timeout=30_000)
+    qtbot.wait(300)
+    image = np.asarray(viewer.layers["mosaic LS"].data[0])
+    assert image.max() > 50
+    assert not Path("/dev/shm").is_dir() or not list(Path("/dev/shm").glob(f"{panel._shown.board}*"))
+    panel.save(tmp_path / "kept.ome.tif")
+    qtbot.waitUntil(lambda: (tmp_path / "kept.track.csv").exists() and not panel.work.busy, timeout=30_000)
+    panel.undo()
+    assert not np.asarray(viewer.layers["mosaic LS"].data[0]).any()
+
+
+def test_it_lies_beside_the_live_images_and_a_stack_is_not_disturbed_by_it(viewer, panel, qtbot):
+    viewer.add_image(np.ones((400, 300)), name="live", scale=(2, 2))
+    go_live(viewer, panel, qtbot)
+    assert viewer.layers["live"].visible
+    assert viewer.layers["mosaic LS"].extent.world[0, 1] > 600
+    scene = np.random.default_rng(0).random((300, 300))
+    viewer.add_image(np.stack([scene[k:][:200, :200] for k in range(6)]), name="mine", contrast_limits=(0, 1))
+    panel.recording.value = "mine"
+    panel.begin()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+    qtbot.wait(300)
+    assert panel._source.finished
+    assert "of 6 frames" in panel.status.text()
