@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 
 LEAST_EVIDENCE: Final = 0.1
 """Evidence that a link needs against each of its rivals, in nats per pixel."""
+EVIDENCE_AT_REST: Final = 0.2
+"""The same where nothing seems to have moved: what the flat field leaves of the bundle's own pattern never moves."""
+_AT_REST_PX: Final = 2.0
 _AT_REST: Final = Velocity(0.0, 0.0)
 _SURE: Final = 0.9
 _TURNS: Final = 4
@@ -92,7 +95,9 @@ class Link(NamedTuple):
     @property
     def observed(self) -> bool:
         """Whether the frames themselves say that this is the shift, and no other near it."""
-        return self.evidence >= LEAST_EVIDENCE and self.overlap >= LEAST_OVERLAP
+        at_rest = hypot(self.warp.b, self.warp.d) < _AT_REST_PX
+        needed = EVIDENCE_AT_REST if at_rest else LEAST_EVIDENCE
+        return self.evidence >= needed and self.overlap >= LEAST_OVERLAP
 
     @property
     def sigma(self) -> float:
