@@ -7,8 +7,21 @@ import pytest
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.evaluation.against_truth import TrackErrors
-from napari_elsplus.evaluation.mosaicing import METHODS, Judged, Outcome, Scenario
-from napari_elsplus.figures.mosaicing import draw_errors, draw_gate, draw_mosaics, make, table
+from napari_elsplus.evaluation.gate import Gate, Judged
+from napari_elsplus.evaluation.mosaicing import METHODS, Outcome, Scenario
+from napari_elsplus.evaluation.parsimony.turning import Turned, Walk
+from napari_elsplus.evaluation.stability.pairs import Statistics
+from napari_elsplus.figures.mosaicing import (
+    draw_errors,
+    draw_gate,
+    draw_mosaics,
+    gate_table,
+    make,
+    pairs_table,
+    table,
+    turning_table,
+)
+from napari_elsplus.processing.ladder import Rung
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,11 +32,16 @@ if TYPE_CHECKING:
 def made() -> dict[str, Outcome]:
     image = np.random.default_rng(0).random((50, 400)).astype(np.float32)
     errors = TrackErrors(10, 9, 1, 0.0123, 2, 0.0456, 100.0)
-    return {method: Outcome(errors, np.linspace(0, 2, 10), image, image, 0.987) for method in METHODS}
+    return {method: Outcome(errors, np.linspace(0, 2, 10), image, image, 0.987, 0.954) for method in METHODS}
 
 
 @pytest.mark.parametrize(
-    "figure", [draw_mosaics(made()), draw_errors(made()), draw_gate([Judged(0.5, 0.99, 0.1), Judged(0.0, 0.98, 9.0)])]
+    "figure",
+    [
+        draw_mosaics(made()),
+        draw_errors(made()),
+        draw_gate([Judged(0.5, 0.99, 0.1, True), Judged(0.0, 0.98, 9.0, False)]),
+    ],
 )
 def test_pictures_are_drawn(figure: Figure, tmp_path: Path) -> None:
     figure.savefig(tmp_path / "figure.png")
@@ -33,7 +51,18 @@ def test_pictures_are_drawn(figure: Figure, tmp_path: Path) -> None:
 def test_table_has_a_line_for_every_method() -> None:
     lines = table({Scenario("fibres", "spiral", 16_000.0, 80): made()})
     assert len(lines) == 2 + len(METHODS)
-    assert lines[-1] == "| fibres, spiral, 16 mm/s | ours | 0.012 | 0.046 | 2 | 9 of 10 | 0.987 |"
+    assert lines[-1] == "| fibres, spiral, 16 mm/s | ours | 0.012 | 0.046 | 2 | 9 of 10 | 0.987 | 0.954 |"
+
+
+def test_tables_tell_pairs_gate_and_turns() -> None:
+    many = {"link": {"fibres": Statistics(334, 0.0345, 0.3, 0.0), "nuclei": Statistics(334, 0.0234, 0.0, 0.0)}}
+    assert pairs_table(many)[-1] == "| link | 668 | 0.3 %, 0.0 %; 0.035 | 0.0 %, 0.0 %; 0.023 |"
+    caught = gate_table({(60, True): Gate(50, 400, 98.0, 95.5, 40.0)})
+    assert caught[-1] == "| 60 fibres, jerky | 50 | 98.0 % | 400 | 95.5 % | 40.0 % |"
+    errors = TrackErrors(10, 9, 1, 0.0123, 2, 0.0456, 100.0)
+    walk = Walk("fibres", "hand", 1500.0, 10.0, 120)
+    lines = turning_table({walk: Turned(Rung.RIGID, 8, 4.8, 0.031, errors)})
+    assert lines[-1] == "| fibres, hand, 1.5 mm/s | 10 | 4.80 | rigid | 8 | 0.031 | 0.012 | 0.046 | 2 |"
 
 
 def test_a_page_without_a_place_for_the_table_is_refused_before_anything_is_measured(tmp_path: Path) -> None:

@@ -9,12 +9,11 @@ import cv2
 import numpy as np
 
 from napari_elsplus.evaluation.against_truth import TrackErrors, track_errors
-from napari_elsplus.evaluation.rig import simulated_rig
-from napari_elsplus.processing.frontend import FrontEnd
-from napari_elsplus.processing.motion import Velocity
-from napari_elsplus.processing.registration import Registrar
+from napari_elsplus.evaluation.rig import StopAndGo, simulated_rig
+from napari_elsplus.processing.grid import Grid
+from napari_elsplus.processing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.simulation.scenes import picture, scene
+from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import trajectory
 from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs
 
@@ -22,17 +21,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.evaluation.rig import SimulatedRig
-    from napari_elsplus.simulation.scenes import Scene
 
 SMOOTHING_PX: Final = 1.0
 SCENE_SMOOTHING_PX: Final = float(np.hypot(SMOOTHING_PX, 1.0))
-"""The scene is smoothed like the mosaic, and by the pixel that the front end smooths with."""
+"""The focal plane is smoothed like the mosaic, and by the pixel that the front end smooths with."""
 TRANSLATION: Final = "translation"
 """Our method without rows per frame: every frame is taken as shot at once."""
 METHODS: Final = (Method.PAPER.value, TRANSLATION, Method.ELSPLUS.value)
-_SPREAD: Final = 0.01
-_SCENE_PX: Final = 2400
-_SCENE_UM_PER_PX: Final = 2.0
+_STEP_PX: Final = 70.0
+"""Distance of the resting places from which the scene is looked at, pixels of the tracking grid."""
 
 
 class Scenario(NamedTuple):
@@ -58,9 +55,12 @@ class Outcome:
     error_px : numpy.ndarray
         (T,) distance from the true path, camera pixels, segments laid onto their true first position; nan if lost.
     mosaic, truth : numpy.ndarray
-        (rows, cols) the largest segment's mosaic, and the focal plane of the scene on its pixels; 0 where not covered.
+        (rows, cols) the largest segment's mosaic, and what a probe at rest sees there without noise; 0 where not
+        covered.
     correlation : float
-        Between them.
+        Between them: what motion, noise and tracking cost.
+    focal_correlation : float
+        Of the mosaic with the focal plane of the scene alone: what ELS+ leaves of other planes counts as well.
     """
 
     errors: TrackErrors
@@ -68,6 +68,7 @@ class Outcome:
     mosaic: NDArray[np.float32]
     truth: NDArray[np.float32]
     correlation: float
+    focal_correlation: float
 
 
 def outcomes(scenario: Scenario) -> dict[str, Outcome]:
@@ -76,11 +77,19 @@ def outcomes(scenario: Scenario) -> dict[str, Outcome]:
     path = trajectory(scenario.path, speed_um_s=scenario.speed_um_s)
     raw = rig.recording(scene(scenario.scene), path, scenario.frames)
     true_px = rig.positions_px(path, scenario.frames)
-    return {method: _outcome(method, rig, raw, true_px, scenario) for method in METHODS}
+    margin_um = rig.instrument.bundle.radius_um
+    ends_um = true_px.min(axis=0) * rig.um_per_px, true_px.max(axis=0) * rig.um_per_px
+    at_rest = SeenAtRest(rig, scenario.scene, ends_um[0] - margin_um, ends_um[1] + margin_um)
+    return {method: _outcome(method, rig, raw, true_px, scenario, at_rest) for method in METHODS}
 
 
 def _outcome(
-    method: str, rig: SimulatedRig, raw: NDArray[np.uint8], true_px: NDArray[np.float64], scenario: Scenario
+    method: str,
+    rig: SimulatedRig,
+    raw: NDArray[np.uint8],
+    true_px: NDArray[np.float64],
+    scenario: Scenario,
+    at_rest: SeenAtRest,
 ) -> Outcome:
     calibration = rig.calibration
     if method == TRANSLATION:
@@ -102,81 +111,68 @@ def _outcome(
     largest = max(pipeline.mosaics, key=lambda number: int((segment == number).sum()))
     mine = (segment == largest) & np.isfinite(found[:, 0])
     start = np.asarray((true_px - found)[mine].mean(axis=0), np.float64)
-    mosaic, truth, weight = _beside_truth(pipeline, largest, start, rig.um_per_px, scenario.scene)
-    smoothing = zip((mosaic, truth), (SMOOTHING_PX, SCENE_SMOOTHING_PX), strict=True)
-    smooth = [cv2.GaussianBlur(image, (0, 0), sigma)[weight > 0] for image, sigma in smoothing]
-    return Outcome(
-        track_errors(pipeline.rows, true_px),
-        np.hypot(*(found + offset - true_px).T),
-        mosaic,
-        truth,
-        float(np.corrcoef(*smooth)[0, 1]),
-    )
-
-
-def _beside_truth(
-    pipeline: Pipeline, segment: int, start_px: NDArray[np.float64], um_per_px: float, name: str
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    mosaic = pipeline.mosaics[segment]
+    mosaic = pipeline.mosaics[largest]
     assert mosaic.extent is not None
     image, weight = mosaic.read()
     rows, cols = (
-        np.asarray(((np.arange(count) + first) * pipeline.camera_px_per_pixel + origin) * um_per_px, np.float64)
-        for count, first, origin in zip(image.shape, mosaic.extent[:2], start_px, strict=True)
+        np.asarray(((np.arange(count) + first) * pipeline.camera_px_per_pixel + origin) * rig.um_per_px, np.float64)
+        for count, first, origin in zip(image.shape, mosaic.extent[:2], start, strict=True)
     )
-    truth = np.asarray(scene(name).planes[0].texture.sample(rows, cols), np.float32)
-    return image, np.where(weight > 0, truth, np.float32(0)), weight
+    covered = weight > 0
+    truth = np.where(covered, at_rest.sample(rows, cols), np.float32(0))
+    focal = scene(scenario.scene).planes[0].texture.sample(rows, cols)
+    return Outcome(
+        track_errors(pipeline.rows, true_px),
+        np.hypot(*(found + offset - true_px).T),
+        image,
+        truth,
+        _correlation(image, truth, SMOOTHING_PX, covered),
+        _correlation(image, np.where(covered, focal, np.float32(0)), SCENE_SMOOTHING_PX, covered),
+    )
 
 
-class Judged(NamedTuple):
-    """A link between two frames, accepted or not: its evidence, its correlation, and how wrong it is."""
-
-    evidence: float
-    correlation: float
-    error_px: float
-
-
-def few_fibres(seed: int, count: int = 180) -> Scene:
-    """Straight fibres so far apart that some views show one of them, or none."""
-    random = np.random.default_rng(seed)
-    image = np.zeros((_SCENE_PX, _SCENE_PX), np.float32)
-    for _ in range(count):
-        middle, angle = random.uniform(0, _SCENE_PX, 2), random.uniform(0, np.pi)
-        along = random.uniform(50, 200) * np.array([np.cos(angle), np.sin(angle)])
-        ends = [(int(x), int(y)) for x, y in (middle - along, middle + along)]
-        cv2.line(image, ends[0], ends[1], float(random.uniform(0.5, 1.0)), 4, cv2.LINE_AA)
-    return picture(cv2.GaussianBlur(image, (0, 0), 1.0), _SCENE_UM_PER_PX)
+def _correlation(
+    mosaic: NDArray[np.float32], truth: NDArray[np.float32], smoothing_px: float, covered: NDArray[np.bool_]
+) -> float:
+    pair = zip((mosaic, truth), (SMOOTHING_PX, smoothing_px), strict=True)
+    return float(np.corrcoef(*(cv2.GaussianBlur(image, (0, 0), sigma)[covered] for image, sigma in pair))[0, 1])
 
 
-def judged_links(speed_um_s: float, frames: int, seeds: int) -> list[Judged]:
-    """Link successive frames of sparse scenes, each started a few pixels off, and compare with the truth.
+class SeenAtRest:
+    """What the instrument shows of a scene, without noise and motion: ELS+ from many resting places, put together.
 
     Parameters
     ----------
-    speed_um_s : float
-        Of the hand that moves the probe.
-    frames, seeds : int
-        Frames of each recording, and how many recordings.
+    rig : SimulatedRig
+        The instrument.
+    name : str
+        The scene.
+    low_um, high_um : numpy.ndarray
+        First and last (row, col) of the scene that is looked at.
     """
-    rig = simulated_rig()
-    judged = []
-    for seed in range(seeds):
-        random = np.random.default_rng(seed)
-        path = trajectory("hand", speed_um_s=speed_um_s, seed=seed)
-        raw = rig.recording(few_fibres(seed), path, frames, seed=seed)
-        front_end = FrontEnd(rig.calibration, rig.instrument.frame_shape)
-        registrar, shutter, binning = Registrar(front_end.grid), front_end.grid.shutter, front_end.grid.binning
-        true = rig.positions_px(path, frames) / binning
-        views = []
-        for frame in raw:
-            view = registrar.view()
-            front_end.image(frame, view.image)
-            views.append(registrar.prepare(view))
-        for k, step in enumerate(np.diff(true, axis=0)):
-            guess = Velocity(*(step + random.normal(0, 4, 2)).tolist())
-            expected = shutter.warp(guess, guess, shutter.step(guess, guess))
-            link = registrar.link(views[k], views[k + 1], expected, (_SPREAD, _SPREAD))
-            found = shutter.displacement(link.warp, shutter.velocities(link.warp)[1])
-            error = float(np.hypot(*(np.array(found) - step))) * binning
-            judged.append(Judged(link.evidence, link.correlation, error))
-    return judged
+
+    def __init__(self, rig: SimulatedRig, name: str, low_um: NDArray[np.float64], high_um: NDArray[np.float64]) -> None:
+        grid = Grid.of(rig.calibration)
+        self._um = grid.binning * rig.um_per_px
+        rows, cols = (
+            np.arange(low, high + _STEP_PX, _STEP_PX)
+            for low, high in zip(low_um / self._um, high_um / self._um, strict=True)
+        )
+        places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
+        path = StopAndGo(places * self._um, rig.instrument.optics.frame_period_s)
+        images = rig.tracking_images(rig.recording(scene(name), path, len(places), noise=False))
+        weights = rim_weights(grid, rig.instrument.offset_rows / grid.binning) ** 2
+        mosaic = Mosaic(grid, Insertion.FEATHERED, weights=weights)
+        for image, (row, col) in zip(images, places.tolist(), strict=True):
+            mosaic.insert(image, row, col)
+        assert mosaic.extent is not None
+        self._image, self._corner = mosaic.read()[0], mosaic.extent[:2]
+
+    def sample(self, rows_um: NDArray[np.float64], cols_um: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Grey levels at each row and column of the scene; 0 where it was not looked at."""
+        rows, cols = (
+            np.asarray(at / self._um - first, np.float32)
+            for at, first in zip((rows_um, cols_um), self._corner, strict=True)
+        )
+        across, down = np.meshgrid(cols, rows)
+        return np.asarray(cv2.remap(self._image, across, down, cv2.INTER_CUBIC), np.float32)

@@ -31,6 +31,7 @@ MODULES: dict[str, str] = {  # the module, and its benchmark where that is not c
     "pair": "choices.pair",
     "stability-line": "stability.line",
     "stability-pair": "stability.pair",
+    "stability-pairs": "stability.pairs",
     "stability-tracking": "stability.tracking",
 }
 

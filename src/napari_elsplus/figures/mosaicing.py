@@ -1,15 +1,21 @@
-"""The pictures and the table of docs/mosaicing.md: ``python -m napari_elsplus.figures.mosaicing --out docs``."""
+"""The pictures and the tables of docs/mosaicing.md: ``python -m napari_elsplus.figures.mosaicing --out docs``."""
 
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from napari_elsplus.evaluation.mosaicing import TRANSLATION, Judged, Outcome, Scenario, judged_links, outcomes
+from napari_elsplus.evaluation.choices.registration import METHODS as REGISTRATIONS
+from napari_elsplus.evaluation.gate import Gate, Judged, gate, judged_links
+from napari_elsplus.evaluation.harness import Absent
+from napari_elsplus.evaluation.mosaicing import TRANSLATION, Outcome, Scenario, outcomes
+from napari_elsplus.evaluation.parsimony.turning import Turned, Walk, follow
+from napari_elsplus.evaluation.stability.pairs import SCENES, Statistics, cases, statistics
 from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill, require_marks
 from napari_elsplus.processing.registration import LEAST_EVIDENCE
@@ -26,9 +32,23 @@ SCENARIOS: Final = (
     Scenario("fibres", "hand", 300.0, 120),
     Scenario("sparse", "spiral", 8_000.0, 80),
 )
-JUDGED_UM_S: Final = 3_000.0
-JUDGED_FRAMES: Final = 60
-SEEDS: Final = 8
+JUDGED_FRAMES: Final = 40
+SEEDS: Final = 6
+FIBRES: Final = (180, 60)
+WALKS: Final = tuple(
+    Walk(scene, path, speed_um_s, turn_deg_s, 120, seed=2)
+    for scene, path, speed_um_s in (
+        ("fibres", "hand", 1500.0),
+        ("nuclei", "spiral", 8000.0),
+        ("sparse", "spiral", 8000.0),
+    )
+    for turn_deg_s in (0.0, 2.0, 10.0, 50.0)
+)
+PAIRS: Final = 1000
+_SHOWN_REGISTRATIONS: Final = (
+    "link, searched", "link, predicted", "template", "template + parabola", "OpenCV phaseCorrelate",
+    "OpenCV ECC, predicted", "scikit-image phase", "scikit-image masked", "PyFibreBundle",
+)  # fmt: skip
 NAMES: Final = {Method.PAPER.value: "paper", TRANSLATION: "sub-pixel translation", Method.ELSPLUS.value: "ours"}
 _SHOWN_PX: Final = 360
 
@@ -44,16 +64,39 @@ def make(docs: Path) -> None:
     Raises
     ------
     InputError
-        If there is no ``mosaicing.md`` in it, or the table's place is missing there.
+        If there is no ``mosaicing.md`` in it, or a table's place is missing there.
     """
     page = docs / "mosaicing.md"
-    require_marks(page, ("methods",))
-    measured = {scenario: outcomes(scenario) for scenario in SCENARIOS}
+    require_marks(page, ("methods", "pairs", "gate", "turning"))
     images = docs / "images"
+    measured = {scenario: outcomes(scenario) for scenario in SCENARIOS}
     save_figure(draw_mosaics(measured[FAST]), images / "mosaicing-mosaics.png", force=True)
     save_figure(draw_errors(measured[FAST]), images / "mosaicing-errors.png", force=True)
-    save_figure(draw_gate(judged_links(JUDGED_UM_S, JUDGED_FRAMES, SEEDS)), images / "mosaicing-gate.png", force=True)
-    fill(page, {"methods": "\n".join(table(measured))})
+    links = {
+        (count, jerks): judged_links(JUDGED_FRAMES, SEEDS, count, jerks=jerks)
+        for count in FIBRES
+        for jerks in (False, True)
+    }
+    save_figure(draw_gate(sum(links.values(), [])), images / "mosaicing-gate.png", force=True)
+    blocks = {
+        "methods": table(measured),
+        "pairs": pairs_table(many_pairs(PAIRS)),
+        "gate": gate_table({which: gate(found) for which, found in links.items()}),
+        "turning": turning_table({walk: follow(walk) for walk in WALKS}),
+    }
+    fill(page, {name: "\n".join(lines) for name, lines in blocks.items()})
+
+
+def many_pairs(count: int) -> dict[str, dict[str, Statistics]]:
+    """Register many pairs of each scene by each method that is installed: method to scene to statistics."""
+    every = cases(quick=False, count=count)
+    found: dict[str, dict[str, Statistics]] = {}
+    for method in (method for method in REGISTRATIONS if method.name in _SHOWN_REGISTRATIONS):
+        with suppress(Absent):
+            found[method.name] = {
+                scene: statistics(method, [case for case in every if case.group == scene]) for scene in SCENES
+            }
+    return found
 
 
 def draw_mosaics(made: dict[str, Outcome]) -> Figure:
@@ -61,7 +104,7 @@ def draw_mosaics(made: dict[str, Outcome]) -> Figure:
     figure = Figure(figsize=(12, 3.4), layout="constrained")
     panels = figure.subplots(1, len(made) + 1)
     best = made[Method.ELSPLUS.value]
-    _show(panels[0], best.truth, "scene")
+    _show(panels[0], best.truth, "at rest, no noise")
     for axes, (method, outcome) in zip(panels[1:], made.items(), strict=True):
         _show(axes, outcome.mosaic, f"{NAMES[method]}: correlation {outcome.correlation:.3f}")
     return figure
@@ -82,7 +125,7 @@ def draw_gate(links: list[Judged]) -> Figure:
     """How wrong links are, against their correlation and against the evidence over their rivals."""
     figure = Figure(figsize=(9, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
-    evidence, correlation, error = np.array(links).T
+    evidence, correlation, error, _ = np.array(links, float).T
     left.loglog(np.maximum(1 - correlation, 1e-4), error, ".", markersize=4)
     left.set(xlabel="1 - correlation", ylabel="error of the link (camera px)")
     left.invert_xaxis()
@@ -96,16 +139,63 @@ def table(measured: dict[Scenario, dict[str, Outcome]]) -> list[str]:
     """Lines of the page's table."""
     lines = [
         "| scene, path, speed | method | median pair error (px) | error at the end (% of path) | wrong links | "
-        "tracked | correlation with the scene |",
-        "|---|---|---|---|---|---|---|",
+        "tracked | correlation with ELS+ at rest | with the focal plane |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for scenario, made in measured.items():
         for method, outcome in made.items():
             e = outcome.errors
             lines.append(
                 f"| {scenario} | {NAMES[method]} | {e.median_pair_error_px:.3f} | {e.end_error_percent_of_path:.3f} "
-                f"| {e.wrong_links} | {e.tracked} of {e.frames} | {outcome.correlation:.3f} |"
+                f"| {e.wrong_links} | {e.tracked} of {e.frames} | {outcome.correlation:.3f} "
+                f"| {outcome.focal_correlation:.3f} |"
             )
+    return lines
+
+
+def pairs_table(found: dict[str, dict[str, Statistics]]) -> list[str]:
+    """Failures and errors over many pairs."""
+    scenes = list(next(iter(found.values())))
+    lines = [
+        "| method | pairs | "
+        + " | ".join(f"{scene}: failed, of these unnoticed; rms error (px)" for scene in scenes)
+        + " |",
+        "|---|---|" + "---|" * len(scenes),
+    ]
+    for method, of in found.items():
+        cells = [f"{s.failed_percent:.1f} %, {s.silent_percent:.1f} %; {s.rms_px:.3f}" for s in of.values()]
+        lines.append(f"| {method} | {sum(s.pairs for s in of.values())} | {' | '.join(cells)} |")
+    return lines
+
+
+def gate_table(found: dict[tuple[int, bool], Gate]) -> list[str]:
+    """What the gate caught and kept."""
+    lines = [
+        "| scene, motion | wrong links | caught | right links | kept | wrong ones that a limit on the correlation catches, "
+        "keeping as many |",
+        "|---|---|---|---|---|---|",
+    ]
+    for (fibres, jerks), g in found.items():
+        lines.append(
+            f"| {fibres} fibres, {'jerky' if jerks else 'smooth'} | {g.wrong} | {g.caught_percent:.1f} % | {g.right} "
+            f"| {g.kept_percent:.1f} % | {g.caught_by_correlation_percent:.1f} % |"
+        )
+    return lines
+
+
+def turning_table(found: dict[Walk, Turned]) -> list[str]:
+    """Which rung each walk asked for, and what became of it."""
+    lines = [
+        "| scene, path, speed | turns at (deg/s) | up to (deg) | modelled | from frame | error of the angle (deg, rms) "
+        "| median pair error (px) | error at the end (% of path) | wrong links |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for walk, t in found.items():
+        lines.append(
+            f"| {walk.scene}, {walk.path}, {walk.speed_um_s / 1000:g} mm/s | {walk.turn_deg_s:g} | {t.angle_deg:.2f} "
+            f"| {t.rung.name.lower()} | {'-' if t.since is None else t.since} | {t.angle_error_deg:.3f} "
+            f"| {t.errors.median_pair_error_px:.3f} | {t.errors.end_error_percent_of_path:.3f} | {t.errors.wrong_links} |"
+        )
     return lines
 
 

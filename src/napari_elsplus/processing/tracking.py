@@ -112,6 +112,17 @@ class _Placed:
     scale: float = 1.0
 
 
+def needed_evidence(spread_px: float) -> float:
+    """Evidence that a link needs over its rivals: the more, the less the motion tells where to look.
+
+    Parameters
+    ----------
+    spread_px : float
+        How far velocities were, of late, from what was expected of them.
+    """
+    return LEAST_EVIDENCE * max(1.0, spread_px / SMOOTH_MOTION_PX)
+
+
 class Tracker:
     """Tracks the probe through a sequence of tracking images.
 
@@ -324,8 +335,7 @@ class Tracker:
         assert self._last is not None
         gap = here.index - self._last.index if self._motion.known else 1
         usual = not link.correlation < self._usual - FALL_OF_CORRELATION
-        needed = gap * LEAST_EVIDENCE * max(1.0, self._motion.spread / SMOOTH_MOTION_PX)
-        return link.observed and link.evidence >= needed and usual
+        return link.observed and link.evidence >= gap * needed_evidence(self._motion.spread) and usual
 
     def _place(self, earlier: _Placed, here: _Placed, link: Link) -> bool:
         """Give a frame its position and velocity; refuse if the probe moved too unevenly for the link to say so."""

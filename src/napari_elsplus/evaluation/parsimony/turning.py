@@ -1,0 +1,111 @@
+"""When the tracker models rotation and scale: never where the probe does not turn, soon where it does."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.evaluation.against_truth import TrackErrors, track_errors
+from napari_elsplus.evaluation.rig import simulated_rig, tissue
+from napari_elsplus.processing.ladder import Rung, turned_by
+from napari_elsplus.processing.frontend import FrontEnd
+from napari_elsplus.processing.tracking import Tracker
+from napari_elsplus.simulation.trajectories import Turning, trajectory
+from napari_elsplus.tracking_pipeline import Pipeline, RawPairs
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class Walk(NamedTuple):
+    """A probe moved over a scene while it turns.
+
+    Parameters
+    ----------
+    scene, path : str
+        Names.
+    speed_um_s : float
+        Of its middle.
+    turn_deg_s : float
+        How fast it turns at first; it turns to and fro.
+    frames, seed : int
+        How long, and which.
+    """
+
+    scene: str
+    path: str
+    speed_um_s: float
+    turn_deg_s: float
+    frames: int
+    seed: int = 0
+
+
+REACH_DEG = 10.0
+
+
+class Turned(NamedTuple):
+    """What became of a walk.
+
+    Parameters
+    ----------
+    rung : Rung
+        What was modelled in the end.
+    since : int or None
+        First frame for which rotation was modelled.
+    angle_deg : float
+        Largest true angle.
+    angle_error_deg : float
+        Root-mean-square error of the angle in the finished track.
+    errors : TrackErrors
+        Of the finished track.
+    """
+
+    rung: Rung
+    since: int | None
+    angle_deg: float
+    angle_error_deg: float
+    errors: TrackErrors
+
+
+def _recorded(walk: Walk) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
+    """Raw frames, true positions (camera pixels, in the first frame's orientation) and angles (radians)."""
+    rig = simulated_rig()
+    path = Turning(trajectory(walk.path, speed_um_s=walk.speed_um_s, seed=walk.seed), walk.turn_deg_s, REACH_DEG)
+    raw = rig.recording(tissue(walk.scene, walk.seed), path, walk.frames, seed=walk.seed)
+    optics = rig.instrument.optics
+    periods = np.arange(walk.frames) + rig.instrument.left_centre[0] / optics.rows_per_frame
+    angle = path.angles_rad(np.asarray(periods * optics.frame_period_s, np.float64))
+    place = rig.positions_px(path, walk.frames)
+    return raw, (place - place[0]) @ turned_by(-float(angle[0])).T, angle - angle[0]
+
+
+def follow(walk: Walk) -> Turned:
+    """Record a walk, track it, and finish the track."""
+    raw, place, angle = _recorded(walk)
+    rig = simulated_rig()
+    pipeline = Pipeline(rig.calibration, rig.instrument.frame_shape)
+    for index in range(walk.frames):
+        pipeline.track(raw[index], index)
+    live = [pose.angle for pose in pipeline.poses]
+    since = next((k for k, found in enumerate(live) if found != 0), None)
+    pipeline.finish(RawPairs(raw, "els"))
+    found = np.array([pose.angle for pose in pipeline.poses])
+    known = np.isfinite([pose.row for pose in pipeline.poses])
+    error = float(np.rad2deg(np.sqrt(np.mean((found - angle)[known] ** 2))))
+    forms = {(pose.angle != 0, pose.scale != 1) for pose in pipeline.poses}
+    zoomed, turned = any(zoom for _, zoom in forms), any(turn for turn, _ in forms)
+    rung = Rung.SIMILARITY if zoomed else Rung.RIGID if turned else Rung.TRANSLATION
+    return Turned(rung, since, float(np.rad2deg(np.abs(angle).max())), error, track_errors(pipeline.rows, place))
+
+
+def rung_of(walk: Walk) -> Rung:
+    """Return what a walk asks for, without finishing its track."""
+    raw, _, _ = _recorded(walk)
+    rig = simulated_rig()
+    front_end = FrontEnd(rig.calibration, rig.instrument.frame_shape)
+    tracker = Tracker(front_end.grid)
+    for frame in raw:
+        front_end.image(frame, tracker.slot())
+        tracker.add()
+    return tracker.rung

@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import pytest
+
+from napari_elsplus.evaluation.parsimony.turning import Walk, follow, rung_of
+from napari_elsplus.processing.ladder import Rung
+
+WAYS = (("fibres", "hand", 1500.0), ("nuclei", "spiral", 8000.0), ("sparse", "hand", 3000.0), ("fibres", "still", 0.0))
+
+
+def test_a_turn_is_modelled_soon_and_finished_well() -> None:
+    found = follow(Walk("fibres", "hand", 2000.0, 40.0, 50))
+    assert found.rung is Rung.RIGID
+    assert found.since is not None
+    assert found.since < 20
+    assert found.angle_error_deg < 0.1 < found.angle_deg
+    assert found.errors.wrong_links == 0
+    assert found.errors.tracked == 50
+
+
+@pytest.mark.slow
+def test_99_of_100_recordings_without_a_turn_are_tracked_by_translations() -> None:
+    walks = [Walk(*way, 0.0, 60, seed) for seed in range(25) for way in WAYS]
+    assert [rung_of(walk) for walk in walks].count(Rung.TRANSLATION) >= 99
