@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -77,7 +78,7 @@ def make(docs: Path) -> None:
         for count in FIBRES
         for jerks in (False, True)
     }
-    save_figure(draw_gate(sum(links.values(), [])), images / "mosaicing-gate.png", force=True)
+    save_figure(draw_gate(list(chain(*links.values()))), images / "mosaicing-gate.png", force=True)
     blocks = {
         "methods": table(measured),
         "pairs": pairs_table(many_pairs(PAIRS)),
@@ -169,10 +170,10 @@ def pairs_table(found: dict[str, dict[str, Statistics]]) -> list[str]:
 
 
 def gate_table(found: dict[tuple[int, bool], Gate]) -> list[str]:
-    """What the gate caught and kept."""
+    """Tell what the gate caught and kept."""
     lines = [
-        "| scene, motion | wrong links | caught | right links | kept | wrong ones that a limit on the correlation catches, "
-        "keeping as many |",
+        "| scene, motion | wrong links | caught | right links | kept | wrong ones that a limit on the correlation "
+        "catches, keeping as many |",
         "|---|---|---|---|---|---|",
     ]
     for (fibres, jerks), g in found.items():
@@ -194,7 +195,8 @@ def turning_table(found: dict[Walk, Turned]) -> list[str]:
         lines.append(
             f"| {walk.scene}, {walk.path}, {walk.speed_um_s / 1000:g} mm/s | {walk.turn_deg_s:g} | {t.angle_deg:.2f} "
             f"| {t.rung.name.lower()} | {'-' if t.since is None else t.since} | {t.angle_error_deg:.3f} "
-            f"| {t.errors.median_pair_error_px:.3f} | {t.errors.end_error_percent_of_path:.3f} | {t.errors.wrong_links} |"
+            f"| {t.errors.median_pair_error_px:.3f} | {t.errors.end_error_percent_of_path:.3f} "
+            f"| {t.errors.wrong_links} |"
         )
     return lines
 

@@ -171,7 +171,7 @@ def composed(warp: Warp, step: Matrix) -> tuple[Warp, Matrix]:
     (m11, m12), (m21, m22) = linear
     angle = np.arctan2(-m12, m11)
     c, s = np.cos(angle), np.sin(angle)
-    scale = m21 * s + m22 * c
+    scale = m21 * s + m22 * c if df else 1.0  # what a turn alone leaves there is of second order
     stretch, shear = float(np.hypot(m11, m12) / scale), float((m21 * c - m22 * s) / scale)
     found = Warp(stretch, float(shift[0]), shear, float(shift[1]))
     return found, turned_by(float(angle), float(scale))

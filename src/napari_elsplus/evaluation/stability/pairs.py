@@ -6,6 +6,7 @@ Failures of one in a hundred show only in hundreds of pairs, so there are many; 
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -71,7 +72,7 @@ def cases(quick: bool, count: int = 1000) -> list[Case]:
             level=float(high), group=name, context=Grid.of(rig.calibration),
         )
         for name in SCENES[: 1 if quick else None]
-        for low, high in zip(edges, edges[1:], strict=False)
+        for low, high in pairwise(edges)
     ]  # fmt: skip
 
 
