@@ -23,6 +23,8 @@ from napari_elsplus.processing.registration import LEAST_EVIDENCE
 from napari_elsplus.tracking_pipeline import Method
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+
     from matplotlib.axes import Axes
 
 FAST: Final = Scenario("fibres", "spiral", 16_000.0, 80)
@@ -54,38 +56,39 @@ NAMES: Final = {Method.PAPER.value: "paper", TRANSLATION: "sub-pixel translation
 _SHOWN_PX: Final = 360
 
 
-def make(docs: Path) -> None:
+def make(docs: Path, only: Collection[str] = ()) -> None:
     """Measure, draw and tabulate everything in docs/mosaicing.md.
 
     Parameters
     ----------
     docs : pathlib.Path
         Folder of ``mosaicing.md``; pictures go into its folder ``images``.
+    only : collection of str
+        Names of the tables that are made anew, with the pictures beside them; all by default.
 
     Raises
     ------
     InputError
         If there is no ``mosaicing.md`` in it, or a table's place is missing there.
     """
-    page = docs / "mosaicing.md"
-    require_marks(page, ("methods", "pairs", "gate", "turning"))
-    images = docs / "images"
+    page, images = docs / "mosaicing.md", docs / "images"
+    require_marks(page, TABLES)
+    for name in only or TABLES:
+        fill(page, {name: "\n".join(TABLES[name](images))})
+
+
+def _methods(images: Path) -> list[str]:
     measured = {scenario: outcomes(scenario) for scenario in SCENARIOS}
     save_figure(draw_mosaics(measured[FAST]), images / "mosaicing-mosaics.png", force=True)
     save_figure(draw_errors(measured[FAST]), images / "mosaicing-errors.png", force=True)
-    links = {
-        (count, jerks): judged_links(JUDGED_FRAMES, SEEDS, count, jerks=jerks)
-        for count in FIBRES
-        for jerks in (False, True)
-    }
+    return table(measured)
+
+
+def _gate(images: Path) -> list[str]:
+    ways = [(count, jerks) for count in FIBRES for jerks in (False, True)]
+    links = {(count, jerks): judged_links(JUDGED_FRAMES, SEEDS, count, jerks=jerks) for count, jerks in ways}
     save_figure(draw_gate(list(chain(*links.values()))), images / "mosaicing-gate.png", force=True)
-    blocks = {
-        "methods": table(measured),
-        "pairs": pairs_table(many_pairs(PAIRS)),
-        "gate": gate_table({which: gate(found) for which, found in links.items()}),
-        "turning": turning_table({walk: follow(walk) for walk in WALKS}),
-    }
-    fill(page, {name: "\n".join(lines) for name, lines in blocks.items()})
+    return gate_table({which: gate(found) for which, found in links.items()})
 
 
 def many_pairs(count: int) -> dict[str, dict[str, Statistics]]:
@@ -209,7 +212,18 @@ def _show(axes: Axes, image: np.ndarray[tuple[int, ...], np.dtype[np.float32]], 
     axes.set_axis_off()
 
 
+TABLES: Final[dict[str, Callable[[Path], list[str]]]] = {
+    "methods": _methods,
+    "gate": _gate,
+    "pairs": lambda _: pairs_table(many_pairs(PAIRS)),
+    "turning": lambda _: turning_table({walk: follow(walk) for walk in WALKS}),
+}
+"""The tables of the page, by their marks; what makes them also draws the pictures that belong to them."""
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("docs"), help="folder of mosaicing.md")
-    make(parser.parse_args().out)
+    parser.add_argument("--only", nargs="+", default=(), choices=list(TABLES), help="tables that are made anew")
+    options = parser.parse_args()
+    make(options.out, options.only)

@@ -65,7 +65,12 @@ class Remainder(NamedTuple):
 
 _MARGIN: Final = 2.0
 """How many times the criterion's penalty must be saved: it is asked again and again in a long recording."""
+_MARGIN_OF_SCALE: Final = 2.0
+"""The same for scale, which a probe in contact has no reason to change."""
 _FORGET: Final = 0.98
+_SCATTER: Final = 2.0
+_PRIOR_LINKS: Final = 4.0
+"""Variance of the links about each other, in units of what they say, and how many links that is worth at first."""
 
 
 class Climb:
@@ -91,21 +96,28 @@ class Climb:
 
     def __init__(self) -> None:
         self.rung = Rung.TRANSLATION
-        self._sum, self._variance, self._count = np.zeros(2), np.zeros(2), 0.0
+        self._sum, self._variance, self._values = np.zeros(2), np.zeros(2), 0.0
+        self._scatter, self._links = _SCATTER * np.full(2, _PRIOR_LINKS), _PRIOR_LINKS
+        self._before: Matrix | None = None
 
     def weigh(self, found: Remainder, *, keep: bool = True) -> Rung:
         """Weigh a link with those before; return the rung that is asked for. It is remembered if it is to be kept."""
-        total = _FORGET * self._sum + found.step[Rung.SIMILARITY, 4:]
-        variance = _FORGET**2 * self._variance + found.sigma**2
-        count = _FORGET * self._count + found.values
-        saved = total**2 / np.maximum(variance, 1e-12)
-        needed = _MARGIN * np.log(max(count, 2.0))
-        if saved[1] > needed:
+        step = found.step[Rung.SIMILARITY, 4:]
+        total, variance = _FORGET * self._sum + step, _FORGET**2 * self._variance + found.sigma**2
+        values = _FORGET * self._values + found.values
+        saved = total**2 / np.maximum(variance * np.maximum(self._scatter / self._links, 1.0), 1e-12)
+        needed = _MARGIN * np.log(max(values, 2.0))
+        if saved[1] > _MARGIN_OF_SCALE * needed:
             self.rung = Rung.SIMILARITY
         elif saved[0] > needed and self.rung is Rung.TRANSLATION:
             self.rung = Rung.RIGID
         if keep:
-            self._sum, self._variance, self._count = total, variance, count
+            self._sum, self._variance, self._values = total, variance, values
+            if self._before is not None:
+                # a probe turns evenly: what differs from link to link is error
+                self._scatter = self._scatter + 0.5 * ((step - self._before) / found.sigma) ** 2
+                self._links += 1
+            self._before = step
         return self.rung
 
 

@@ -42,6 +42,7 @@ class Walk(NamedTuple):
 
 
 REACH_DEG = 10.0
+_LEAST_ZOOM = 1e-9
 
 
 class Turned(NamedTuple):
@@ -93,7 +94,7 @@ def follow(walk: Walk) -> Turned:
     found = np.array([pose.angle for pose in pipeline.poses])
     known = np.isfinite([pose.row for pose in pipeline.poses])
     error = float(np.rad2deg(np.sqrt(np.mean((found - angle)[known] ** 2))))
-    forms = {(pose.angle != 0, pose.scale != 1) for pose in pipeline.poses}
+    forms = {(abs(pose.angle) > 0, abs(pose.scale - 1) > _LEAST_ZOOM) for pose in pipeline.poses}
     zoomed, turned = any(zoom for _, zoom in forms), any(turn for turn, _ in forms)
     rung = Rung.SIMILARITY if zoomed else Rung.RIGID if turned else Rung.TRANSLATION
     return Turned(rung, since, float(np.rad2deg(np.abs(angle).max())), error, track_errors(pipeline.rows, place))
