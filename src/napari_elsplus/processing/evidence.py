@@ -144,3 +144,18 @@ def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, f
         a_row * across + a_col * along,
         s_row * across + s_col * along,
     )
+
+
+@lean_kernel
+def stretch_and_shear_variance(information: NDArray[np.float64]) -> tuple[float, float]:
+    """How well the stretch a and the shear s are known, whatever the shift is; infinite where they are not."""
+    bb, bd, dd = information[1, 1], information[1, 3], information[3, 3]
+    determinant = bb * dd - bd * bd
+    if not determinant > 0:
+        return np.inf, np.inf
+    ab, ad, sb, sd = information[0, 1], information[0, 3], information[2, 1], information[2, 3]
+    aa = information[0, 0] - (dd * ab * ab - 2 * bd * ab * ad + bb * ad * ad) / determinant
+    ss = information[2, 2] - (dd * sb * sb - 2 * bd * sb * sd + bb * sd * sd) / determinant
+    both = information[0, 2] - (dd * ab * sb - bd * (ab * sd + ad * sb) + bb * ad * sd) / determinant
+    left = aa * ss - both * both
+    return (ss / left, aa / left) if left > 0 else (np.inf, np.inf)

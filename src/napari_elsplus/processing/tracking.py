@@ -13,14 +13,14 @@ from enum import StrEnum
 from math import hypot, isfinite, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import numpy as np
-
+from napari_elsplus.processing.evidence import stretch_and_shear_variance
 from napari_elsplus.processing.ladder import Climb, Rung, turned_by
 from napari_elsplus.processing.motion import Displacement, Velocity
 from napari_elsplus.processing.prediction import AT_REST, Motion
 from napari_elsplus.processing.registration import LEAST_EVIDENCE, Link, Registrar, View
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.grid import Grid
@@ -374,9 +374,13 @@ class Tracker:
         if not isfinite(shutter.rows_per_frame):
             return along
         sheared = shutter.later_velocity(link.warp, earlier.velocity)
-        doubt = shutter.rows_per_frame**2 * np.diag(np.linalg.inv(link.information))[[0, 2]] + _VELOCITY_SIGMA**2
-        part = (gap * motion.surprise / 2) ** 2 / ((gap * motion.surprise / 2) ** 2 + doubt)
-        return Velocity(*(np.array(along) + part * (np.array(sheared) - along)).tolist())
+        stretch, shear = stretch_and_shear_variance(link.information)
+        surprise = (gap * motion.surprise / 2) ** 2
+        parts = (
+            surprise / (surprise + shutter.rows_per_frame**2 * variance + _VELOCITY_SIGMA**2)
+            for variance in (stretch, shear)
+        )
+        return Velocity(*(v + part * (w - v) for v, w, part in zip(along, sheared, parts, strict=True)))
 
     def _track(self, here: _Placed, link: Link) -> Pose:
         last = self._last
