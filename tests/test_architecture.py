@@ -27,6 +27,7 @@ ROOMS = (
     "io",
     "pipeline",
     "tracking_pipeline",
+    "pipelined",
     "acquisition",
     "evaluation",
     "figures",

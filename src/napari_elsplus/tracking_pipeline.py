@@ -54,6 +54,12 @@ class _Tracking(Protocol):
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
         """Return a frame's image, which is good until the next call."""
 
+    def look(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
+        """Make the image of a frame that is to be placed."""
+
+    def place(self, image: NDArray[np.float32]) -> Pose:
+        """Return where the frame of such an image lies."""
+
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         """Return better poses, once all frames are there."""
 
@@ -67,10 +73,18 @@ class _Ours:
         self._image = np.zeros((self.grid.side, self.grid.side), np.float32)
 
     def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
-        image = self._front_end.image(raw, self._tracker.slot(), raw_residual)
-        if self._front_end.saturated(raw):
-            image[:] = 0
+        image = self._tracker.slot()
+        self.look(raw, raw_residual, image)
         return self._tracker.add(), image
+
+    def look(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
+        self._front_end.image(raw, out, raw_residual)
+        if self._front_end.saturated(raw):
+            out[:] = 0
+
+    def place(self, image: NDArray[np.float32]) -> Pose:
+        self._tracker.slot()[:] = image
+        return self._tracker.add()
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
         return self._front_end.image(raw, self._image, raw_residual)
@@ -103,6 +117,12 @@ class _Papers:
     def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
         image = self.image(raw, raw_residual)
         return self._tracker.add(image), image
+
+    def look(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
+        out[:] = self.image(raw, raw_residual)
+
+    def place(self, image: NDArray[np.float32]) -> Pose:
+        return self._tracker.add(image)
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
         frames = [raw] if self._mode is not Mode.ELSA else [raw, raw_residual]
@@ -210,6 +230,20 @@ class Pipeline:
         pose, _ = self._tracking.track(raw, raw if raw_residual is None else raw_residual)
         self._note(pose, frame, time_s)
         return self.rows[-1]
+
+    def look(self, raw: NDArray[Any], out: NDArray[np.float32], raw_residual: NDArray[Any] | None = None) -> None:
+        """Do the first part of :meth:`add`: make the image (side, side) by which a raw frame is tracked."""
+        self._tracking.look(raw, raw if raw_residual is None else raw_residual, out)
+
+    def place(self, image: NDArray[np.float32]) -> Pose:
+        """Do the second: find where the frame of such an image lies, next to those that were placed before."""
+        return self._tracking.place(image)
+
+    def keep(self, image: NDArray[np.float32], pose: Pose, frame: int, time_s: float, *, lay: bool = True) -> None:
+        """Do the last: put a frame into the track, and its image into the mosaic."""
+        self._note(pose, frame, time_s)
+        if lay:
+            self._lay(image, pose)
 
     def lay(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
         """Lay a raw frame down where another pipeline, of another mode, has found it to be."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress
 from napari_elsplus.io import open_recording, read_calibration, refuse_existing, write_mosaic, write_track
+from napari_elsplus.pipelined import Pipelined
 from napari_elsplus.processing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs, picture, with_timing
@@ -49,10 +50,11 @@ def command(
         if method == Method.ELSPLUS:
             record, said = with_timing(record, pairs, mode)
         pipeline = Pipeline(record, (rows, cols), mode, method=method, insertion=insertion)
-        for index in progress(range(len(pairs)), describe="Tracking"):
-            frame = pairs.frame(index)
-            confocal, residual = pairs(index)
-            pipeline.track(confocal, frame, np.nan if times is None else float(times[frame]), residual)
+        with Pipelined(pipeline, lay=False) as two_threads:
+            for index in progress(range(len(pairs)), describe="Tracking"):
+                frame = pairs.frame(index)
+                confocal, residual = pairs(index)
+                two_threads.add(confocal, frame, np.nan if times is None else float(times[frame]), residual)
         pipeline.finish(pairs, lambda frames: progress(frames, describe="Mosaic"))
     image = picture(list(pipeline.mosaics.values()))
     um = None if record.optics is None else record.optics.um_per_px
