@@ -197,7 +197,9 @@ class MosaicLayers:
                 layer.refresh_colors()
             self._made.add(TRACK)
             if layer is not None:
-                layer.edge_width = max(2.0, _LINE_SHARE * max(lead.frame.shape))
+                width = max(2.0, _LINE_SHARE * max(lead.frame.shape))
+                if layer.edge_width != width:
+                    layer.edge_width = width
                 layer.translate = place
         self._draw_marks(drawn, place)
 

@@ -1,0 +1,82 @@
+"""The live mosaic in napari, on the simulated rig: frames lost, latency from camera to track, how often it is shown.
+
+By hand: ``python benchmarks/live_mosaic.py [--seconds S]``, without a screen under ``xvfb-run -a``. It opens napari
+with the Mosaic panel, presses *Live mosaic* and looks on; with ``--live`` the Live panel shows LS and ELS+ beside it.
+"""
+
+from __future__ import annotations
+
+import time
+
+import click
+import napari
+import numpy as np
+from qtpy.QtWidgets import QApplication
+
+from napari_elsplus.evaluation.machine import machine
+from napari_elsplus.processing.tracking import State
+
+PLUGIN = "napari-elsplus"
+START_S = 240.0
+SETTLE_S = 3.0
+
+
+def go_on(until, seconds):
+    """Let napari work until something is so; whether it came to be."""
+    end = time.perf_counter() + seconds
+    while not until() and time.perf_counter() < end:
+        QApplication.processEvents()
+        time.sleep(0.001)
+    return until()
+
+
+@click.command()
+@click.option("--seconds", default=60.0)
+@click.option("--live", is_flag=True, help="The Live panel beside it.")
+@click.option("--picture", type=click.Path(), help="Save the window as it is at the end.")
+def main(seconds: float, live: bool, picture: str | None) -> None:
+    """Lay a mosaic live."""
+    viewer = napari.Viewer()
+    viewer.window.resize(1280, 900)
+    if live:
+        viewer.window.add_plugin_dock_widget(PLUGIN, "Live", tabify=True)
+    _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic", tabify=True)
+    shown = []
+    update = panel.layers.update
+
+    def counted(*, whole):
+        fresh = update(whole=whole)
+        if fresh:
+            shown.append(time.perf_counter())
+        return fresh
+
+    panel.layers.update = counted
+    panel.going_live.native.click()
+    if not go_on(lambda: panel.live and len(shown) > 3, START_S):
+        raise SystemExit("the live mosaic did not begin")
+    go_on(lambda: False, SETTLE_S)
+    client = panel.connection.client
+    first, lost, begun = client.status.acquired, dict(client.status.dropped), time.perf_counter()
+    shown.clear()
+    go_on(lambda: False, seconds)
+    status, took = client.status, time.perf_counter() - begun
+    gaps = np.diff(shown)
+    counts = status.track.counts
+    latency = status.latency_ms
+    if picture:
+        viewer.window.screenshot(picture, canvas_only=False)
+    click.echo(machine())
+    click.echo(
+        f"{status.acquired - first} frames in {took:.0f} s, {status.camera_hz:.0f} Hz; "
+        f"lost {sum(status.dropped.values())} ({sum(lost.values())} before), "
+        f"faults: {'; '.join(map(str, status.faults)) or 'none'}\n"
+        f"camera to track: median {latency.p50:.1f} ms, 99 % {latency.p99:.1f} ms, longest {latency.max:.1f} ms\n"
+        f"shown {len(shown) / took:.1f} times a second, 99 % of the gaps below {1e3 * np.quantile(gaps, 0.99):.0f} ms\n"
+        f"{', '.join(f'{counts.get(state.value, 0)} {state.value}' for state in State)}"
+    )
+    viewer.close()
+    QApplication.processEvents()
+
+
+if __name__ == "__main__":
+    main()
