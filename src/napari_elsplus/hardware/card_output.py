@@ -128,6 +128,14 @@ class Output:
             for task in reversed(tasks):
                 each.callback(task.close)
 
+    def close(self) -> None:
+        """Let the output go, and hang up on a card elsewhere before its server ends."""
+        try:
+            self.clear()
+        finally:
+            if self._options is not None:
+                self._options.grpc_channel.close()
+
     def _task(self) -> Task:
         from nidaqmx import Task
 

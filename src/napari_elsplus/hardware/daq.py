@@ -134,7 +134,7 @@ class DaqScanner:
         with self._lock:
             self._try_to_park()
             with contextlib.suppress(DeviceError):  # the card is gone: there is nothing left to let go
-                self._output.clear()
+                self._output.close()
         atexit.unregister(self.close)
 
     def __enter__(self) -> Self:

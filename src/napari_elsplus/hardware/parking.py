@@ -79,7 +79,7 @@ def carry_out(order: ParkOrder, patience_s: float = 2.0) -> None:
             _abort_what_runs(order)
             time.sleep(RETRY_S)
         else:
-            output.clear()
+            output.close()
             return
 
 
