@@ -1,10 +1,12 @@
 """The engine's process with the small rig of these tests; run by path. It notes in a file where the mirror stands.
 
+A file of that name ending in .fault makes it fail in the way that is written there.
 Arguments: the file, and the address of a virtual card if the mirror shall be driven by that.
 """
 
 from __future__ import annotations
 
+import errno
 import runpy
 import sys
 from pathlib import Path
@@ -13,6 +15,7 @@ from napari_elsplus.acquisition.process import run
 from napari_elsplus.hardware.card_output import CardSettings
 from napari_elsplus.hardware.daq import DaqScanner
 from napari_elsplus.hardware.parking import park_order
+from napari_elsplus.io import RecordingWriter
 
 small = runpy.run_path(str(Path(__file__).with_name("conftest.py")))
 
@@ -30,6 +33,20 @@ def open_rig(name: str) -> object:
         with Path(sys.argv[1]).open("a") as file:
             file.write(what + "\n")
 
+    fault = Path(sys.argv[1]).with_suffix(".fault")
+    read, append = rig.camera.read_into, RecordingWriter.append
+
+    def read_or_fail(buffer: object, timeout_s: float) -> object:
+        if fault.exists() and fault.read_text() == "unplugged":
+            raise small["DeviceError"]("the camera was unplugged", "plug it in and connect again")
+        return read(buffer, timeout_s)
+
+    def append_or_fail(writer: RecordingWriter, *arguments: object) -> None:
+        if fault.exists() and fault.read_text() == "No space left":
+            raise OSError(errno.ENOSPC, "No space left on device", str(writer.path))
+        append(writer, *arguments)
+
+    rig.camera.read_into, RecordingWriter.append = read_or_fail, append_or_fail
     park, scan = rig.scanner.park, rig.scanner.scan
     rig.scanner.park = lambda: (park(), note("park"))
     rig.scanner.scan = lambda waveform: (scan(waveform), note("scan"))

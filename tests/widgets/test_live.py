@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import runpy
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -12,10 +13,12 @@ import numpy as np
 import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QApplication
 
+from napari_elsplus.acquisition.client import EngineClient
 from napari_elsplus.acquisition.status import Settings
-from napari_elsplus.io import open_recording
-from napari_elsplus.settings import recall
+from napari_elsplus.io import open_recording, read_calibration, write_calibration
+from napari_elsplus.settings import calibration_in_force, recall
 from processes import exists
 
 PLUGIN = "napari-elsplus"
@@ -76,14 +79,14 @@ def test_a_blocked_window_loses_nothing(viewer, panel, qtbot, tmp_path):
     start(panel, qtbot)
     panel.record.native.click()
     qtbot.waitUntil(lambda: panel.connection.client.status.recording is not None, timeout=30_000)
-    time.sleep(2.0)
+    time.sleep(5.0)
     qtbot.wait(300)
     panel.record.native.click()
     qtbot.waitUntil(lambda: ended(panel), timeout=30_000)
     assert panel.connection.client.status.dropped == {}
     (path,) = tmp_path.glob("recording-*.ome.tif")
     with open_recording(path) as recording:
-        assert len(recording) > 200
+        assert len(recording) > 490
         assert (np.diff(recording.frame_numbers) == 1).all()
 
 
@@ -162,3 +165,132 @@ def test_a_rig_that_is_not_there_is_said(viewer, qtbot, said, monkeypatch):
     panel.connect.native.click()
     qtbot.waitUntil(lambda: any("no rig 'none'" in words for _, words in said()), timeout=60_000)
     qtbot.waitUntil(lambda: not panel.asking.busy, timeout=30_000)
+
+
+def test_stop_acts_while_the_window_still_waits_for_its_answer(panel, qtbot, tmp_path):
+    start(panel, qtbot)
+    qtbot.waitUntil(lambda: panel.connection.client.status.scanning, timeout=30_000)
+    asked_s = time.perf_counter()
+    panel.start.native.click()
+    returned_s = time.perf_counter() - asked_s
+    log = tmp_path / "mirror.log"
+    while not log.read_text().endswith("park\n"):
+        assert time.perf_counter() - asked_s < 5
+    parked_s = time.perf_counter() - asked_s
+    qtbot.waitUntil(lambda: not panel.live and not panel.asking.busy, timeout=30_000)
+    shown_s = time.perf_counter() - asked_s
+    sys.stdout.write(f"stop: parked after {parked_s:.3f} s, shown after {shown_s:.3f} s; {log.read_text()!r}\n")
+    assert returned_s < 0.2  # the window goes on
+    assert parked_s < 0.2
+    assert shown_s < 1.0  # said by the engine ten times a second, and asked for as often by the window
+
+
+def test_a_recording_ends_after_so_many_frames(panel, qtbot, tmp_path):
+    panel.frames.value = 12
+    start(panel, qtbot)
+    panel.record.native.click()
+    qtbot.waitUntil(lambda: list(tmp_path.glob("recording-*.calibration.json")) != [], timeout=30_000)
+    qtbot.waitUntil(lambda: ended(panel), timeout=30_000)
+    (path,) = tmp_path.glob("recording-*.ome.tif")
+    with open_recording(path) as recording:
+        assert len(recording) == 12
+
+
+def test_what_the_panel_does_runs_as_a_script(panel, qtbot, tmp_path, monkeypatch, small_engine):
+    file = write_calibration(tmp_path / "cal.json", panel.connection.calibration)
+    panel.connection.take(panel.connection.calibration, file).result(60)
+    panel.frames.value, panel.average.value, panel.cores.value = 7, 2, "median"
+    panel.copy_script()
+    text = QApplication.clipboard().text()
+    panel.connection.disconnect()
+    monkeypatch.setattr("napari_elsplus.acquisition.client.EngineClient", small_engine.start)
+    exec(compile(text, "script", "exec"), {})
+    (path,) = tmp_path.glob("recording-*.ome.tif")
+    with open_recording(path) as recording:
+        assert len(recording) == 7
+        assert recording.calibration == panel.connection.calibration
+
+
+def test_a_script_needs_the_file_of_a_real_rigs_calibration(panel, said):
+    panel.connection.rig = "mine"
+    panel.copy_script()
+    assert any("save it in the Rig panel" in words for _, words in said())
+    panel.connection.rig = "simulated"
+
+
+def test_live_frames_can_be_taken_for_an_axial_response(viewer, panel, qtbot):
+    _, axial = viewer.window.add_plugin_dock_widget(PLUGIN, "Axial response")
+    panel.kinds["raw"].value = True
+    start(panel, qtbot)
+    qtbot.waitUntil(lambda: "live raw" in axial.live.choices, timeout=30_000)
+    axial.live.value = "live raw"
+    panel.kinds["raw"].value = False  # the frame is the newest one also where it is hidden
+    qtbot.waitUntil(lambda: not viewer.layers["live raw"].visible, timeout=30_000)
+    before = int(viewer.layers["live raw"].data[0, :8].view(np.int64)[0])
+    qtbot.waitUntil(lambda: int(viewer.layers["live raw"].data[0, :8].view(np.int64)[0]) > before, timeout=30_000)
+    for _ in range(2):
+        axial.take.native.click()
+    assert "2 of at least 3 depths" in axial.numbers.text()
+
+
+def test_a_calibration_reaches_the_other_panels_whoever_loaded_it(viewer, qtbot, tmp_path, small_engine):
+    known = runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()
+    file = write_calibration(tmp_path / "cal.json", known)
+    _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
+    _, steps = viewer.window.add_plugin_dock_widget(PLUGIN, "Calibration")
+    assert not rig.save_file.enabled
+    rig.connect.native.click()
+    qtbot.waitUntil(lambda: rig.connection.client is not None and not rig.asking.busy, timeout=60_000)
+    rig.load(file)
+    qtbot.waitUntil(lambda: steps.draft.calibration == known, timeout=30_000)
+    other = known.model_copy(update={"optics": known.optics.model_copy(update={"um_per_px": 2.0})})
+    steps.load(write_calibration(tmp_path / "other.json", other))
+    qtbot.waitUntil(lambda: rig.connection.client.calibration == other, timeout=30_000)
+    assert rig.connection.calibration_file == tmp_path / "other.json"
+    steps.undo()
+    qtbot.waitUntil(lambda: rig.connection.client.calibration == known, timeout=30_000)
+    rig.save(tmp_path / "saved.json")
+    qtbot.waitUntil(lambda: rig.connection.calibration_file == tmp_path / "saved.json", timeout=30_000)
+    assert read_calibration(tmp_path / "saved.json") == known
+    assert calibration_in_force() == tmp_path / "saved.json"
+    qtbot.waitUntil(lambda: rig.connect.enabled, timeout=30_000)
+    rig.connect.native.click()
+    qtbot.waitUntil(lambda: rig.connection.client is None and rig.connect.enabled, timeout=30_000)
+    rig.connect.native.click()  # the rig that is connected anew works by what is known
+    qtbot.waitUntil(lambda: rig.connection.client is not None and not rig.asking.busy, timeout=60_000)
+    assert rig.connection.client.calibration == known
+
+
+def test_closing_the_dock_does_not_wait_for_the_engine(viewer, panel, qtbot, tmp_path, small_engine, monkeypatch):
+    start(panel, qtbot)
+    close = EngineClient.close
+
+    def slowly(client):
+        time.sleep(1.0)
+        close(client)
+
+    monkeypatch.setattr(EngineClient, "close", slowly)
+    gone = []
+    panel.destroyed.connect(lambda: gone.append(True))
+    begin_s = time.perf_counter()
+    viewer.window.remove_dock_widget(panel)
+    assert time.perf_counter() - begin_s < 0.9
+    assert exists(small_engine[0].pid)
+    qtbot.waitUntil(lambda: bool(gone), timeout=30_000)
+
+
+def test_a_full_disk_and_an_unplugged_camera_are_said_once_and_it_can_go_on(panel, qtbot, said, tmp_path):
+    client = panel.connection.client
+    start(panel, qtbot)
+    for words in ("No space left", "unplugged"):
+        (tmp_path / "mirror.log").with_suffix(".fault").write_text(words)
+        if words == "No space left":
+            panel.record.native.click()
+        qtbot.waitUntil(lambda words=words: any(words in said_ for _, said_ in said()), timeout=30_000)
+        qtbot.wait(600)
+        assert sum(words in said_ for _, said_ in said()) == 1
+        assert panel.live == (words == "No space left")
+    (tmp_path / "mirror.log").with_suffix(".fault").unlink()
+    panel.start.native.click()
+    qtbot.waitUntil(lambda: panel.live, timeout=30_000)
+    assert panel.connection.client is client

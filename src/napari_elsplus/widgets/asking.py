@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 from napari.utils.notifications import show_error
 from qtpy.QtCore import QObject, QTimer
@@ -16,6 +16,14 @@ if TYPE_CHECKING:
     T = TypeVar("T")
 
 POLL_MS: Final = 30
+
+
+class _Question(NamedTuple):
+    """What is waited for, and what happens then."""
+
+    future: Future[Any]
+    then: Callable[[Any], None]
+    otherwise: Callable[[], None]
 
 
 class Asking(QObject):
@@ -32,7 +40,7 @@ class Asking(QObject):
     def __init__(self, parent: QObject, settled: Callable[[], None]) -> None:
         super().__init__(parent)
         self._settled = settled
-        self._open: list[tuple[Future[Any], Callable[[Any], None] | None]] = []
+        self._open: list[_Question] = []
         self._pool = ThreadPoolExecutor(1, "elsplus-asking")
         self._poll = QTimer(self)
         self._poll.setInterval(POLL_MS)
@@ -43,12 +51,27 @@ class Asking(QObject):
         """Whether an answer is still to come."""
         return bool(self._open)
 
-    def ask(self, future: Future[T], then: Callable[[T], None] | None = None) -> None:
-        """Wait for an answer; an error that the user can mend is shown once."""
-        self._open.append((future, then))
+    def ask(
+        self,
+        future: Future[T],
+        then: Callable[[T], None] = lambda _: None,
+        otherwise: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Wait for an answer; an error that the user can mend is shown once.
+
+        Parameters
+        ----------
+        future : Future
+            What is asked.
+        then : callable
+            Gets the answer.
+        otherwise : callable
+            Called after an error.
+        """
+        self._open.append(_Question(future, then, otherwise))
         self._poll.start()
 
-    def do(self, work: Callable[[], T], then: Callable[[T], None] | None = None) -> None:
+    def do(self, work: Callable[[], T], then: Callable[[T], None] = lambda _: None) -> None:
         """Do something slow in a thread, and wait for its result."""
         self.ask(self._pool.submit(work), then)
 
@@ -59,16 +82,16 @@ class Asking(QObject):
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _look(self) -> None:
-        for item in [item for item in self._open if item[0].done()]:
-            self._open.remove(item)
-            future, then = item
-            error = future.exception()
+        for question in [question for question in self._open if question.future.done()]:
+            self._open.remove(question)
+            error = question.future.exception()
             if isinstance(error, (ElsPlusError, OSError)):
                 show_error(str(error))
+                question.otherwise()
             elif error is not None:
                 raise error
-            elif then is not None:
-                then(future.result())
+            else:
+                question.then(question.future.result())
             self._settled()
         if not self._open:
             self._poll.stop()

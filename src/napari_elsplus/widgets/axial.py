@@ -22,7 +22,7 @@ from napari_elsplus.viewing.axial import (
     simulated_scan,
 )
 from napari_elsplus.widgets.axial_plots import drop_off_curves, response_curves, table
-from napari_elsplus.widgets.choosing import calibrated_recordings, shown_index
+from napari_elsplus.widgets.choosing import calibrated_frames, calibrated_recordings, shown_index
 from napari_elsplus.widgets.panel import Panel, button_row, copy_as_script, told
 from napari_elsplus.widgets.plots import ThemedPlot
 from napari_elsplus.widgets.work import Work
@@ -147,7 +147,9 @@ class AxialResponse(Panel):
         self.source.tooltip = "Frames at known depths; the live image, step by step; or the simulated instrument"
         self.stack = ComboBox(label="stack", choices=self._stacks, tooltip="Raw layers with depths and a calibration")
         self.live = ComboBox(
-            label="frames of", choices=self._raws, tooltip="Raw layers with a calibration, live or not"
+            label="frames of",
+            choices=lambda _: calibrated_frames(self.viewer),
+            tooltip="Raw layers with a calibration, live or not",
         )
         self.depth_now = FloatSpinBox(label="depth (µm)", value=0, min=-10_000, max=10_000)
         self.depth_now.tooltip = "Depth of the plate now, -10 000 to 10 000 µm"
@@ -203,11 +205,9 @@ class AxialResponse(Panel):
         layer: Image = self.viewer.layers[choice.value]
         return layer
 
-    def _raws(self, _: Any = None) -> list[str]:
-        return calibrated_recordings(self.viewer)
-
     def _stacks(self, _: Any = None) -> list[str]:
-        stacks = {name: self.viewer.layers[name].metadata["elsplus"].get("stack") for name in self._raws()}
+        layers = [self.viewer.layers[name] for name in calibrated_recordings(self.viewer)]
+        stacks = {layer.name: layer.metadata["elsplus"].get("stack") for layer in layers}
         return [name for name, stack in stacks.items() if stack is not None and stack.depth_um is not None]
 
     def _source_changed(self) -> None:

@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from napari_elsplus.acquisition.live_images import RAW
+from napari_elsplus.widgets.live_layers import LIVE
+
 if TYPE_CHECKING:
     import napari.viewer
     from napari.layers import Image
@@ -15,6 +18,13 @@ def calibrated_recordings(viewer: napari.viewer.Viewer) -> list[str]:
     """Return the names of the raw layers that have a calibration."""
     known = {layer.name: layer.metadata.get("elsplus", {}) for layer in viewer.layers}
     return [name for name, facts in known.items() if facts.get("kind") == "raw" and facts.get("calibration")]
+
+
+def calibrated_frames(viewer: napari.viewer.Viewer) -> list[str]:
+    """Return the names of the layers of raw frames that have a calibration: recordings, and the live frame."""
+    kinds = {layer.name: layer.metadata.get("elsplus", {}) for layer in viewer.layers}
+    live = [name for name, facts in kinds.items() if facts.get("kind") == f"{LIVE} {RAW}" and facts.get("calibration")]
+    return [*calibrated_recordings(viewer), *live]
 
 
 def shown_index(viewer: napari.viewer.Viewer, layer: Image) -> int:

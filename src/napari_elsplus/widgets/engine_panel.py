@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from napari_elsplus.io import read_calibration
+from napari_elsplus.settings import calibration_in_force
 from napari_elsplus.widgets.asking import Asking
 from napari_elsplus.widgets.connection import join
-from napari_elsplus.widgets.panel import Panel
+from napari_elsplus.widgets.panel import Panel, told
 from napari_elsplus.widgets.window_end import WindowEnd
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import napari.viewer
+
+    from napari_elsplus.acquisition.client import EngineClient
 
 
 class EnginePanel(Panel):
@@ -32,6 +38,32 @@ class EnginePanel(Panel):
     def refresh(self) -> None:
         """Show how things are; called when an answer has come, and now and then."""
 
+    def put_in_force(self, client: EngineClient, then: Callable[[], None] = lambda: None) -> None:
+        """Let a rig that has none work by the calibration that is known, and go on, whether it can use it or not.
+
+        Parameters
+        ----------
+        client : EngineClient
+            Just connected.
+        then : callable
+            Called afterwards.
+
+        Notes
+        -----
+        What the panels share comes first, then the file in force unless it was made on another rig.
+        """
+        known, path = self.connection.calibration, self.connection.calibration_file
+        file = calibration_in_force()
+        if known is None and file is not None:
+            with told():
+                read = read_calibration(file)
+                if read.acquired_with is None or read.acquired_with.rig in (None, self.connection.rig):
+                    known, path = read, file
+        if known is None or client.calibration is not None:
+            then()
+        else:
+            self.asking.ask(self.connection.take(known, path), lambda _: then(), otherwise=then)
+
     def cleanup(self) -> None:
         """Let go of the engine and the viewer."""
         if self._left:
@@ -40,3 +72,5 @@ class EnginePanel(Panel):
         self.asking.stop()
         self.connection.leave()
         super().cleanup()
+        if self.parent() is None:  # the dock has let go of it, and nobody else holds it
+            self.deleteLater()

@@ -21,10 +21,11 @@ from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.processing.cores import CoreFilter
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.settings import recall, remember
+from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.drawing import Drawing
 from napari_elsplus.widgets.engine_panel import EnginePanel
 from napari_elsplus.widgets.live_layers import KINDS, LiveLayers
-from napari_elsplus.widgets.panel import told
+from napari_elsplus.widgets.panel import copy_as_script, told
 from napari_elsplus.widgets.rig import remembered_rig, remembered_settings
 
 if TYPE_CHECKING:
@@ -96,9 +97,7 @@ class Live(EnginePanel):
             self.asking.ask(client.stop_recording(), lambda _: show_info(f"recorded {recording.path}"))
             return
         with told():
-            seconds = self.seconds.value or None
-            plan = RecordingPlan(self._next_path(), seconds=seconds, earlier_s=self.earlier_s.value)
-            self.asking.ask(client.record(plan))
+            self.asking.ask(client.record(self.plan))
             self._remember()
 
     def snap(self) -> None:
@@ -116,6 +115,23 @@ class Live(EnginePanel):
         client = self.connection.client
         if client is not None:
             self.asking.ask(client.show(self.view))
+
+    def copy_script(self) -> None:
+        """Copy Python that streams and records as the form says."""
+        with told():
+            file = self.connection.calibration_file
+            rig, settings = self.connection.rig or remembered_rig(), remembered_settings()
+            copy_as_script(live_script(rig, settings, self.view, self.plan, file))
+
+    @property
+    def plan(self) -> RecordingPlan:
+        """How the form wants to record, from now on."""
+        return RecordingPlan(
+            self._next_path(),
+            frames=self.frames.value or None,
+            seconds=self.seconds.value or None,
+            earlier_s=self.earlier_s.value,
+        )
 
     @property
     def view(self) -> View:
@@ -159,8 +175,11 @@ class Live(EnginePanel):
     def _start(self, client: EngineClient) -> None:
         self._faults_told.clear()
         self._arranged = None
+        self.put_in_force(client, lambda: self._calibrate_and_start(client))
+
+    def _calibrate_and_start(self, client: EngineClient) -> None:
         if client.calibration is None and self.connection.rig == SIMULATED:
-            self.asking.ask(client.calibrate_simulated(), lambda _: self._start(client))
+            self.asking.ask(client.calibrate_simulated(), lambda _: self._calibrate_and_start(client))
             return
         self.asking.ask(client.show(self.view), lambda _: self.asking.ask(client.start()))
 
@@ -171,7 +190,13 @@ class Live(EnginePanel):
         kinds = [kind for kind, box in self.kinds.items() if box.value]
         wanted = (ring.layout, ring.name, tuple(kinds), self.side_by_side.value, client.calibration)
         if self._arranged is None or wanted[:4] != self._arranged[:4] or wanted[4] is not self._arranged[4]:  # type: ignore[index]
-            self.layers.arrange(kinds, ring, client.calibration, side_by_side=self.side_by_side.value)
+            self.layers.arrange(
+                kinds,
+                ring,
+                client.calibration,
+                side_by_side=self.side_by_side.value,
+                calibration_file=self.connection.calibration_file,
+            )
             self._arranged = wanted
         whole = now_s - self._whole_at_s > WHOLE_S
         if self.layers.update(ring, whole=whole) is None:
@@ -243,6 +268,7 @@ class Live(EnginePanel):
         shown = known.get("kinds", [Mode.LS.value, Mode.ELS.value])
         self.start, self.record, self.snapping = (PushButton(text=word) for word in ("Start", "Record", "Snap"))
         self.start.tooltip = f"Start or stop the stream ({KEYS['start']})"
+        self.script = PushButton(text="Copy as script", tooltip="Copy Python that streams and records like this")
         self.kinds = {
             kind: CheckBox(value=kind in shown, text=title, tooltip=_TIPS[kind]) for kind, title in KINDS.items()
         }
@@ -275,7 +301,16 @@ class Live(EnginePanel):
             label="folder",
             tooltip="Where recordings go",
         )
-        self.seconds = FloatSpinBox(value=0, min=0, max=36000, label="seconds", tooltip="How long; 0: until you end it")
+        self.seconds = FloatSpinBox(
+            value=0, min=0, max=36000, label="seconds", tooltip="End after so long; 0: by frames, or when you end it"
+        )
+        self.frames = SpinBox(
+            value=0,
+            min=0,
+            max=10_000_000,
+            label="frames",
+            tooltip="End after so many; 0: by seconds, or when you end it",
+        )
         self.earlier_s = FloatSpinBox(
             value=0, min=0, max=1.9, step=0.5, label="earlier (s)", tooltip="Begin so long before you press, 0 to 1.9 s"
         )
@@ -289,8 +324,11 @@ class Live(EnginePanel):
         layout = QVBoxLayout(self)
         for row in rows:
             layout.addWidget(Container(widgets=row, layout="horizontal", labels=False).native)
-        form = [self.contrast, self.cores, self.average, self.folder, self.seconds, self.earlier_s]
+        form = [
+            self.contrast, self.cores, self.average, self.folder, self.seconds, self.frames, self.earlier_s
+        ]  # fmt: skip
         layout.addWidget(Container(widgets=form, labels=True).native)
+        layout.addWidget(self.script.native)
         layout.addWidget(self.status)
         layout.addStretch(1)
         pressed = {"start": self.toggle, "record": self.toggle_recording, "snap": self.snap}
@@ -302,6 +340,7 @@ class Live(EnginePanel):
         for box in (*self.kinds.values(), self.side_by_side):
             box.changed.connect(self._remember)
         self.contrast.changed.connect(self._contrast_chosen)
+        self.script.clicked.connect(self.copy_script)
 
 
 _TIPS: Final = {

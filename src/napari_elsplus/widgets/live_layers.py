@@ -15,6 +15,7 @@ from napari_elsplus.viewing.layers import TITLES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     import napari.viewer
     from numpy.typing import NDArray
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 KINDS: Final = {RAW: "raw", **{mode.value: TITLES[mode] for mode in Mode}}
 """What can be shown, by the names of the display ring's fields."""
+LIVE: Final = "live"
+"""Begins the names of live layers, and of their kinds in their metadata."""
 GAP_PX: Final = 20
 
 
@@ -47,7 +50,15 @@ class LiveLayers:
         """Layers that are in the viewer, by kind."""
         return {kind: layer for kind, layer in self._layers.items() if layer in self._viewer.layers}
 
-    def arrange(self, kinds: Sequence[str], ring: Ring, calibration: Calibration | None, *, side_by_side: bool) -> None:
+    def arrange(
+        self,
+        kinds: Sequence[str],
+        ring: Ring,
+        calibration: Calibration | None,
+        *,
+        side_by_side: bool,
+        calibration_file: Path | None = None,
+    ) -> None:
         """Show these kinds and hide the others; a layer is made only where there is none of that kind and size."""
         shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
         um = calibration.optics.um_per_px if calibration is not None and calibration.optics is not None else None
@@ -68,14 +79,16 @@ class LiveLayers:
                 "units": ("um" if um else "pixel",) * 2,
                 "translate": (0.0, left_px * (um or 1.0)),
             }
+            facts: dict[str, Any] = {
+                "kind": f"{LIVE} {kind}", "stack": None, "path": None, "calibration": calibration,
+                "calibration_path": calibration_file, "file": {}, "software": f"napari-elsplus {__version__}",
+            }  # fmt: skip
             if layer is None:
-                layer = self._add(kind, shape, dtype, place)
+                layer = self._add(kind, shape, dtype, {**place, "metadata": {"elsplus": facts}})
             layer.visible = True
             for name, value in place.items():
                 setattr(layer, name, value)
-            layer.metadata["elsplus"] = {
-                "kind": f"live {kind}", "calibration": calibration, "software": f"napari-elsplus {__version__}"
-            }  # fmt: skip
+            layer.metadata["elsplus"] = facts
             left_px += shape[1] + GAP_PX if side_by_side else 0
         self._seen = -1
         if first and self.images:
@@ -83,7 +96,7 @@ class LiveLayers:
             self._viewer.canvas.overlays.scale_bar.visible = True
 
     def update(self, ring: Ring, *, whole: bool) -> Stamp | None:
-        """Copy the newest frame into the visible layers; None if there is none that was not shown.
+        """Copy the newest frame into the layers, and show those that are visible; None if it was shown before.
 
         Parameters
         ----------
@@ -98,12 +111,14 @@ class LiveLayers:
         A refresh without thumbnail, extent and highlight costs about twelve times as much.
         """
         known = {name for name, _, _ in ring.layout.fields}
-        shown = {kind: layer for kind, layer in self.images.items() if layer.visible and kind in known}
-        stamp = ring.newest_after(self._seen, {kind: layer.data for kind, layer in shown.items()})
+        filled = {kind: layer for kind, layer in self.images.items() if kind in known}
+        stamp = ring.newest_after(self._seen, {kind: layer.data for kind, layer in filled.items()})
         if stamp is None:
             return None
         self._seen = stamp.sequence
-        for kind, layer in shown.items():
+        for kind, layer in filled.items():
+            if not layer.visible:
+                continue
             first = kind in self._fresh
             if first:
                 self._fresh.discard(kind)
@@ -126,7 +141,7 @@ class LiveLayers:
 
     def _add(self, kind: str, shape: tuple[int, ...], dtype: str, place: dict[str, Any]) -> Image:
         buffer: NDArray[Any] = np.zeros(shape, dtype)
-        words = {"name": f"live {KINDS[kind]}", "colormap": "gray", "contrast_limits": (0, 255), "cache": False}
+        words = {"name": f"{LIVE} {KINDS[kind]}", "colormap": "gray", "contrast_limits": (0, 255), "cache": False}
         layer = Image(buffer, **words, **place)
         self._layers[kind] = layer
         self._fresh.add(kind)

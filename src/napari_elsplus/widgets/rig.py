@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from magicgui.widgets import ComboBox, Container, FloatSpinBox, PushButton, SpinBox
+from napari.utils.notifications import show_info
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
 from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import SIMULATED, rig_names
-from napari_elsplus.io import read_calibration
+from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.optics import PRESETS, preset
-from napari_elsplus.settings import calibration_in_force, recall, remember
+from napari_elsplus.settings import put_in_force, recall, remember
 from napari_elsplus.widgets.engine_panel import EnginePanel
 from napari_elsplus.widgets.panel import told
 
@@ -54,6 +56,7 @@ class Rig(EnginePanel):
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
+        self._closes = False
         self._build()
         self._timer = QTimer(self)
         self._timer.setInterval(STATUS_MS)
@@ -69,7 +72,8 @@ class Rig(EnginePanel):
 
     def toggle(self) -> None:
         """Connect, or disconnect."""
-        if self.connection.client is not None:
+        self._closes = self.connection.client is not None
+        if self._closes:
             self.asking.do(self.connection.disconnect)
             return
         rig, settings = self.rig.value, self.settings
@@ -104,7 +108,18 @@ class Rig(EnginePanel):
         """Put a calibration file into force."""
         with told():
             calibration = read_calibration(path)
-            self.asking.ask(self.connection.require().use(calibration))
+            self.connection.require()
+            self.asking.ask(self.connection.take(calibration, path), lambda _: put_in_force(path))
+
+    def save(self, path: Path) -> None:
+        """Write the calibration that all panels work by; recordings without one of their own are shown with it."""
+        calibration = self.connection.calibration
+        with told():
+            if calibration is None:
+                raise InputError("there is no calibration to save", "calibrate first")
+            written = write_calibration(path, calibration, force=True)
+            put_in_force(written)
+            self.asking.ask(self.connection.take(calibration, written), lambda _: show_info(f"saved {written.name}"))
 
     def refresh(self) -> None:
         """Show how the rig is, and what can be done."""
@@ -119,6 +134,12 @@ class Rig(EnginePanel):
         self.parking.enabled = self.open_file.enabled = connected
         self.parking.tooltip = "Take the line off the bundle" if connected else "Connect first"
         self.open_file.tooltip = "Put a calibration file into force" if connected else "Connect first"
+        self.save_file.enabled = self.connection.calibration is not None
+        self.save_file.tooltip = (
+            "Write the calibration, and show recordings that have none of their own with it"
+            if self.save_file.enabled
+            else "There is none yet"
+        )
         self.by_itself.enabled = connected and simulated
         self.by_itself.text = "Cancel calibration" if progress is not None else "Calibrate itself"
         self.by_itself.tooltip = (
@@ -154,13 +175,15 @@ class Rig(EnginePanel):
             value=known.gain_db, min=0, max=24, step=1, label="gain (dB)", tooltip="Camera gain, 0 to 24 dB"
         )
         self.connect, self.parking = PushButton(text="Connect"), PushButton(text="Park")
-        self.by_itself, self.open_file = PushButton(text="Calibrate itself"), PushButton(text="Load calibration...")
+        self.by_itself = PushButton(text="Calibrate itself")
+        self.open_file, self.save_file = PushButton(text="Load calibration..."), PushButton(text="Save calibration...")
         self.optics, self.status = QLabel(), QLabel()
         for label in (self.optics, self.status):
             label.setWordWrap(True)
         form = Container(widgets=[self.rig, self.preset, self.slit_rows, self.rate_hz, self.gain_db], labels=True)
         buttons = Container(widgets=[self.connect, self.parking], layout="horizontal", labels=False)
-        calibration = Container(widgets=[self.by_itself, self.open_file], layout="horizontal", labels=False)
+        files = [self.by_itself, self.open_file, self.save_file]
+        calibration = Container(widgets=files, layout="horizontal", labels=False)
         layout = QVBoxLayout(self)
         for part in (form.native, self.optics, buttons.native, calibration.native, self.status):
             layout.addWidget(part)
@@ -169,13 +192,12 @@ class Rig(EnginePanel):
         self.parking.clicked.connect(self.park)
         self.by_itself.clicked.connect(self.calibrate)
         self.open_file.clicked.connect(self._ask_for_file)
+        self.save_file.clicked.connect(self._ask_where_to_save)
         for choice in (self.preset, self.slit_rows, self.rate_hz, self.gain_db):
             choice.changed.connect(self.apply)
 
     def _connected(self, client: EngineClient) -> None:
-        path = calibration_in_force()
-        if path is not None and client.calibration is None:
-            self.load(path)
+        self.put_in_force(client)
 
     def _remember(self) -> None:
         settings = self.settings
@@ -186,8 +208,7 @@ class Rig(EnginePanel):
 
     def _optics(self) -> str:
         optics, rows = preset(self.preset.value).optics, self.slit_rows.value
-        client = self.connection.client
-        calibration = client.calibration if client is not None else None
+        calibration = self.connection.calibration
         words = (
             f"slit {optics.um(rows):.1f} \N{MICRO SIGN}m, exposure {1e6 * optics.exposure_s(rows):.1f} \N{MICRO SIGN}s"
         )
@@ -198,7 +219,8 @@ class Rig(EnginePanel):
 
     def _said(self, client: EngineClient | None, busy: bool) -> str:
         if client is None:
-            return "Connecting..." if busy else "Not connected."
+            doing = "Closing..." if self._closes else "Connecting..."
+            return doing if busy else "Not connected."
         status = client.status
         if status.progress is not None:
             return f"Calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
@@ -213,3 +235,10 @@ class Rig(EnginePanel):
         path, _chosen = QFileDialog.getOpenFileName(self, "Calibration", "", "Calibration (*.json)")
         if path:
             self.load(Path(path))
+
+    def _ask_where_to_save(self, _: Any = None) -> None:
+        path, _chosen = QFileDialog.getSaveFileName(
+            self, "Save the calibration", "calibration.json", "Calibration (*.json)"
+        )
+        if path:
+            self.save(Path(path))

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
     import napari.viewer
 
+    from napari_elsplus.calibration import Calibration
+
 POLL_MS: Final = 50
 LOOK_S: Final = 0.04
 """The engine measures the offset in every frame; nobody reads more than so often."""
@@ -74,6 +76,8 @@ class CalibrationPanel(Panel):
         self._refused: BaseException | None = None
         self._stale: dict[str, str] = {}
         self._changed = False
+        self._shared: Calibration | None = None
+        self._asked: Future[None] | None = None
         self.connection = join()
         self.work = Work(self._work_ended, self._cancel)
         self.form = Form(self, self.work, viewer.theme)
@@ -204,7 +208,7 @@ class CalibrationPanel(Panel):
             calibration = read_calibration(path)
             self._past.append((self.draft, dict(self._accepted)))
             self.candidate, self._accepted = None, {}
-            self._take(Draft(calibration, bundle_um=self.draft.bundle_um))
+            self._take(Draft(calibration, bundle_um=self.draft.bundle_um), Path(path))
             put_in_force(path)
             show_info(f"{Path(path).name}: {summary(calibration)}")
         self._refresh()
@@ -214,6 +218,7 @@ class CalibrationPanel(Panel):
         with told():
             written = write_calibration(path, self.draft.calibration, force=True)
             put_in_force(written)
+            self._take(self.draft, written)
             show_info(f"saved {written.name}: {summary(self.draft.calibration)}")
 
     def save_plots(self, path: str | Path) -> None:
@@ -300,13 +305,25 @@ class CalibrationPanel(Panel):
         self.choose(step_of(shown.found))
         self.candidate = shown
 
-    def _take(self, draft: Draft) -> None:
-        """Keep a draft, and let the engine work by it where one is connected."""
+    def _take(self, draft: Draft, path: Path | None = None) -> None:
+        """Keep a draft, and let the other panels and the engine work by it."""
         self.draft = draft
-        client = self.connection.client
-        if client is not None and draft.calibration.bundle is not None:
-            future = client.use(draft.calibration)
-            future.add_done_callback(lambda done: setattr(self, "_refused", done.exception()))
+        if draft.calibration.bundle is not None:
+            self._asked = self.connection.take(draft.calibration, path)
+            self._asked.add_done_callback(lambda done: setattr(self, "_refused", done.exception()))
+
+    def _follow(self) -> None:
+        """Take over a calibration that another panel has loaded or measured."""
+        shared = self.connection.calibration
+        if shared is self._shared or self.work.busy or not (self._asked is None or self._asked.done()):
+            return
+        self._shared = shared
+        if shared is None or shared is self.draft.calibration:
+            return
+        self._past.append((self.draft, dict(self._accepted)))
+        self.candidate, self._accepted = None, {}
+        self.draft = Draft(shared, bundle_um=self.draft.bundle_um)
+        self._refresh()
 
     def _cancel(self) -> None:
         self._watching = False
@@ -316,6 +333,7 @@ class CalibrationPanel(Panel):
 
     def _look(self) -> None:
         """Ask how far it is, and what the line does; twenty times a second."""
+        self._follow()
         if self._refused is not None:
             error, self._refused = self._refused, None
             show_error(str(error))
