@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.acquisition.calibrating import Target
+from napari_elsplus.acquisition.client import EngineClient
 from napari_elsplus.acquisition.engine import Engine
 from napari_elsplus.acquisition.guided import TARGETS
 from napari_elsplus.acquisition.status import Settings
@@ -278,3 +282,93 @@ def test_closing_the_dock_while_it_measures_leaves_no_panel_no_engine_and_no_thr
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
     assert not said()
+
+
+@pytest.fixture
+def faulty(panel, qtbot, monkeypatch, tmp_path):
+    """Connected to the simulated rig, whose camera sees what goes wrong; the slit offset is accepted."""
+    fault, moves = tmp_path / "fault", tmp_path / "moves"
+    fault.write_text("")
+    command = (sys.executable, str(Path(__file__).with_name("faulty_engine.py")), str(fault), str(moves))
+    monkeypatch.setattr("napari_elsplus.widgets.connection.EngineClient", partial(EngineClient, command))
+    panel.form.connect_button.click()
+    idle(qtbot, panel)
+    panel.form.voltages.setValue(24)
+    measure(qtbot, panel, Step.OFFSET)
+    panel.form.accept.click()
+    return panel, fault, moves
+
+
+FAULTS = (
+    ("over-exposed", Step.OFFSET, "is saturated"),
+    ("laser off", Step.GALVO, "is the laser on"),
+    ("right view blocked", Step.OFFSET, "right view: no laser line"),
+    ("right view blocked", Step.PAIR, "two bundle images expected, 1 found"),
+    ("laser off", Step.PAIR, "is the probe lit from the far end?"),
+    ("unplugged", Step.GALVO, "the camera was unplugged"),
+)
+
+
+def test_faults_half_way_are_told_keep_the_last_good_calibration_and_park(faulty, qtbot, said):
+    panel, file, moves = faulty
+    known = panel.draft
+    for fault, step, words in FAULTS:
+        told = len(said())
+        moves.write_text("")
+        file.write_text(fault)
+        measure(qtbot, panel, step)
+        assert panel.candidate is None, fault
+        assert panel.draft is known
+        assert state(panel, Step.OFFSET) is State.DONE
+        (severity, message), *more = said()[told:]
+        assert severity == "error"
+        assert words in message
+        assert not more
+        assert moves.read_text().split()[-1] == "park", fault
+        assert not panel.connection.client.status.live
+    file.write_text("")
+    measure(qtbot, panel, Step.OFFSET)
+    assert panel.candidate is not None, "it goes on once all is mended"
+
+
+def test_plots_are_saved_and_the_script_makes_the_same_calibration(
+    panel, qtbot, open_recording, tmp_path, monkeypatch, said
+):
+    assert not panel.form.save_plots.isEnabled()
+    assert not panel.form.script.isEnabled()
+    volts = open_recording / "sweep_volts.csv"
+    for step, name in ((Step.OFFSET, "line.tif"), (Step.GALVO, "sweep.tif"), (Step.PAIR, "transmission.tif")):
+        from_file(qtbot, panel, step, open_recording / name, volts if step is Step.GALVO else None)
+        panel.form.accept.click()
+    panel.form.steps[Step.GALVO].click()
+    assert panel.form.save_plots.isEnabled()
+    panel.save_plots(tmp_path / "galvo.csv")
+    panel.save_plots(tmp_path / "galvo.png")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "galvo-2.csv", "galvo-2.png", "galvo.csv", "galvo.png",
+    ]  # fmt: skip
+    table = np.genfromtxt(tmp_path / "galvo.csv", delimiter=",", names=True)
+    galvo = panel.draft.found[Step.GALVO]
+    assert np.allclose(table["measured"][: len(galvo.rows)], galvo.rows, rtol=1e-4)
+    panel.form.script.click()
+    script = QApplication.clipboard().text()
+    monkeypatch.chdir(tmp_path)
+    exec(compile(script, "script.py", "exec"), {"__name__": "__main__"})
+    again = read_calibration(tmp_path / "calibration.json")
+    for section in ("offset", "galvo", "bundle"):
+        assert getattr(again, section) == getattr(panel.draft.calibration, section)
+    assert [severity for severity, _ in said()] == ["info"]
+
+
+def test_what_another_panel_changes_makes_steps_stale(live, qtbot):
+    for step in (Step.GALVO, Step.PAIR, Step.BACKGROUND):
+        measure(qtbot, live, step)
+        live.form.accept.click()
+    button = live.form.steps[Step.BACKGROUND]
+    assert "✓" in button.text()
+    live.connection.client.configure(Settings("240hz", gain_db=6.0)).result()
+    qtbot.waitUntil(lambda: "⚠" in button.text(), timeout=LONG_MS)
+    assert button.toolTip() == "stale: gain_db was 0.0, is 6.0"
+    assert "✓" in live.form.steps[Step.PAIR].text()
+    live.connection.client.configure(Settings("240hz")).result()
+    qtbot.waitUntil(lambda: "✓" in button.text(), timeout=LONG_MS)

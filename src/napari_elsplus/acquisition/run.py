@@ -161,6 +161,9 @@ class Run:
             while got < count:
                 taken = cursor.take(timeout_s)
                 if taken is None:
+                    for fault in self._faults.all():
+                        if fault.source == "camera":  # the cause, not what follows from it
+                            raise DeviceError(fault.problem, fault.remedy)
                     raise DeviceError(f"{got} of {count} frames came", "check the camera, then start again")
                 if taken[1].exposed_s + self._taking.camera_clock_s >= after_s:
                     frames[got] = taken[0]

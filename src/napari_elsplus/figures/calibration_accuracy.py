@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 LIGHTS: Final = (2.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Electrons in the brightest pixel of an evenly lit bundle."""
+FIRST_SEED: Final = 200
+"""Rigs before it were looked at while the stated uncertainties were worked out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +158,7 @@ def main(folder: Path, rigs: int, voltages: int, processes: int, photographs: Pa
         fill(page, {"photographs": photographs_table(look_at(photographs))})
     if rigs == 0:
         return
-    measured = survey([Rig.draw(seed) for seed in range(rigs)], voltages, processes)
+    measured = survey([Rig.draw(FIRST_SEED + number) for number in range(rigs)], voltages, processes)
     few = range(max(2, rigs // 16))
     lights = [survey([Rig.draw(seed).with_photons(light) for seed in few], 0, processes) for light in LIGHTS]
     estimators = compare_estimators(len(few))

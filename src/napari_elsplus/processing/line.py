@@ -204,7 +204,9 @@ def _fit(image: Image, streak: Streak) -> Line:
     amplitude, level, log_width, shift, turn, ramp = (float(value) for value in parameters)
     fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2 - spread, 0.1)))
     misfit = _misfit(data, seen, parameters, u, x)
-    _must_be_a_line(amplitude, np.linalg.norm(influence[:, [0, _ROW]], axis=0), shift, reach, misfit)
+    # In dim light a part of the line may be all that is seen: what counts is how sure it is in the middle of the view.
+    across = influence[:, _ROW] + ((image.shape[1] - 1) / 2 - middle) * influence[:, _SLOPE]
+    _must_be_a_line(amplitude, np.linalg.norm([influence[:, 0], across], axis=1), shift, reach, misfit)
     return Line(
         row=streak.row + streak.slope * (middle - streak.column) + shift,
         column=middle,
