@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.client import EngineClient
 
 SECTION: Final = "mosaic"
-TICK_MS: Final = 50
-WHOLE_TICKS: Final = 10
+TICK_MS: Final = 40
+WHOLE_TICKS: Final = 12
 """The track, the maps and what else costs more is drawn every so many ticks."""
 KEYS: Final = {
     "start": "Ctrl+Shift+M",

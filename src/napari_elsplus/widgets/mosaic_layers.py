@@ -218,7 +218,7 @@ class MosaicLayers:
                 return
             layer = Points(
                 drawn.marks, features=features, symbol=symbols, face_color=colours, border_color=colours,
-                text={"string": "{label}", "color": _COLOURS[BEGINS], "anchor": "lower_left", "size": 11},
+                text={"string": "{label} ", "color": _COLOURS[BEGINS], "anchor": "lower_right", "size": 11},
                 name="mosaic track marks",
             )  # fmt: skip
             self._place(layer, self._step)
