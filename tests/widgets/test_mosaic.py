@@ -82,6 +82,9 @@ def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, 
     qtbot.waitUntil(ended, timeout=60_000)
     assert len(grown) > 1
     assert mosaics(viewer) == OURS
+    images = {"mosaic LS", "mosaic ELSA", "mosaic ELS+"}
+    assert {layer.name for layer in viewer.layers[-7:-4]} == images
+    assert [layer.name for layer in viewer.layers[-2:]] == ["mosaic track", "mosaic track marks"]
     assert not viewer.layers["mosaic coverage"].visible
     assert not any(layer.visible for layer in viewer.layers if layer.name.startswith("scan"))
     ls, elsa, els = (viewer.layers[f"mosaic {title}"] for title in ("LS", "ELSA", "ELS+"))

@@ -28,6 +28,8 @@ GAP_PX: Final = 40
 TRACK, MARKS, COVERAGE, QUALITY = "track", "track marks", "coverage", "quality"
 SCORES: Final = (0.5, 1.0)
 """Correlations at the ends of the track's colours."""
+_ABOVE_IMAGES: Final = (COVERAGE, QUALITY, TRACK, MARKS)
+"""From below upwards."""
 _COLOURS: Final = {PREDICTED: "#e69f00", LOST: "#d55e00", BEGINS: "#56b4e9"}
 _SYMBOLS: Final = {PREDICTED: "ring", LOST: "x", BEGINS: "disc"}
 _LINE_SHARE: Final = 0.004
@@ -291,9 +293,10 @@ class MosaicLayers:
     def _add(self, layer: Layer, kind: str) -> None:
         layer.metadata["elsplus"] = {"kind": f"{KIND} {kind}", KIND: kind, "software": f"napari-elsplus {__version__}"}
         selected = set(self._viewer.layers.selection)
-        self._viewer.layers.append(layer)
-        if selected:
-            self._viewer.layers.selection = selected
+        above = [other for one, other in self.ours.items() if _height(one) > _height(kind)]
+        place = min((self._viewer.layers.index(other) for other in above), default=len(self._viewer.layers))
+        self._viewer.layers.insert(place, layer)
+        self._viewer.layers.selection = {layer} if kind == self._lead.value else selected
         self._viewer.canvas.overlays.scale_bar.visible = True
 
     def _beside_others(self) -> tuple[float, float]:
@@ -322,3 +325,8 @@ class MosaicLayers:
             camera.center = tuple((low + high) / 2)
             camera.zoom = zoom
         self._camera = (tuple(camera.center), camera.zoom)
+
+
+def _height(kind: str) -> int:
+    """Where a layer lies above the images, which are at 0."""
+    return 1 + _ABOVE_IMAGES.index(kind) if kind in _ABOVE_IMAGES else 0
