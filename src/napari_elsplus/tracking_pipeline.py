@@ -63,6 +63,9 @@ class _Tracking(Protocol):
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         """Return better poses, once all frames are there."""
 
+    def forget_links(self) -> None:
+        """Let go of what only :meth:`refine` needs."""
+
 
 class _Ours:
     def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
@@ -93,6 +96,9 @@ class _Ours:
         """Return what the motion so far tells of the timing, in camera rows."""
         found = estimate_rows_per_frame(self._tracker.links, self.grid.shutter)
         return None if found is None else RowsPerFrame(found.rows * self.scale, found.sigma * self.scale)
+
+    def forget_links(self) -> None:
+        self._tracker.links.clear()
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         registrar = self._tracker.registrar
@@ -130,6 +136,9 @@ class _Papers:
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         return poses
+
+    def forget_links(self) -> None:
+        """Keep nothing: there is nothing to refine."""
 
 
 class Pipeline:
@@ -257,6 +266,14 @@ class Pipeline:
                 lost = pose._replace(row=np.nan, col=np.nan, score=np.nan, sigma=np.nan, state=State.LOST)
                 self.poses[index] = lost
                 self.rows[index] = self._row(lost, self.rows[index].frame, self.rows[index].time_s)
+
+    def forget_the_past(self) -> None:
+        """Keep of track and links only the newest row: for streams without end whose track is kept elsewhere.
+
+        What was laid stays, and tracking goes on; :meth:`finish` has nothing to refine then.
+        """
+        del self.rows[:-1], self.poses[:-1]
+        self._tracking.forget_links()
 
     def finish(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from threading import Lock
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from napari_elsplus.processing.grid import FIELD
 from napari_elsplus.processing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.tracking import State
 from napari_elsplus.tracking_pipeline import Method, Pipeline
 
 if TYPE_CHECKING:
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.ring import Stamp
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.io import TrackPoint
+
+REMEMBERED_FRAMES: Final = 2400
+"""Rows of the track that are kept here, where a board has them all: ten seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +117,7 @@ class LiveTrack:
         self._lock = Lock()
         self._origin: tuple[int, float] | None = None
         self._before: Stamp | None = None
-        self._counts: Counter[str] = Counter()
+        self._counts: dict[int, Counter[str]] = {}
         self._closed = False
         how = {"method": plan.method, "insertion": plan.insertion}
         rehearse(Pipeline(calibration, frame_shape, plan.mode, **how), frame_shape)  # type: ignore[arg-type]
@@ -129,7 +133,7 @@ class LiveTrack:
                 return
             number, time_s = self._since_the_first(stamp)
             point = self.pipeline.add(raw, number, time_s)
-            self._counts[point.state] += 1
+            self._counts.setdefault(point.segment, Counter())[point.state] += 1
             if self._board is None:
                 return
             mosaic = self.pipeline.mosaics.get(point.segment)
@@ -137,6 +141,8 @@ class LiveTrack:
             if dirty is not None:
                 self._board.changed(point.segment, dirty)
             self._board.append(point)
+            if len(self.pipeline.rows) > REMEMBERED_FRAMES:
+                self.pipeline.forget_the_past()  # the board has it all
 
     def undo(self) -> bool:
         """Forget the last segment, and call its frames lost; whether there was one. Tracking goes on."""
@@ -147,21 +153,20 @@ class LiveTrack:
             self.pipeline.forget(last)
             if self._board is not None:
                 self._board.drop(last)
-            self._counts = Counter(row.state for row in self.pipeline.rows)
+            frames = self._counts.pop(last, Counter()).total()
+            self._counts.setdefault(last - 1, Counter())[State.LOST.value] += frames
             return True
 
     @property
     def state(self) -> TrackState:
         """How it goes."""
-        pipeline, rows = self.pipeline, self.pipeline.rows
-        return TrackState(
-            self._plan,
-            "" if self._board is None else self._board.name,
-            pipeline.camera_px_per_pixel,
-            0.5 * FIELD * pipeline.grid.diameter,
-            dict(self._counts),
-            rows[-1] if rows else None,
-        )
+        pipeline, plan = self.pipeline, self._plan
+        with self._lock:
+            board = "" if self._board is None else self._board.name
+            counts = dict(sum(self._counts.values(), Counter()))
+            newest = pipeline.rows[-1] if pipeline.rows else None
+        radius_px = 0.5 * FIELD * pipeline.grid.diameter
+        return TrackState(plan, board, pipeline.camera_px_per_pixel, radius_px, counts, newest)
 
     def close(self) -> None:
         """End, and give the board's memory back."""
