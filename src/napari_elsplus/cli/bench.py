@@ -122,7 +122,7 @@ def _show(result: Result) -> None:
     for line in lines(result):
         table.add_row(*line)
     console.print(table)
-    if result.benchmark.chart is Chart.PARETO:
+    if result.benchmark.chart in (Chart.PARETO, Chart.STAGES):
         for case in result.cases:
             click.echo(f"{case}: {verdict(result, case)}")
     for name, why in result.absent.items():

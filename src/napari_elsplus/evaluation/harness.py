@@ -48,6 +48,7 @@ class Chart(StrEnum):
     PARETO = "cost against error"
     FAILURES = "failure map"
     PARSIMONY = "error against parameters"
+    STAGES = "time of each stage"
     LATENCY = "how many frames are later than that"
     LEVELS = "against a level"
 

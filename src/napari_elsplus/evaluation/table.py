@@ -94,7 +94,7 @@ def markdown(result: Result) -> str:
     text = "\n".join("| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in rows)
     said = (
         [f"- {case}: {verdict(result, case)}." for case in result.cases]
-        if result.benchmark.chart is Chart.PARETO
+        if result.benchmark.chart in (Chart.PARETO, Chart.STAGES)
         else []
     )
     gone = [f"- Absent: {name} ({why})." for name, why in result.absent.items()]

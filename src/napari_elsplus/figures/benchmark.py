@@ -6,7 +6,9 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from napari_elsplus.evaluation.harness import Chart, Role, pareto
@@ -21,6 +23,8 @@ MARKERS: Final = {Role.DEFAULT: "*", Role.OPTION: "o", Role.PAPER: "s", Role.PEE
 _OFTEN: Final = 0.05
 """Methods that fail on more of the inputs than this are drawn hollow."""
 _FIELD_IN: Final = 4.6
+_STAGE: Final = " / us"
+"""How the details that are times of stages end."""
 _NARROW: Final = 50
 """Logarithmic axes that span less than this factor are marked at 1, 2 and 5."""
 _LINE: Final = 0.035
@@ -47,6 +51,8 @@ def draw_benchmark(result: Result) -> Figure:
             figure = _failures(result)
         case Chart.PARSIMONY:
             figure = _parsimony(result)
+        case Chart.STAGES:
+            figure = _stages(result)
         case Chart.LATENCY:
             figure = _latency(result)
         case Chart.LEVELS:
@@ -170,6 +176,47 @@ def _parsimony(result: Result) -> Figure:
             axes.set_yscale("log")
         axes.margins(x=0.3, y=0.2)
         axes.grid(visible=True, which="major", color="0.92")
+    return figure
+
+
+def _stages(result: Result) -> Figure:
+    """For each method a bar of what a frame costs, in the pieces that were measured."""
+    stages = list(dict.fromkeys(name for row in result.rows for name in row.details if name.endswith(_STAGE)))
+    height = 0.45 * max(len(result.of_case(case)) for case in result.cases) + 1.1
+    figure = Figure(figsize=(9.0, height * len(result.cases) + 1.0), layout="constrained")
+    panels = figure.subplots(len(result.cases), 1, squeeze=False, sharex=True).ravel()
+    colours = [*colormaps["tab10"].colors[: len(stages)]]  # type: ignore[attr-defined]
+    for axes, case in zip(panels, result.cases, strict=True):
+        rows = result.of_case(case)
+        default = next((row for row in rows if row.role is Role.DEFAULT), rows[0])
+        for place, row in enumerate(rows):
+            left = 0.0
+            for stage, colour in zip(stages, colours, strict=True):
+                us = row.details.get(stage, 0.0)
+                us = us if np.isfinite(us) else 0.0
+                axes.barh(place, us, left=left, color=colour, height=0.6)
+                left += us
+            axes.barh(place, max(row.cost_us - left, 0.0), left=left, color="0.85", height=0.6)
+            ratio = "" if row is default else f", {row.cost_us / default.cost_us:.2g} times"
+            axes.text(
+                max(row.cost_us, left), place, f"  {row.cost_us:.0f} \N{MICRO SIGN}s{ratio}; error {row.error:.2g}",
+                va="center", fontsize=8,
+            )  # fmt: skip
+        axes.set_yticks(range(len(rows)), [row.method for row in rows], fontsize=8)
+        for label, row in zip(axes.get_yticklabels(), rows, strict=True):
+            label.set_color(COLOURS[row.role])
+        axes.invert_yaxis()
+        axes.set_title(case, fontsize=10)
+        axes.margins(x=0.35)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[-1].set_xlabel("time for each frame / \N{MICRO SIGN}s")
+    keys = [
+        Patch(color=colour, label=stage.removesuffix(_STAGE)) for stage, colour in zip(stages, colours, strict=True)
+    ]
+    panels[0].legend(
+        handles=[*keys, Patch(color="0.85", label="not taken apart")], loc="upper right", ncols=2, fontsize=8,
+        frameon=False,
+    )  # fmt: skip
     return figure
 
 

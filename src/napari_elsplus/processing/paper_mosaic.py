@@ -28,6 +28,17 @@ FINE_SAMPLING_PX: Final = 3.0
 """Camera pixels per core from which on the paper applies the median."""
 
 
+def takes_median(diameter_px: float) -> bool:
+    """Whether the paper smooths images in which the bundle has this diameter: coarsely sampled ones are smooth enough.
+
+    Examples
+    --------
+    >>> takes_median(464.0), takes_median(650.0)
+    (False, True)
+    """
+    return diameter_px / CORES_ACROSS >= FINE_SAMPLING_PX
+
+
 class PaperTracker:
     """Integer shifts from frame to frame.
 
@@ -51,8 +62,8 @@ class PaperTracker:
         first, last = self.grid.spans(FIELD)
         columns = np.arange(SIDE_PX)
         self._inside = ((columns >= first[:, None]) & (columns < last[:, None])).astype(np.float32)
-        self._median = diameter_px / CORES_ACROSS >= FINE_SAMPLING_PX
-        self._template: NDArray[np.float32] | None = None
+        self._median = takes_median(diameter_px)
+        self._template: NDArray[np.float32] | NDArray[np.uint8] | None = None
         self._row, self._col = 0, 0
 
     def prepare(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -62,7 +73,7 @@ class PaperTracker:
         small *= self._inside
         return small
 
-    def add(self, image: NDArray[np.float32]) -> Pose:
+    def add(self, image: NDArray[np.float32] | NDArray[np.uint8]) -> Pose:
         """Track a prepared image; positions are whole pixels of the grid."""
         corner = (SIDE_PX - TEMPLATE_PX) // 2
         score = np.nan

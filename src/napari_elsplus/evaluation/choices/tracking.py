@@ -139,7 +139,7 @@ METHODS = (
     Method("tracker", Role.DEFAULT, _pipeline(Tracking.ELSPLUS), 4),
     Method("tracker, then loops and mosaic", Role.OPTION, _pipeline(Tracking.ELSPLUS, loops=True), 4),
     Method("tracker, rolling shutter ignored", Role.OPTION, _pipeline(Tracking.ELSPLUS, shutter=False), 2),
-    Method("the paper's, in OpenCV", Role.PAPER, _papers_chain, 2),
+    Method("the paper's, in OpenCV, float32", Role.PAPER, _papers_chain, 2),
     Method("the paper's, signed, aligned", Role.OPTION, _pipeline(Tracking.PAPER), 2),
     Method("PyFibreBundle Mosaic", Role.PEER, _pyfibrebundle, 2),
 )
