@@ -87,6 +87,11 @@ def test_flat_field_has_mean_one_and_takes_the_illumination_away() -> None:
     assert flattened.std() / flattened.mean() < 0.3 * again[inside].std() / again[inside].mean()
     with pytest.raises(MeasurementError, match="flat field is dark"):
         measure_flat(np.zeros((1, *rig.shape)), calibration)
+    lit = rig.bundle(4)
+    with pytest.raises(MeasurementError, match=r"\d+ % of the flat field is saturated"):
+        measure_flat(np.where(lit > 40, 255, lit).astype(np.uint8), calibration)
+    with pytest.raises(MeasurementError, match="the flat field drifts by -"):
+        measure_flat(lit * np.array([1, 1, 0.8, 0.8])[:, None, None], calibration)
     with pytest.raises(CalibrationError, match="no bundle section"):
         measure_flat(rig.bundle(), measure(line=rig.line()).calibration)
 

@@ -96,17 +96,22 @@ def measure_background(frames: Frames) -> Background:
     MeasurementError
         If a good part is saturated, or the level drifts.
     """
-    mean = mean_frame(frames)
+    mean, drift = mean_frame(frames), _drift(frames, "background")
+    _must_not_be_saturated(frames[0], "background")
+    return Background(mean, len(frames), drift)
+
+
+def _drift(frames: Frames, name: str) -> float:
+    """Relative change of the mean level from the first half of the frames to the second; refused if it is large."""
     half = len(frames) // 2
     levels = [float(np.mean(np.asarray(frames[k][::4, ::4], np.float64))) for k in range(len(frames))]
     first, second = (float(np.mean(part)) for part in (levels[: max(half, 1)], levels[half:]))
     drift = (second - first) / max(abs(first), 1.0)
     if abs(drift) > MOST_DRIFT:
         raise MeasurementError(
-            f"the background drifts by {100 * drift:.1f} % while it is taken", "let laser and camera warm up"
+            f"the {name} drifts by {100 * drift:.1f} % while it is taken", "let laser and camera warm up"
         )
-    _must_not_be_saturated(frames[0], "background")
-    return Background(mean, len(frames), drift)
+    return drift
 
 
 def measure_offset(
@@ -239,11 +244,13 @@ def measure_flat(frames: Frames, calibration: Calibration) -> Image:
     Raises
     ------
     MeasurementError
-        If the disc is dark.
+        If the disc is dark, a good part is saturated, or the level drifts.
     """
     calibration.require("bundle")
     assert calibration.bundle is not None
     frame = mean_frame(frames)
+    _must_not_be_saturated(frames[0], "flat field")
+    _drift(frames, "flat field")
     sectioner = Sectioner(calibration, frame.shape)
     image = sectioner.ls(frame)
     inside = disc(len(image), calibration.bundle.diameter_px)
