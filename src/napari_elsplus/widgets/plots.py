@@ -104,6 +104,9 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         self._curves: list[Curve] = []
         self._marks: list[tuple[float, str, str]] = []
         self._bands: list[Band] = []
+        self._drawn_as: object = None
+        self._lines: list[Any] = []
+        self._regions: list[Any] = []
         self.hideButtons()
         self._legend = pg.LegendItem(colCount=4, labelTextSize="8pt", verSpacing=-4)
         self.plotItem.layout.addItem(self._legend, 4, 1)  # below the curves, where it hides none
@@ -159,26 +162,45 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
             New labels of the axes.
         """
         self._curves, self._marks, self._bands = list(curves), list(marks), list(bands)
+        before, self._drawn_as = self._drawn_as, self._structure(bottom, left)
+        if before == self._drawn_as and not marks:
+            self._renew()
+            return
         self._labels |= {side: text for side, text in (("bottom", bottom), ("left", left)) if text is not None}
         for side, text in self._labels.items():
             self.setLabel(side, text, siPrefixEnableRanges=(), color=self._text)  # no scale that is not told
         self.plotItem.clear()
+        self._regions, self._lines = [], []
         for band in self._bands:
             brush = pg.mkBrush(self.ink(band.colour) + "50")
-            self.addItem(pg.LinearRegionItem((band.start, band.stop), brush=brush, pen=pg.mkPen(None), movable=False))
+            self._regions.append(
+                pg.LinearRegionItem((band.start, band.stop), brush=brush, pen=pg.mkPen(None), movable=False)
+            )
+            self.addItem(self._regions[-1])
         short = all(len(curve.name) <= _SHORT_NAME for curve in self._curves)
         self._legend.setColumnCount(3 if short else 1)
         for curve in self._curves:
             ink = self.ink(curve.colour)
             pen = pg.mkPen(ink, width=2, style=DASHES[curve.dash])
             symbol = {"symbol": "o", "symbolSize": 5, "symbolBrush": ink, "symbolPen": None} if curve.marks else {}
-            self.plot(
-                np.asarray(curve.x), np.asarray(curve.y), pen=pen, name=curve.name if curve.listed else None, **symbol
-            )
+            name = curve.name if curve.listed else None
+            self._lines.append(self.plot(np.asarray(curve.x), np.asarray(curve.y), pen=pen, name=name, **symbol))
         for index, (position, colour, text) in enumerate(self._marks):
             options: dict[str, Any] = {"position": 0.92 - 0.13 * (index % 4), "color": self.ink(colour), "fill": None}
             pen = pg.mkPen(self.ink(colour), width=1, style=Qt.PenStyle.DotLine)
             self.addItem(pg.InfiniteLine(position, angle=90, pen=pen, label=text, labelOpts=options))
+
+    def _structure(self, bottom: str | None, left: str | None) -> object:
+        """Everything of a plot but its numbers."""
+        curves = [(curve.name, curve.colour, curve.dash, curve.marks, curve.listed) for curve in self._curves]
+        return curves, [band.colour for band in self._bands], bottom, left, self._theme
+
+    def _renew(self) -> None:
+        """Put new numbers into what is drawn: quick, and neither axes nor legend jump."""
+        for line, curve in zip(self._lines, self._curves, strict=True):
+            line.setData(np.asarray(curve.x), np.asarray(curve.y))
+        for region, band in zip(self._regions, self._bands, strict=True):
+            region.setRegion((band.start, band.stop))
 
     def ink(self, colour: str) -> str:
         """Return a colour of the palette as it is drawn on the present ground."""

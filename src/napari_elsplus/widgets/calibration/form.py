@@ -34,6 +34,9 @@ MARKS: Final = {State.DONE: "\N{CHECK MARK}", State.STALE: "\N{WARNING SIGN}", S
 """Told apart without colour."""
 PLOTS: Final = 2
 HEADLINE_PT: Final = 17
+FAR_PT: Final = 40
+"""To be read from across the bench, with both hands on the tilt mirror."""
+NEAR_PT: Final = 11
 PLOT_STRETCH: Final = 1000
 """A plot takes all the room there is; without one, nothing else grows."""
 
@@ -122,7 +125,9 @@ class Form:
         else:
             ink = {None: "", True: f"color:{self.plots[0].ink('green')}", False: f"color:{self.plots[0].ink('orange')}"}
             style = f"font-size:{HEADLINE_PT}pt; font-weight:600; {ink[picture.good]}"
-            self.headline.setText(f"<span style='{style}'>{picture.headline}</span>")
+            far = f"<span style='{style}; font-size:{FAR_PT}pt'>{picture.far}</span><br>" if picture.far else ""
+            smaller = f"font-size:{NEAR_PT}pt" if far else ""
+            self.headline.setText(f"{far}<span style='{style}; {smaller}'>{picture.headline}</span>")
             warn = self.plots[0].ink("vermilion")
             said = [f"<span style='color:{warn}'>{MARKS[State.STALE]} {line}</span>" for line in picture.warnings]
             self.numbers.setText("<br>".join([*picture.lines, *said]))

@@ -339,7 +339,9 @@ class CalibrationPanel(Panel):
             show_error(str(error))
         client = self.connection.client
         progress = None if client is None else client.status.progress
-        if self.work.busy and progress is not None:
+        if self._watching:
+            self.work.tell("watching", 0, 0)
+        elif self.work.busy and progress is not None:
             self.work.tell(progress.step, progress.done, progress.total)
         stale = {} if client is None else dict(client.status.stale)
         if client is not None and stale != self._stale and not self.work.busy:

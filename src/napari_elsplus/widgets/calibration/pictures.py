@@ -51,6 +51,8 @@ class Picture:
     ----------
     headline : str
         The number that matters, with its uncertainty.
+    far : str
+        The number to read from across the bench, if there is one.
     lines : sequence of str
         The numbers behind it.
     warnings : sequence of str
@@ -66,6 +68,7 @@ class Picture:
     warnings: Sequence[str] = ()
     plots: Sequence[Plot] = field(default_factory=tuple)
     good: bool | None = None
+    far: str = ""
 
 
 def picture(found: Found, draft: Draft, setup: Setup, target_um: float) -> Picture:
@@ -117,7 +120,7 @@ def _told(value: float, spread: float) -> str:
 def _offset(found: SlitOffset, draft: Draft, setup: Setup, target_um: float) -> Picture:
     scale = scale_of(draft, setup)
     slit_rows = setup.acquired_with.slit_rows or _SLIT_ROWS
-    headline = f"{_told(found.rows, found.uncertainty_rows)} rows"
+    headline, far = f"{_told(found.rows, found.uncertainty_rows)} rows", f"{found.rows:.1f} rows"
     lines, warnings, bands, good = [], [], [], None
     radius_px = (BUNDLE_UM / scale if scale else found.left.columns[1] - found.left.columns[0]) / 2
     tilt, spread = found.left.tilt_deg, found.left.tilt_uncertainty_deg
@@ -128,6 +131,7 @@ def _offset(found: SlitOffset, draft: Draft, setup: Setup, target_um: float) -> 
     if scale is not None:
         offset_um = found.rows * scale
         headline += f"<br>{_told(offset_um, found.uncertainty_rows * scale)} µm"
+        far = f"{offset_um:.1f} µm"
         good = abs(abs(offset_um) - target_um) <= TOLERANCE_UM
         sign = -1 if found.rows < 0 else 1
         ends = sorted(sign * (target_um + side) / scale for side in (-TOLERANCE_UM, TOLERANCE_UM))
@@ -137,7 +141,7 @@ def _offset(found: SlitOffset, draft: Draft, setup: Setup, target_um: float) -> 
         warnings.append("the offset is smaller than the slit: the residual holds most of the signal")
     curves = [*_profile("left", found.left, 0.0, "blue"), *_profile("right", found.right, found.rows, "orange")]
     plot = Plot("rows from the confocal line", "grey levels", curves, bands=bands)
-    return Picture(headline, lines, warnings, [plot], good)
+    return Picture(headline, lines, warnings, [plot], good, far)
 
 
 def _trade(found: SlitOffset, draft: Draft, setup: Setup, scale: float) -> list[str]:
