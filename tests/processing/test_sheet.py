@@ -7,8 +7,8 @@ from napari_elsplus.processing.grid import Grid
 from napari_elsplus.processing.mosaic import Mosaic
 from napari_elsplus.processing.motion import RollingShutter
 from napari_elsplus.processing.pyramid import Pyramid
-from napari_elsplus.processing.sheet import GAP_PX, Sheet
-from napari_elsplus.processing.tiles import TILE_PX, Rectangle
+from napari_elsplus.processing.sheet import GAP_PX, ROOM_STEP_PX, Sheet
+from napari_elsplus.processing.tiles import Rectangle
 
 GRID = Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0))
 
@@ -42,7 +42,7 @@ def test_growth_within_the_room_moves_nothing_and_only_that_is_dirty() -> None:
     sheet.arrange({0: first, 1: second})
     sheet.take_dirty()
     place = sheet.place(1)
-    touched = first.insert(np.ones((120, 120), np.float32), 200.0, 100.0)
+    touched = first.insert(np.ones((120, 120), np.float32), 5.0, 6.0)
     assert not sheet.arrange({0: first, 1: second})
     assert sheet.take_dirty() == touched
     assert sheet.take_dirty() is None
@@ -60,7 +60,7 @@ def test_growth_beyond_the_room_moves_those_below_and_the_pyramid_follows(row: f
     first.insert(np.ones((120, 120), np.float32), row, 0.0)
     moved = sheet.arrange({0: first, 1: second})
     assert moved == (row > 0)
-    assert sheet.place(1)[0] == (before[0] + 3 * TILE_PX if row > 0 else before[0])
+    assert sheet.place(1)[0] == (before[0] + 24 * ROOM_STEP_PX if row > 0 else before[0])
     pyramid.refresh()
     whole = Rectangle(-2048, -512, 4096, 1024)
     for level in (1, 2):
@@ -80,7 +80,7 @@ def test_a_segment_that_is_gone_leaves_an_empty_place() -> None:
     sheet = Sheet()
     sheet.arrange({0: first, 1: second})
     row, col = sheet.place(1)
-    assert row == 2 * TILE_PX + GAP_PX
+    assert row == 2 * ROOM_STEP_PX + GAP_PX
     sheet.take_dirty()
     assert sheet.arrange({0: first})
     dirty = sheet.take_dirty()

@@ -1,6 +1,11 @@
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
+import pytest
 
 from napari_elsplus.processing.grid import Grid
 from napari_elsplus.processing.mosaic import Mosaic
@@ -63,3 +68,45 @@ def test_white_is_what_hardly_anything_exceeds() -> None:
 def _any(drawn: np.ndarray, step: int) -> np.ndarray:
     rows, cols = drawn.shape
     return drawn.reshape(rows // step, step, cols // step, step).any(axis=(1, 3))
+
+
+RASTER = """
+import sys
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pathlib import Path
+from napari_elsplus.processing.grid import Grid
+from napari_elsplus.processing.mosaic import Mosaic
+from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.truth import true_calibration
+from napari_elsplus.viewing.growing import GrowingImage
+
+def resident_mb():
+    fields = (line.split() for line in Path("/proc/self/status").read_text().splitlines())
+    return next(int(field[1]) for field in fields if field[0] == "RssAnon:") / 1024
+
+calibration = true_calibration(Instrument.of("240hz"))
+grid = Grid.of(calibration)
+side = 20_000 / (calibration.optics.um_per_px * grid.binning) - grid.diameter
+frame = np.ones((grid.side, grid.side), np.float32)
+mosaic, image = Mosaic(grid), GrowingImage()
+before_mb = resident_mb()
+for row in np.arange(0, side + 100, 100):
+    for col in np.arange(0, side + 100, 100):
+        mosaic.insert(frame, float(row), float(col))
+    image.update({0: mosaic})
+print(min(mosaic.extent.shape) * calibration.optics.um_per_px * grid.binning, resident_mb() - before_mb)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is told by Linux only")
+def test_twenty_by_twenty_millimetres_take_less_than_a_gigabyte() -> None:
+    done = subprocess.run([sys.executable, "-c", RASTER], capture_output=True, text=True, check=True, timeout=300)
+    side_um, grown_mb = map(float, done.stdout.split())
+    assert side_um > 19_900
+    assert 400 < grown_mb < 1000

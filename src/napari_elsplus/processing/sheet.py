@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.tiles import TILE_PX, Canvas, Rectangle, around_all
+from napari_elsplus.processing.tiles import Canvas, Rectangle, around_all
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 GAP_PX: Final = 16
 """Empty rows between the rooms of two segments."""
+ROOM_STEP_PX: Final = 64
+"""The edges of a room are multiples of this: mostly the last segment grows, and nothing lies below it."""
 
 
 class _Place(NamedTuple):
@@ -31,7 +33,7 @@ class _Place(NamedTuple):
 class Sheet:
     """Canvases put below one another in the order of their numbers; itself a canvas.
 
-    The first keeps its own pixels. Each has room up to whole tiles, so that the others move seldom.
+    The first keeps its own pixels. Each has some room to grow, so that the others move seldom.
 
     Examples
     --------
@@ -45,7 +47,7 @@ class Sheet:
     >>> sheet = Sheet()
     >>> _ = sheet.arrange({0: first, 1: second})
     >>> sheet.place(0), sheet.place(1)
-    ((0, 0), (1040, 0))
+    ((0, 0), (144, 0))
     """
 
     def __init__(self) -> None:
@@ -161,7 +163,7 @@ class Sheet:
 
 
 def _room(extent: Rectangle) -> Rectangle:
-    """Round outwards to whole tiles."""
-    top, left = (TILE_PX * (first // TILE_PX) for first in (extent.top, extent.left))
-    bottom, right = (-TILE_PX * (-last // TILE_PX) for last in (extent.bottom, extent.right))
+    """Round outwards, so that those below seldom move while a segment grows."""
+    top, left = (ROOM_STEP_PX * (first // ROOM_STEP_PX) for first in (extent.top, extent.left))
+    bottom, right = (-ROOM_STEP_PX * (-last // ROOM_STEP_PX) for last in (extent.bottom, extent.right))
     return Rectangle(top, left, bottom, right)
