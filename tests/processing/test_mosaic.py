@@ -62,11 +62,31 @@ def test_a_dead_leaf_covers_what_lay_there_but_its_rim_does_not() -> None:
 
 
 def test_feathered_frames_are_averaged() -> None:
+    """One that is brighter here and darker there, so that the brightness of both is the same."""
     mosaic = Mosaic(GRID, Insertion.FEATHERED)
-    for level in (1.0, 2.0):
-        mosaic.insert(np.full((120, 120), level, np.float32), 0.0, 0.0)
+    checks = np.where(np.indices((120, 120)).sum(axis=0) // 2 % 2, 1.0, 2.0).astype(np.float32)
+    for frame in (checks, 3 - checks):
+        mosaic.insert(frame, 0.3, 0.3)
     image, weight = mosaic.read()
-    assert np.allclose(image[weight > 0], 1.5)
+    assert np.abs(image[weight > 0] - 1.5).max() < 0.02
+
+
+def test_a_flickering_laser_leaves_no_seams_in_a_feathered_mosaic() -> None:
+    exposures = (1.0, 0.75, 1.2, 0.9, 1.3)
+    mosaic = Mosaic(GRID, Insertion.FEATHERED)
+    for k, factor in enumerate(exposures):
+        mosaic.insert(factor * seen(0.0, 25.0 * k), 0.0, 25.0 * k)
+    assert miss(mosaic) < 0.1 * 140
+
+
+def test_brightness_does_not_drift_along_a_noisy_path() -> None:
+    rng = np.random.default_rng(0)
+    mosaic = Mosaic(GRID, Insertion.FEATHERED)
+    for k in range(150):
+        frame = 20 + 5 * rng.standard_normal((120, 120)).astype(np.float32)
+        mosaic.insert(frame, 0.0, 30.0 * k)
+    image, weight = mosaic.read()
+    assert abs(image[:, -60:][weight[:, -60:] > 0.2].mean() / 20 - 1) < 0.05
 
 
 def test_where_the_line_has_left_the_bundle_the_residual_is_missing_and_the_weight_low() -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.exposure import ROW_STEP, Overlap, exposure, overlap_sums
 from napari_elsplus.processing.grid import FIELD
 from napari_elsplus.processing.ladder import turned_by, unsheared, upright
 from napari_elsplus.processing.motion import Velocity
@@ -37,7 +38,7 @@ class Insertion(StrEnum):
     DEAD_LEAF = "dead-leaf"
     """The newest frame covers the others, as in the paper, but its rim does not cover the inside of another."""
     FEATHERED = "feathered"
-    """The mean of all frames, weighted down towards their rims."""
+    """The mean of all frames, weighted down towards their rims, each brought to the brightness of what it overlaps."""
 
 
 def rim_weights(grid: Grid, line_away: float = 0.0) -> NDArray[np.float32]:
@@ -96,6 +97,10 @@ class Mosaic(TiledCanvas):
         self._weights = rim_weights(grid) if weights is None else weights
         self._spans = grid.spans()
         self._turned = np.zeros((grid.side, grid.side), np.float32)
+        self._exposed_image = np.zeros_like(self._turned)
+        columns = np.arange(grid.side)
+        inside = (columns >= self._spans[0][:, None]) & (columns < self._spans[1][:, None])
+        self._whole_weight = float(self._weights[inside].sum()) / ROW_STEP
 
     def insert(
         self,
@@ -134,6 +139,8 @@ class Mosaic(TiledCanvas):
         touched = self._reach(row, col, stretch, shear)
         blend = self.insertion is Insertion.FEATHERED
         with self._lock:
+            if blend:
+                image = self._exposed(image, touched, row, col, stretch, shear)
             for key in touched.tiles():
                 tile, at = self._store.tile(*key), tile_rectangle(*key)
                 insert_rows(
@@ -142,6 +149,20 @@ class Mosaic(TiledCanvas):
                 )  # fmt: skip
             self._touched(touched)
         return touched
+
+    def _exposed(
+        self, image: NDArray[np.float32], touched: Rectangle, row: float, col: float, stretch: float, shear: float
+    ) -> NDArray[np.float32]:
+        """Bring a frame to the brightness of what lies where it will lie."""
+        sums = np.zeros(3)
+        for key in touched.tiles():
+            tile, at = self._store.tile(*key), tile_rectangle(*key)
+            sums += overlap_sums(
+                tile.value, tile.weight, at.top, at.left, image, self._weights, *self._spans,
+                *self.grid.centre, row, col, stretch, shear,
+            )  # fmt: skip
+        factor = exposure(Overlap(*sums.tolist()), self._whole_weight)
+        return image if factor == 1 else np.multiply(image, np.float32(factor), out=self._exposed_image)
 
     def _reach(self, row: float, col: float, stretch: float, shear: float) -> Rectangle:
         radius = 0.5 * FIELD * self.grid.diameter
