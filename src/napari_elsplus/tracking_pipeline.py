@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 
 _TIMING_FRAMES = 600
+_KEPT_VIEWS = 300
+"""Views of frames that are kept while a track is finished; others are made anew when they are needed."""
 
 
 class Method(StrEnum):
@@ -102,14 +105,16 @@ class _Ours:
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         registrar = self._tracker.registrar
-        views: dict[int, View] = {}
+        views: OrderedDict[int, View] = OrderedDict()
 
         def view(index: int) -> View:
-            if index not in views:
-                fresh = registrar.view()
-                fresh.image[:] = image(index)
-                views[index] = registrar.prepare(fresh)
-            return views[index]
+            if index in views:
+                views.move_to_end(index)
+                return views[index]
+            oldest = views.popitem(last=False)[1] if len(views) >= _KEPT_VIEWS else registrar.view()
+            oldest.image[:] = image(index)
+            views[index] = registrar.prepare(oldest)
+            return oldest
 
         return refine(poses, self._tracker.links, registrar, view, self._tracker.rung)
 

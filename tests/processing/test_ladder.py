@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from napari_elsplus.processing.climb import Climb
 from napari_elsplus.processing.grid import Grid
-from napari_elsplus.processing.ladder import Climb, Remainder, Rung, angle_of, composed, scale_of, turned_by, upright
+from napari_elsplus.processing.ladder import Remainder, Rung, angle_of, composed, scale_of, turned_by, upright
 from napari_elsplus.processing.motion import Displacement, RollingShutter, Velocity, Warp
 from napari_elsplus.processing.registration import Registrar, View
 from napari_elsplus.simulation.trajectories import HandHeld, Spiral, Still, Turning
@@ -114,6 +115,32 @@ def test_a_turn_that_no_single_link_shows_is_noticed_in_their_sum() -> None:
     assert rung is Rung.RIGID
     assert 5 < links < 100
     assert noticed(2e-4, 2e-3, 500)[0] is Rung.SIMILARITY
+
+
+def test_a_turn_that_begins_late_is_noticed() -> None:
+    climb, sigma, rungs = Climb(), np.array([3e-4, 3e-4]), []
+    random = np.random.default_rng(0)
+    for k in range(48):
+        step = np.zeros((3, 6))
+        step[:, 4:] = random.normal((0.002 if k >= 40 else 0.0, 0.0), sigma)
+        rungs.append(climb.weigh(Remainder(step, sigma, 1500.0)))
+    assert rungs[39] is Rung.TRANSLATION
+    assert rungs[-1] is Rung.RIGID
+
+
+def test_errors_that_mislead_many_links_in_a_row_are_no_turn() -> None:
+    """Errors that wander: their sum grows like that of a turn, but no faster than they let expect."""
+    climbed = 0
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        climb, sigma, error = Climb(), np.array([3e-4, 3e-4]), np.zeros(2)
+        for _ in range(60):
+            error = 0.6 * error + 0.8 * random.normal(0, sigma)
+            step = np.zeros((3, 6))
+            step[:, 4:] = error
+            climb.weigh(Remainder(step, sigma, 1500.0))
+        climbed += climb.rung is not Rung.TRANSLATION
+    assert climbed <= 2
 
 
 @pytest.mark.parametrize(

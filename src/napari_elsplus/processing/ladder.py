@@ -1,13 +1,9 @@
 """How much motion a pair of frames asks for: translation, rotation, scale, and no more than the evidence bears.
 
 The rolling shutter's warp has no rotation and no change of scale in it. What a link leaves unexplained tells whether
-they are needed: one more pass over the frames gives what rotation and scale would add to the warp, with its covariance,
-and the Bayesian information criterion weighs that against the parameters. A frame that has turned is turned back before
-it is compared again, so that everything else stays as it is for a probe that does not turn.
-
-References
-----------
-Schwarz, Ann. Stat. 6, 461 (1978), doi:10.1214/aos/1176344136.
+they are needed: one more pass over the frames gives what rotation and scale would add to the warp, with its
+uncertainty (:mod:`napari_elsplus.processing.climb` weighs it). A frame that has turned is turned back before it is
+compared again, so that everything else stays as it is for a probe that does not turn.
 """
 
 from __future__ import annotations
@@ -61,64 +57,6 @@ class Remainder(NamedTuple):
     step: Matrix
     sigma: Matrix
     values: float
-
-
-_MARGIN: Final = 2.0
-"""How many times the criterion's penalty must be saved: it is asked again and again in a long recording."""
-_MARGIN_OF_SCALE: Final = 2.0
-"""The same for scale, which a probe in contact has no reason to change."""
-_FORGET: Final = 0.98
-_SCATTER: Final = 2.0
-_PRIOR_LINKS: Final = 4.0
-"""Variance of the links about each other, in units of what they say, and how many links that is worth at first."""
-
-
-class Climb:
-    """Gathers from link to link what rotation and scale would explain, and climbs when the evidence asks for it.
-
-    A slow turn shows in no single link but in their sum, which grows faster than its uncertainty.
-
-    Attributes
-    ----------
-    rung : Rung
-        What is to be modelled from now on.
-
-    Examples
-    --------
-    >>> climb = Climb()
-    >>> nothing = np.zeros((3, 6))
-    >>> climb.weigh(Remainder(nothing, np.array([3e-4, 3e-4]), 1500.0)).name
-    'TRANSLATION'
-    >>> turned = nothing + np.array([0, 0, 0, 0, 0.01, 0])
-    >>> climb.weigh(Remainder(turned, np.array([3e-4, 3e-4]), 1500.0)).name
-    'RIGID'
-    """
-
-    def __init__(self) -> None:
-        self.rung = Rung.TRANSLATION
-        self._sum, self._variance, self._values = np.zeros(2), np.zeros(2), 0.0
-        self._scatter, self._links = _SCATTER * np.full(2, _PRIOR_LINKS), _PRIOR_LINKS
-        self._before: Matrix | None = None
-
-    def weigh(self, found: Remainder, *, keep: bool = True) -> Rung:
-        """Weigh a link with those before; return the rung that is asked for. It is remembered if it is to be kept."""
-        step = found.step[Rung.SIMILARITY, 4:]
-        total, variance = _FORGET * self._sum + step, _FORGET**2 * self._variance + found.sigma**2
-        values = _FORGET * self._values + found.values
-        saved = total**2 / np.maximum(variance * np.maximum(self._scatter / self._links, 1.0), 1e-12)
-        needed = _MARGIN * np.log(max(values, 2.0))
-        if saved[1] > _MARGIN_OF_SCALE * needed:
-            self.rung = Rung.SIMILARITY
-        elif saved[0] > needed and self.rung is Rung.TRANSLATION:
-            self.rung = Rung.RIGID
-        if keep:
-            self._sum, self._variance, self._values = total, variance, values
-            if self._before is not None:
-                # a probe turns evenly: what differs from link to link is error
-                self._scatter = self._scatter + 0.5 * ((step - self._before) / found.sigma) ** 2
-                self._links += 1
-            self._before = step
-        return self.rung
 
 
 def turned_by(angle: float, scale: float = 1.0) -> Matrix:

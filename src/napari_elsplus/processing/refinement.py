@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.graph import Edge, Place, least_squares_places, least_squares_positions
-from napari_elsplus.processing.ladder import Rung, angle_of, composed, scale_of
+from napari_elsplus.processing.hindsight import hindsight, turned_links
+from napari_elsplus.processing.ladder import Rung
 from napari_elsplus.processing.loops import LoopCloser, edge_covariance
 from napari_elsplus.processing.motion import Velocity
 from napari_elsplus.processing.tracking import Pose, State
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.registration import Link, Registrar, View
 
 _NOWHERE: Final = Velocity(np.nan, np.nan)
-_LOOSE: Final = (0.01, 0.01)
 _LINK_STRETCH_PX: Final = 0.2
 """What the velocity of the later frame of a link is trusted to, pixels per frame period."""
 
@@ -44,7 +44,8 @@ def refine(
     view : callable
         Returns the prepared view of a frame by its index.
     rung : Rung
-        What the frames asked for. If the probe turned, the links from before that was noticed are asked once more.
+        What the frames asked for while they came. All links are asked once more, and if the probe turned, those from
+        before that was noticed are corrected.
 
     Returns
     -------
@@ -55,8 +56,10 @@ def refine(
     settled = with_origins(settle(poses), links, registrar.grid.shutter)
     tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is State.TRACKED}
     stretch = _LINK_STRETCH_PX / registrar.grid.shutter.rows_per_frame
+    if rung is Rung.TRANSLATION:
+        rung = hindsight(links, registrar, view)
     if rung is not Rung.TRANSLATION:
-        links = [_turned(link, settled, registrar, view, rung) for link in links]
+        links = turned_links(links, settled, registrar, view, rung)
     edges = [
         Edge(a, b, (moved.row, moved.col), edge_covariance(link, stretch), link.turn, link.zoom, link.turn_sigma)
         for a, b, moved, link in links
@@ -88,27 +91,6 @@ def _solved(edges: Sequence[Edge], first: int, rung: Rung) -> dict[int, Place]:
     if rung is Rung.TRANSLATION:
         return {frame: Place(*where) for frame, where in least_squares_positions(edges, first).items()}
     return least_squares_places(edges, first)
-
-
-def _turned(
-    found: tuple[int, int, Displacement, Link],
-    poses: list[Pose],
-    registrar: Registrar,
-    view: Callable[[int], View],
-    rung: Rung,
-) -> tuple[int, int, Displacement, Link]:
-    """Ask a link for the rotation that was not yet modelled when it was made; correct the later frame's velocity."""
-    earlier, later, _, link = found
-    more = None if np.isfinite(link.turn_sigma) else registrar.remainder(view(earlier), view(later), link.warp, _LOOSE)
-    if more is None:
-        return found
-    shutter = registrar.grid.shutter
-    warp, form = composed(link.warp, more.step[rung])
-    if later == earlier + 1:
-        poses[later] = poses[later]._replace(velocity=shutter.velocities(warp)[1])
-    moved = shutter.displacement(warp, poses[later].velocity)
-    turned = link._replace(warp=warp, turn=-angle_of(form), zoom=1 / scale_of(form), turn_sigma=float(more.sigma[0]))
-    return earlier, later, moved, turned
 
 
 def _relaid(poses: Sequence[Pose], edges: Sequence[Edge], tracked: dict[int, int]) -> list[Pose]:

@@ -13,8 +13,9 @@ from enum import StrEnum
 from math import hypot, isfinite, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from napari_elsplus.processing.climb import Climb
 from napari_elsplus.processing.evidence import stretch_and_shear_variance
-from napari_elsplus.processing.ladder import Climb, Rung, turned_by
+from napari_elsplus.processing.ladder import Rung, turned_by
 from napari_elsplus.processing.motion import Displacement, Velocity
 from napari_elsplus.processing.prediction import AT_REST, Motion
 from napari_elsplus.processing.registration import LEAST_EVIDENCE, Link, Registrar, View
