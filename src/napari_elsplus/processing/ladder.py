@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import cv2
 import numpy as np
 
-from napari_elsplus.compiled import kernel
+from napari_elsplus.compiled import lean_kernel
 from napari_elsplus.processing.lucas_kanade import row_shift
 from napari_elsplus.processing.motion import Warp
 
@@ -38,6 +38,12 @@ class Rung(IntEnum):
     """The probe turns."""
     SIMILARITY = 2
     """The probe turns, and what it shows changes in scale."""
+
+
+_FREE: Final = np.array([[n not in range(4 + rung, 6) for n in range(_UNKNOWNS)] for rung in Rung], np.float64)
+_FREE_PAIRS: Final = _FREE[:, :, None] * _FREE[:, None, :]
+_HELD_AT_ZERO: Final = (1 - _FREE[:, :, None]) * np.eye(_UNKNOWNS)
+"""Which unknowns each rung models, and what makes the equations of the others read: zero."""
 
 
 class Remainder(NamedTuple):
@@ -162,28 +168,27 @@ def remainder(
     Remainder or None
         None where the frames do not overlap or show nothing.
     """
-    normal, right = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
+    normal, right = np.empty((_UNKNOWNS, _UNKNOWNS)), np.empty(_UNKNOWNS)
+    tilt = np.empty((3, template.shape[1]), np.float32)
     scaled = np.array([warp.a, warp.b / px, warp.s, warp.d / px])
-    count, noise = unexplained(template, image, first, last, *middle, scaled, normal, right)
+    count, noise = unexplained(template, image, first, last, *middle, scaled, tilt, normal, right)
     if not (count > 0 and noise > 0):
         return None
     noise *= correlated_px
     normal[0, 0] += stiffness[0] * noise
     normal[2, 2] += stiffness[1] * noise
-    step = np.zeros((len(Rung), 6))
     try:
-        for rung in Rung:
-            free = [0, 1, 2, 3, *range(4, 4 + rung), 6, 7]
-            step[rung, : 4 + rung] = np.linalg.solve(normal[np.ix_(free, free)], right[free])[: 4 + rung]
-        covariance = np.linalg.inv(normal) * noise
+        inverse = np.linalg.inv(normal * _FREE_PAIRS + _HELD_AT_ZERO)
     except np.linalg.LinAlgError:
         return None
+    step = (inverse @ (right * _FREE)[..., None])[:, :6, 0]
+    covariance = inverse[Rung.SIMILARITY] * noise
     step[:, [1, 3]] *= px
     sigma = np.sqrt(np.maximum(np.diag(covariance)[4:6], 0))
     return Remainder(step, sigma, count / correlated_px)
 
 
-@kernel
+@lean_kernel
 def unexplained(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
@@ -192,10 +197,13 @@ def unexplained(
     middle_row: float,
     middle_col: float,
     warp: NDArray[np.float64],
+    tilt: NDArray[np.float32],
     normal: NDArray[np.float64],
     right: NDArray[np.float64],
 ) -> tuple[float, float]:
     """Fill the normal equations of a, b, s, d, rotation and scale, gain and offset about a warp.
+
+    `tilt` is scratch of three rows of an image.
 
     Returns the number of pixels, and the mean squared difference weighted by the squared gradient.
     """
@@ -204,7 +212,6 @@ def unexplained(
     height = template.shape[0]
     gain, offset = tone_between(template, image, first, last, middle_row, warp)
     count, steep, noise_level = 0.0, 0.0, 0.0
-    tilt = np.empty((3, template.shape[1]), np.float32)
     for row in range(1, height - 1):
         above, down, whole, across, begin, end = row_shift(row, height, middle_row, warp, first, last)
         if end <= begin:
@@ -315,7 +322,7 @@ def unexplained(
     return count, noise_level / steep
 
 
-@kernel
+@lean_kernel
 def tone_between(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
