@@ -311,6 +311,8 @@ class Live(EnginePanel):
             label="frames",
             tooltip="End after so many; 0: by seconds, or when you end it",
         )
+        for limit in (self.seconds, self.frames):
+            limit.native.setSpecialValueText("no limit")
         self.earlier_s = FloatSpinBox(
             value=0, min=0, max=1.9, step=0.5, label="earlier (s)", tooltip="Begin so long before you press, 0 to 1.9 s"
         )

@@ -171,6 +171,7 @@ class Rig(EnginePanel):
             value=known.frame_rate_hz or 0, min=0, max=240, step=10, label="rate (Hz)",
             tooltip="Frames per second, up to 240; 0 is the preset's highest",
         )  # fmt: skip
+        self.rate_hz.native.setSpecialValueText("highest")
         self.gain_db = FloatSpinBox(
             value=known.gain_db, min=0, max=24, step=1, label="gain (dB)", tooltip="Camera gain, 0 to 24 dB"
         )
