@@ -31,6 +31,13 @@ def test_new_numbers_are_put_into_what_is_drawn(plot):
     assert band.getRegion() == (0.5, 0.6)
 
 
+def test_a_mark_that_is_gone_is_taken_away(plot):
+    plot.draw([Curve("signal", X, X, "blue")], marks=[(0.5, "grey", "middle")])
+    marked = len(plot.plotItem.items)
+    plot.draw([Curve("signal", X, X, "blue")])
+    assert len(plot.plotItem.items) == marked - 1
+
+
 @pytest.mark.parametrize("change", ["name", "colour", "mark", "theme", "band"])
 def test_whatever_else_changes_is_drawn_anew(plot, change):
     before = drawn(plot)

@@ -163,7 +163,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         """
         self._curves, self._marks, self._bands = list(curves), list(marks), list(bands)
         before, self._drawn_as = self._drawn_as, self._structure(bottom, left)
-        if before == self._drawn_as and not marks:
+        if before == self._drawn_as:
             self._renew()
             return
         self._labels |= {side: text for side, text in (("bottom", bottom), ("left", left)) if text is not None}
@@ -193,7 +193,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
     def _structure(self, bottom: str | None, left: str | None) -> object:
         """Everything of a plot but its numbers."""
         curves = [(curve.name, curve.colour, curve.dash, curve.marks, curve.listed) for curve in self._curves]
-        return curves, [band.colour for band in self._bands], bottom, left, self._theme
+        return curves, self._marks, [band.colour for band in self._bands], bottom, left, self._theme
 
     def _renew(self) -> None:
         """Put new numbers into what is drawn: quick, and neither axes nor legend jump."""
