@@ -1,6 +1,6 @@
 """Opening a 10 GB recording as napari layers and scrolling through it: time to the first image, memory.
 
-Run with asv, or by hand: ``python benchmarks/viewing.py``.
+Run with asv, or by hand: ``python -m benchmarks.viewing``.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from pathlib import Path
 
 import click
 import numpy as np
-from recording import RATE_HZ, SHAPE, sparse_recording
 
+from benchmarks.recording import RATE_HZ, SHAPE, sparse_recording
 from napari_elsplus.io import beside, write_calibration
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
