@@ -96,7 +96,7 @@ def test_the_waveform_is_repeated_as_often_as_the_strobe_comes_and_no_more(cards
 
 
 def test_a_missed_strobe_shows_in_the_count_of_ramps(cards, ramp, wait_for) -> None:
-    """The same ramps, one of them late: ELSA's parity is tied to what the card did, not to what it should have done."""
+    """The same ramps, one of them late: the count is tied to what the card did, not to what it should have done."""
     bench = cards()
     with DaqScanner(bench.settings, bench.limits) as scanner:
         scanner.scan(ramp)

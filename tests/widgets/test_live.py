@@ -16,9 +16,12 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.acquisition.client import EngineClient
+from napari_elsplus.acquisition.live_images import display_layout
+from napari_elsplus.acquisition.ring import Ring
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.settings import calibration_in_force, recall
+from napari_elsplus.widgets.live_layers import LiveLayers
 from processes import exists
 
 PLUGIN = "napari-elsplus"
@@ -294,3 +297,24 @@ def test_a_full_disk_and_an_unplugged_camera_are_said_once_and_it_can_go_on(pane
     panel.start.native.click()
     qtbot.waitUntil(lambda: panel.live, timeout=30_000)
     assert panel.connection.client is client
+
+
+def test_what_is_filled_in_place_is_what_the_canvas_shows(make_napari_viewer_proxy):
+    viewer = make_napari_viewer_proxy(show=True)
+    layout = display_layout((64, 128), 32)
+    ring = Ring(bytearray(layout.nbytes), layout)
+    layers = LiveLayers(viewer)
+    layers.arrange(["els"], ring, None, side_by_side=True)
+
+    def shown(level, whole):
+        slot = ring.acquire()
+        slot.arrays["els"][...] = level
+        ring.finalize(slot, frame_number=0, time_s=0.0, exposed_s=0.0)
+        assert layers.update(ring, whole=whole) is not None
+        viewer.layers["live ELS+"].contrast_limits = (0, 100)
+        picture = viewer.screenshot(canvas_only=True, flash=False)
+        return int(picture[picture.shape[0] // 2, picture.shape[1] // 2, 0])
+
+    assert shown(100, whole=True) == 255
+    assert shown(20, whole=False) == pytest.approx(51, abs=2)
+    assert shown(80, whole=False) == pytest.approx(204, abs=2)
