@@ -8,6 +8,8 @@ import pytest
 from napari_elsplus.processing.motion import RollingShutter, Velocity
 from napari_elsplus.processing.registration import Link
 from napari_elsplus.processing.shutter_timing import estimate_rows_per_frame
+from napari_elsplus.tracking_pipeline import RawPairs, with_timing
+from recordings import record, smooth_path, texture
 
 TRUE = RollingShutter(272.4, 0.48)
 
@@ -39,3 +41,28 @@ def test_even_motion_and_short_tracks_tell_nothing() -> None:
     even = np.tile([20.0, 10.0], (80, 1))
     assert estimate_rows_per_frame(links(even), TRUE) is None
     assert estimate_rows_per_frame(links(even[:5]), TRUE) is None
+
+
+def untimed(speed: float) -> tuple[float | None, str]:
+    """Rows per frame (250) that a recording gives back whose calibration does not know them, and what is said."""
+    truth = record(texture(1200, 8, 3.0), smooth_path(50, speed, 1200, 3))
+    assert truth.calibration.optics is not None
+    unknown = truth.calibration.optics.model_copy(update={"rows_per_frame": None})
+    calibration = truth.calibration.model_copy(update={"optics": unknown})
+    found, said = with_timing(calibration, RawPairs(truth.frames, "els"), "els")
+    assert found.optics is not None
+    return found.optics.rows_per_frame, said
+
+
+def test_a_fast_recording_gives_back_its_rows_per_frame() -> None:
+    rows, said = untimed(33.0)
+    assert rows is not None
+    assert abs(rows - 250) < 2.5
+    assert said == f"rows per frame estimated from the motion: {rows:.1f} +- {said.split()[-1]}"
+    assert abs(rows - 250) < 3 * float(said.split()[-1])
+
+
+def test_a_slow_recording_leaves_the_rolling_shutter_uncorrected_and_says_so() -> None:
+    rows, said = untimed(1.0)
+    assert rows is None
+    assert "rolling shutter uncorrected" in said

@@ -181,10 +181,14 @@ def gate_table(found: dict[tuple[int, bool], Gate]) -> list[str]:
     ]
     for (fibres, jerks), g in found.items():
         lines.append(
-            f"| {fibres} fibres, {'jerky' if jerks else 'smooth'} | {g.wrong} | {g.caught_percent:.1f} % | {g.right} "
-            f"| {g.kept_percent:.1f} % | {g.caught_by_correlation_percent:.1f} % |"
+            f"| {fibres} fibres, {'jerky' if jerks else 'smooth'} | {g.wrong} | {_percent(g.caught_percent)} "
+            f"| {g.right} | {_percent(g.kept_percent)} | {_percent(g.caught_by_correlation_percent)} |"
         )
     return lines
+
+
+def _percent(part: float) -> str:
+    return f"{part:.1f} %" if np.isfinite(part) else "-"
 
 
 def turning_table(found: dict[Walk, Turned]) -> list[str]:
