@@ -42,6 +42,8 @@ BACKGROUND_FRAMES: Final = 50
 LINE_FRAMES: Final = 10
 BUNDLE_FRAMES: Final = 20
 LAG_FRAMES: Final = 4
+FOLLOWED_S: Final = 6e-3
+"""An offset that is followed more often than 120 times a second tells no hand more, and takes the window's time."""
 SETTLED_S: Final = 2e-3
 """A galvo of 1 kHz stands still by then."""
 
@@ -125,10 +127,12 @@ def follow_offset(
     with _streaming(engine):
         frame = take_standing(engine, volts, 1)[0]
         while go_on():
+            next_s = time.perf_counter() + FOLLOWED_S
             try:
                 tell(follower.measure(frame))
             except MeasurementError as error:
                 tell(error)
+            time.sleep(max(next_s - time.perf_counter(), 0.0))
             frame = engine.fresh_frames(1)[0]
 
 
