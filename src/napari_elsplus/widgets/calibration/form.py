@@ -116,8 +116,8 @@ class Form:
         """Say a line in place of the headline."""
         self.headline.setText(text)
 
-    def show_picture(self, picture: Picture | None) -> None:
-        """Show what was found, or nothing."""
+    def show_picture(self, picture: Picture | None, *, numbers: bool = True) -> None:
+        """Show what was found, or nothing; without its numbers where headline and plots have to keep up."""
         if picture is None:
             self.headline.setText("not measured yet")
             self.numbers.setText("")
@@ -130,7 +130,8 @@ class Form:
             self.headline.setText(f"{far}<span style='{style}; {smaller}'>{picture.headline}</span>")
             warn = self.plots[0].ink("vermilion")
             said = [f"<span style='color:{warn}'>{MARKS[State.STALE]} {line}</span>" for line in picture.warnings]
-            self.numbers.setText("<br>".join([*picture.lines, *said]))
+            if numbers:
+                self.numbers.setText("<br>".join([*picture.lines, *said]))
             plots = list(picture.plots)
         for index, widget in enumerate(self.plots):
             if index < len(plots):

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from napari_elsplus.calibration import Calibration
 
 POLL_MS: Final = 50
+NUMBERS_EVERY: Final = 8
+"""Readings from one renewal of the numbers to the next: nobody reads them with both hands on the mirror."""
 LOOK_S: Final = 0.04
 """The engine measures the offset in every frame; nobody reads more than so often."""
 SECTION: Final = "calibration"
@@ -75,6 +77,7 @@ class CalibrationPanel(Panel):
         self._window_end = WindowEnd(self, self.cleanup)
         self._refused: BaseException | None = None
         self._stale: dict[str, str] = {}
+        self._readings = 0
         self._changed = False
         self._shared: Calibration | None = None
         self._asked: Future[None] | None = None
@@ -137,7 +140,7 @@ class CalibrationPanel(Panel):
             return
         with told():
             guided, draft, source = GuidedCalibration(self.connection.require()), self.draft, self._live_source()
-            self._watching, self._watched = True, None
+            self._watching, self._watched, self._readings = True, None, 0
 
             def work() -> None:
                 setup, begun = guided.setup(), perf_counter()
@@ -355,7 +358,8 @@ class CalibrationPanel(Panel):
             self.form.say(watched)
         elif watched is not None and self.step is Step.OFFSET:
             self.candidate = watched
-            self.form.show_picture(watched.picture)
+            self._readings += 1
+            self.form.show_picture(watched.picture, numbers=self._readings % NUMBERS_EVERY == 1)
 
     def _refresh(self) -> None:
         """Show the step, its state, and what may be done now."""
