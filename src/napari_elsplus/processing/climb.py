@@ -9,7 +9,7 @@ Schwarz, Ann. Stat. 6, 461 (1978), doi:10.1214/aos/1176344136.
 
 from __future__ import annotations
 
-from collections import deque
+from math import log
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,6 +18,8 @@ from napari_elsplus.processing.ladder import Remainder, Rung
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
 _MARGIN: Final = 2.0
 """How many times the criterion's penalty must be saved: it is asked again and again in a long recording."""
@@ -49,16 +51,20 @@ def asked_for(found: Sequence[Remainder]) -> Rung:
     if not found:
         return Rung.TRANSLATION
     steps = np.array([one.step[Rung.SIMILARITY, 4:] for one in found])
-    sigmas = np.array([one.sigma for one in found])
-    about = steps / sigmas - np.mean(steps / sigmas, axis=0)
-    scatter = (np.sum(about**2, axis=0) + _SCATTER * _PRIOR_LINKS) / (len(found) + _PRIOR_LINKS)
-    alike = np.clip(np.sum(about[1:] * about[:-1], axis=0) / (len(found) * scatter), 0.0, _MOST_ALIKE)
-    variance = np.cumsum(sigmas**2, axis=0) * scatter * (1 + alike) / (1 - alike)
-    turned = np.cumsum(steps, axis=0) ** 2 / variance
-    needed = _MARGIN * np.log(sum(one.values for one in found))
-    if (turned[:, 1] > _MARGIN_OF_SCALE * needed).any():
+    return _rung(steps, np.array([one.sigma for one in found]), sum(one.values for one in found))
+
+
+def _rung(steps: NDArray[np.float64], sigmas: NDArray[np.float64], values: float) -> Rung:
+    scaled = steps / sigmas
+    about = scaled - scaled.mean(axis=0)
+    scatter = ((about * about).sum(axis=0) + _SCATTER * _PRIOR_LINKS) / (len(steps) + _PRIOR_LINKS)
+    alike = np.clip((about[1:] * about[:-1]).sum(axis=0) / (len(steps) * scatter), 0.0, _MOST_ALIKE)
+    variance = (sigmas * sigmas).cumsum(axis=0) * (scatter * (1 + alike) / (1 - alike))
+    turned, zoomed = (steps.cumsum(axis=0) ** 2 / variance).max(axis=0)
+    needed = _MARGIN * log(values)
+    if zoomed > _MARGIN_OF_SCALE * needed:
         return Rung.SIMILARITY
-    return Rung.RIGID if (turned[:, 0] > needed).any() else Rung.TRANSLATION
+    return Rung.RIGID if turned > needed else Rung.TRANSLATION
 
 
 class Climb:
@@ -82,12 +88,21 @@ class Climb:
 
     def __init__(self) -> None:
         self.rung = Rung.TRANSLATION
-        self._links: deque[Remainder] = deque(maxlen=_REMEMBERED)
+        self._steps, self._sigmas = np.empty((_REMEMBERED, 2)), np.empty((_REMEMBERED, 2))
+        self._values = np.empty(_REMEMBERED)
+        self._links = 0
 
     def weigh(self, found: Remainder, *, keep: bool = True) -> Rung:
         """Weigh a link with those before; return the rung that is asked for. It is remembered if it is to be kept."""
-        links = [*self._links, found]
-        self.rung = max(self.rung, *(asked_for(links[-last:]) for last in _LAST))
-        if keep:
-            self._links.append(found)
+        if self._links == _REMEMBERED:
+            for kept in (self._steps, self._sigmas, self._values):
+                kept[:-1] = kept[1:]
+            self._links -= 1
+        n = self._links
+        self._steps[n], self._sigmas[n], self._values[n] = found.step[Rung.SIMILARITY, 4:], found.sigma, found.values
+        for last in _LAST:
+            these = np.s_[max(0, n + 1 - last) : n + 1]
+            asked = _rung(self._steps[these], self._sigmas[these], float(self._values[these].sum()))
+            self.rung = max(self.rung, asked)
+        self._links += keep
         return self.rung
