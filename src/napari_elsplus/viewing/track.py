@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 LEAST_STEP_PX: Final = 2.0
 """Frames that are closer than this to the last one drawn, in pixels of the mosaic, are not drawn."""
-MOST_LINES: Final = 4_000
+MOST_LINES: Final = 2_000
 """With more lines than this, every second is left out."""
 LATELY_FRAMES: Final = 12
 """Frames over which the present speed is taken."""

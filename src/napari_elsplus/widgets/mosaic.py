@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 SECTION: Final = "mosaic"
 TICK_MS: Final = 40
-WHOLE_TICKS: Final = 12
+WHOLE_TICKS: Final = 25
 """The track, the maps and what else costs more is drawn every so many ticks."""
 KEYS: Final = {
     "start": "Ctrl+Shift+M",

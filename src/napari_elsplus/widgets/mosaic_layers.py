@@ -199,10 +199,10 @@ class MosaicLayers:
                 layer.refresh_colors()
             self._made.add(TRACK)
             if layer is not None:
+                _move(layer, place)
                 width = max(2.0, _LINE_SHARE * max(lead.frame.shape))
                 if layer.edge_width != width:
                     layer.edge_width = width
-                layer.translate = place
         self._draw_marks(drawn, place)
 
     def _draw_marks(self, drawn: Any, place: tuple[float, float]) -> None:
@@ -213,7 +213,7 @@ class MosaicLayers:
         features = {"kind": drawn.kinds, "label": drawn.labels}
         layer = self.ours.get(MARKS)
         if layer is not None and np.array_equal(layer.data, drawn.marks) and MARKS in self._made:
-            layer.translate = place
+            _move(layer, place)
             return
         if layer is None:
             if MARKS in self._made:
@@ -231,7 +231,7 @@ class MosaicLayers:
             layer.symbol, layer.face_color, layer.border_color = symbols, colours, colours
         self._made.add(MARKS)
         layer.size = max(8.0, _MARK_SHARE * max(self._images[self._lead].frame.shape))
-        layer.translate = place
+        _move(layer, place)
 
     def _draw_maps(self, mosaics: Mosaics) -> None:
         """Make the maps hidden; fill those that are looked at."""
@@ -325,6 +325,12 @@ class MosaicLayers:
             camera.center = tuple((low + high) / 2)
             camera.zoom = zoom
         self._camera = (tuple(camera.center), camera.zoom)
+
+
+def _move(layer: Layer, place: tuple[float, float]) -> None:
+    """Put a layer somewhere, unless it is there: each move makes napari look at all extents."""
+    if tuple(layer.translate) != place:
+        layer.translate = place
 
 
 def _height(kind: str) -> int:

@@ -65,8 +65,14 @@ class SpeedBar(QWidget):
         losing = speed.tracked < LOSING
         colour = "vermilion" if losing or share > TOO_FAST else "orange" if share > SLOWER else "green"
         self._bar.setValue(round(100 * min(share, 1.0)))
-        self._bar.setStyleSheet(f"QProgressBar::chunk {{ background-color: {ink_on(self._theme, colour)}; }}")
+        self._paint(ink_on(self._theme, colour))
         self._words.setText(_said(speed, losing=losing))
+
+    def _paint(self, ink: str) -> None:
+        """Change the bar's colour; a new style sheet is dear, so only where it differs."""
+        sheet = f"QProgressBar::chunk {{ background-color: {ink}; }}"
+        if self._bar.styleSheet() != sheet:
+            self._bar.setStyleSheet(sheet)
 
 
 def _said(speed: Speed, *, losing: bool) -> str:
