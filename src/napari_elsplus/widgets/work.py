@@ -52,7 +52,7 @@ class Work(QWidget):
         layout.addWidget(self._cancel)
         self._poll = QTimer(self)
         self._poll.setInterval(POLL_MS)
-        self._poll.timeout.connect(lambda: self._bar.setValue(self._done))
+        self._poll.timeout.connect(self._show_progress)
         self.hide()
 
     @property
@@ -119,6 +119,9 @@ class Work(QWidget):
         """Stop at the next step."""
         self._cancelled.set()
         self._cancel_elsewhere()
+
+    def _show_progress(self) -> None:
+        self._bar.setValue(self._done)
 
     def _take(self, outcome: tuple[Any, Exception | None]) -> None:
         result, error = outcome
