@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 TILE_PX: Final = 512
 """Rows and columns of a tile."""
-_AT_ONCE: Final = 4
-"""Tiles whose memory is asked for together: enough for numpy to ask for large pages, which cost far less to touch."""
 
 
 class Rectangle(NamedTuple):
@@ -125,15 +123,13 @@ class HeapTiles:
 
     def __init__(self) -> None:
         self._tiles: dict[tuple[int, int], Tile] = {}
-        self._blank: list[Tile] = []
 
     def tile(self, row: int, col: int) -> Tile:
         """Return a tile, blank if it was never drawn on."""
         found = self._tiles.get((row, col))
         if found is None:
-            if not self._blank:
-                self._blank = [Tile(*both) for both in np.zeros((_AT_ONCE, 2, TILE_PX, TILE_PX), np.float32)]
-            found = self._tiles[row, col] = self._blank.pop()
+            found = Tile(np.zeros((TILE_PX, TILE_PX), np.float32), np.zeros((TILE_PX, TILE_PX), np.float32))
+            self._tiles[row, col] = found
         return found
 
     def keys(self) -> list[tuple[int, int]]:
