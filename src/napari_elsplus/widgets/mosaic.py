@@ -36,6 +36,8 @@ from napari_elsplus.widgets.speed_bar import SpeedBar
 from napari_elsplus.widgets.work import Work
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import napari.viewer
 
     from napari_elsplus.acquisition.client import EngineClient
@@ -255,15 +257,15 @@ class MosaicPanel(EnginePanel):
         if client.calibration is None and self.connection.rig == SIMULATED:
             self.asking.ask(client.calibrate_simulated(), lambda _: self._start_live(client))
         elif not client.status.live:
-            self.asking.ask(client.start(), lambda _: self._track(client))
+            self._track(client, lambda _: self.asking.ask(client.start()))  # compiled before the first frame comes
         else:
             self._track(client)
 
-    def _track(self, client: EngineClient) -> None:
+    def _track(self, client: EngineClient, then: Callable[[None], None] = lambda _: None) -> None:
         with told():
             plan = self.plan
             self._remember()
-            self.asking.ask(client.track(TrackPlan(plan.tracked, plan.method, plan.insertion)))
+            self.asking.ask(client.track(TrackPlan(plan.tracked, plan.method, plan.insertion)), then)
 
     def _follow_live(self) -> None:
         """Look at the engine's mosaic where there is a new one; at none where the engine is gone."""
