@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse, spatial
 
 from napari_elsplus.calibration import Calibration
-from napari_elsplus.processing.calibrate import measure_flat
+from napari_elsplus.processing.calibration.calibrate import measure_flat
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

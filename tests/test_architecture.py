@@ -42,6 +42,8 @@ ROOMS = (
 """From the first to the last: a room imports only from rooms before it, and from itself."""
 
 NAPARI_DOORS = {"_reader", "_writer", "_sample_data", "_screen", "_window"}
+PROCESSING = ("", "calibration", "tracking", "mosaicing")
+"""The folders of ``processing``, likewise; calibration and tracking do not know each other."""
 GUI_PACKAGES = {"napari", "qtpy", "magicgui", "PyQt5", "PyQt6", "PySide2", "PySide6", "superqt", "pyqtgraph", "vispy"}
 HEAVY = ("napari", "qtpy", "PyQt6", "PySide6", "cv2", "numba")
 
@@ -93,6 +95,20 @@ def test_imports_come_from_rooms_above(path: Path) -> None:
     ours = {name for name in imports(path) if name.startswith("napari_elsplus.")} - {"napari_elsplus.__version__"}
     wrong = {name for name in ours if room_of(name) not in allowed}
     assert not wrong, f"{dotted(path)} is in {room} and imports from below: {sorted(wrong)}"
+
+
+def folder_of(module: str) -> str:
+    """The folder of ``processing`` that a dotted module name lies in."""
+    parts = module.split(".")[2:]
+    return parts[0] if parts and parts[0] in PROCESSING else ""
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES if PACKAGE / "processing" in path.parents], ids=dotted)
+def test_processing_goes_from_images_to_calibration_or_to_tracks_and_from_tracks_to_mosaics(path: Path) -> None:
+    folder = folder_of(dotted(path))
+    allowed = set(PROCESSING[: PROCESSING.index(folder) + 1]) - ({"calibration"} if folder != "calibration" else set())
+    ours = {name for name in imports(path) if name.startswith("napari_elsplus.processing.")}
+    assert not {name for name in ours if folder_of(name) not in allowed}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=dotted)

@@ -7,7 +7,7 @@ import pytest
 
 from napari_elsplus import _sample_data
 from napari_elsplus.optics import PRESETS
-from napari_elsplus.processing.calibrate import measure
+from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.simulation.instrument import Instrument
 
 

@@ -33,7 +33,7 @@ from napari_elsplus.io import (
     write_track,
 )
 from napari_elsplus.pipeline import Images
-from napari_elsplus.processing.calibrate import measure
+from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.simulation import calibration_scenes as bench
 from napari_elsplus.simulation.instrument import Instrument

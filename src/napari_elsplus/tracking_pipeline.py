@@ -11,13 +11,13 @@ import numpy as np
 from napari_elsplus.calibration import OpticsSection
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import TrackPoint
-from napari_elsplus.processing.frontend import FrontEnd
-from napari_elsplus.processing.mosaic import Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.paper_mosaic import PaperTracker
-from napari_elsplus.processing.refinement import refine
+from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.sectioning import Mode, Sectioner
-from napari_elsplus.processing.shutter_timing import RowsPerFrame, estimate_rows_per_frame
-from napari_elsplus.processing.tracking import Pose, State, Tracker
+from napari_elsplus.processing.tracking.frontend import FrontEnd
+from napari_elsplus.processing.tracking.paper import PaperTracker
+from napari_elsplus.processing.tracking.refinement import refine
+from napari_elsplus.processing.tracking.shutter_timing import RowsPerFrame, estimate_rows_per_frame
+from napari_elsplus.processing.tracking.tracker import Pose, State, Tracker
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.calibration import Calibration
-    from napari_elsplus.processing.grid import Grid
-    from napari_elsplus.processing.registration import View
+    from napari_elsplus.processing.mosaicing.tiles import TileStore
     from napari_elsplus.processing.sectioning import Frames
-    from napari_elsplus.processing.tiles import TileStore
+    from napari_elsplus.processing.tracking.grid import Grid
+    from napari_elsplus.processing.tracking.registration import View
 
 
 _TIMING_FRAMES = 600

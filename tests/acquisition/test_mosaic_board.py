@@ -12,9 +12,9 @@ from napari_elsplus.acquisition import mosaic_board, shared
 from napari_elsplus.acquisition.mosaic_board import CHANGES, MosaicBoard, MosaicFeed
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.io import TrackPoint
-from napari_elsplus.processing.grid import Grid
-from napari_elsplus.processing.mosaic import Insertion, Mosaic
-from napari_elsplus.processing.motion import RollingShutter
+from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
+from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.motion import RollingShutter
 
 GRID = Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0))
 LOOK = """

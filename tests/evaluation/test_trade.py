@@ -9,7 +9,7 @@ import pytest
 from napari_elsplus.evaluation.rigs import Rig
 from napari_elsplus.evaluation.sectioning import weigh_offset
 from napari_elsplus.evaluation.trade import line_as_seen, weigh
-from napari_elsplus.processing.line import locate_line
+from napari_elsplus.processing.calibration.line import locate_line
 from napari_elsplus.simulation.axial_response import LINE_MODELS
 
 LINE = LINE_MODELS["a"]

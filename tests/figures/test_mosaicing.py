@@ -21,7 +21,7 @@ from napari_elsplus.figures.mosaicing import (
     table,
     turning_table,
 )
-from napari_elsplus.processing.ladder import Rung
+from napari_elsplus.processing.tracking.ladder import Rung
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.grid import Grid
-from napari_elsplus.processing.mosaic import Mosaic
-from napari_elsplus.processing.motion import RollingShutter
+from napari_elsplus.processing.mosaicing.mosaic import Mosaic
+from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.motion import RollingShutter
 from napari_elsplus.viewing.growing import COARSEST_PX, GrowingImage
 
 GRID = Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0))
@@ -79,8 +79,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pathlib import Path
-from napari_elsplus.processing.grid import Grid
-from napari_elsplus.processing.mosaic import Mosaic
+from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.growing import GrowingImage

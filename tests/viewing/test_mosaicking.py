@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs
 from napari_elsplus.viewing.mosaicking import MosaicPlan, StackMosaics, images_as_they_are

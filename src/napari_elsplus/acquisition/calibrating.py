@@ -11,7 +11,7 @@ import numpy as np
 from napari_elsplus.acquisition import procedures
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.optics import BUNDLE_UM
-from napari_elsplus.processing.calibrate import Findings, measure, measure_background
+from napari_elsplus.processing.calibration.calibrate import Findings, measure, measure_background
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.engine import Engine
     from napari_elsplus.acquisition.procedures import Watch
-    from napari_elsplus.processing.lag import ScanLag
+    from napari_elsplus.processing.calibration.lag import ScanLag
 
 SEARCH_VOLTAGES: Final = 61
 SWEEP_VOLTAGES: Final = 400

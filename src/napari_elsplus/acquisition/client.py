@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.usage import Usage
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.errors import MeasurementError
-    from napari_elsplus.processing.calibrate import Background, Findings, Pair, SlitOffset
-    from napari_elsplus.processing.draft import Flat, LitPair, Setup
-    from napari_elsplus.processing.galvo import GalvoMap
-    from napari_elsplus.processing.lag import ScanLag
+    from napari_elsplus.processing.calibration.calibrate import Background, Findings, Pair, SlitOffset
+    from napari_elsplus.processing.calibration.draft import Flat, LitPair, Setup
+    from napari_elsplus.processing.calibration.galvo import GalvoMap
+    from napari_elsplus.processing.calibration.lag import ScanLag
 
 ENGINE: Final = (sys.executable, "-m", "napari_elsplus.acquisition.process")
 _PATIENCE_S: Final = 30.0

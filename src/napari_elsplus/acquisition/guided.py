@@ -13,9 +13,9 @@ from napari_elsplus.acquisition import procedures
 from napari_elsplus.acquisition.calibrating import SWEEP_VOLTAGES, Target
 from napari_elsplus.hardware.virtual.frame_source import Circle
 from napari_elsplus.optics import preset
-from napari_elsplus.processing.calibrate import Background, locate_pair, mean_frame, measure_flat
-from napari_elsplus.processing.draft import Draft, Flat, Found, LitPair, Setup, Step
-from napari_elsplus.processing.galvo import GalvoMap
+from napari_elsplus.processing.calibration.calibrate import Background, locate_pair, mean_frame, measure_flat
+from napari_elsplus.processing.calibration.draft import Draft, Flat, Found, LitPair, Setup, Step
+from napari_elsplus.processing.calibration.galvo import GalvoMap
 from napari_elsplus.simulation.scenes import distal_light, empty, fibres, uniform
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.rig import Rig
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.errors import MeasurementError
-    from napari_elsplus.processing.calibrate import SlitOffset
-    from napari_elsplus.processing.lag import ScanLag
+    from napari_elsplus.processing.calibration.calibrate import SlitOffset
+    from napari_elsplus.processing.calibration.lag import ScanLag
 
 TARGETS: Final = {
     Step.OFFSET: Target.FLUORESCENT,

@@ -14,8 +14,8 @@ import numpy as np
 
 from napari_elsplus.acquisition import shared
 from napari_elsplus.io import TrackPoint
-from napari_elsplus.processing.tiles import TILE_PX, Rectangle, Tile, TiledCanvas, around_all, tile_rectangle
-from napari_elsplus.processing.tracking import State
+from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, TiledCanvas, around_all, tile_rectangle
+from napari_elsplus.processing.tracking.tracker import State
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

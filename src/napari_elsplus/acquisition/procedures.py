@@ -1,7 +1,7 @@
 """The calibration's steps on a live rig: move the mirror, wait until it stands, take frames, measure.
 
 Each step streams if nothing streams yet, and leaves the mirror parked whatever happens. The measuring itself is that of
-:mod:`napari_elsplus.processing.calibrate`.
+:mod:`napari_elsplus.processing.calibration.calibrate`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibrate import (
+from napari_elsplus.processing.calibration.calibrate import (
     Background,
     Pair,
     SlitOffset,
@@ -23,8 +23,8 @@ from napari_elsplus.processing.calibrate import (
     measure_background,
     measure_offset,
 )
-from napari_elsplus.processing.lag import ScanLag, search_lag
-from napari_elsplus.processing.live_offset import OffsetFollower
+from napari_elsplus.processing.calibration.lag import ScanLag, search_lag
+from napari_elsplus.processing.calibration.live_offset import OffsetFollower
 from napari_elsplus.processing.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.engine import Engine
-    from napari_elsplus.processing.galvo import GalvoMap
+    from napari_elsplus.processing.calibration.galvo import GalvoMap
 
     Watch = Callable[[Iterable[int]], Iterable[int]]
 
@@ -97,7 +97,7 @@ def take_scanned(engine: Engine, count: int) -> NDArray[np.uint8]:
 def offset(
     engine: Engine, volts: float, background: NDArray[np.float32] | None = None, pair: Pair | None = None
 ) -> SlitOffset:
-    """Step (i) live: the line held at a voltage; see :func:`napari_elsplus.processing.calibrate.measure_offset`."""
+    """Step (i) live, the line held still: :func:`napari_elsplus.processing.calibration.calibrate.measure_offset`."""
     return measure_offset(take_line(engine, volts), background, pair)
 
 
@@ -144,17 +144,17 @@ def sweep(
     watch: Watch = iter,
     watch_fit: Watch = iter,
 ) -> GalvoMap:
-    """Step (ii) live: a sweep of voltages; see :func:`napari_elsplus.processing.calibrate.map_galvo`."""
+    """Step (ii) live: a sweep of voltages; see :func:`napari_elsplus.processing.calibration.calibrate.map_galvo`."""
     return map_galvo(take_sweep(engine, volts, watch), volts, background, pair, watch_fit)
 
 
 def bundle(engine: Engine) -> Pair:
-    """Step (iii) live, lit from the far end; see :func:`napari_elsplus.processing.calibrate.locate_pair`."""
+    """Step (iii) live, lit from the far end: :func:`napari_elsplus.processing.calibration.calibrate.locate_pair`."""
     return locate_pair(take_parked(engine, BUNDLE_FRAMES))
 
 
 def background(engine: Engine) -> Background:
-    """Background live, in the dark tube; see :func:`napari_elsplus.processing.calibrate.measure_background`."""
+    """In the dark tube, live: :func:`napari_elsplus.processing.calibration.calibrate.measure_background`."""
     return measure_background(take_scanned(engine, BACKGROUND_FRAMES))
 
 

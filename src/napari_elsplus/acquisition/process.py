@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.procedures import Watch
     from napari_elsplus.acquisition.rig import Rig
     from napari_elsplus.acquisition.ring import Layout, Ring
-    from napari_elsplus.processing.calibrate import SlitOffset
+    from napari_elsplus.processing.calibration.calibrate import SlitOffset
 
 STATUS_PERIOD_S: Final = 0.1
 COMMANDS: Final = frozenset(

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine import Engine
     from napari_elsplus.acquisition.procedures import Watch
     from napari_elsplus.acquisition.rig import Rig
-    from napari_elsplus.processing.calibrate import Findings
-    from napari_elsplus.processing.lag import ScanLag
+    from napari_elsplus.processing.calibration.calibrate import Findings
+    from napari_elsplus.processing.calibration.lag import ScanLag
 
 PATH: Final = Circle(diameter_um=800.0, period_s=1.75)
 """How the probe moves over the tissue; 420 frames at 240 Hz, which then come again."""

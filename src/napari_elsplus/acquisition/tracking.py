@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
-from napari_elsplus.processing.grid import FIELD
-from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.processing.tracking import State
+from napari_elsplus.processing.tracking.grid import FIELD
+from napari_elsplus.processing.tracking.tracker import State
 from napari_elsplus.tracking_pipeline import Method, Pipeline
 
 if TYPE_CHECKING:

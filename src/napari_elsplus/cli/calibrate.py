@@ -16,8 +16,8 @@ from napari_elsplus.cli.options import FILE, force_option, progress
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_volts, refuse_existing, write_calibration
 from napari_elsplus.optics import BUNDLE_UM, PRESETS
-from napari_elsplus.processing.calibrate import Findings, measure
-from napari_elsplus.processing.galvo import PAPER_VOLTAGES
+from napari_elsplus.processing.calibration.calibrate import Findings, measure
+from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -10,7 +10,7 @@ import numpy as np
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress
 from napari_elsplus.io import open_recording, read_calibration, refuse_existing, write_mosaic, write_track
 from napari_elsplus.pipelined import Pipelined
-from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs, picture, with_timing
 

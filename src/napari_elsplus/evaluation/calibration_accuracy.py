@@ -12,8 +12,8 @@ import numpy as np
 
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.optics import LINE_RATE_HZ
-from napari_elsplus.processing.calibrate import Findings, Pair, measure
-from napari_elsplus.processing.lag import search_lag
+from napari_elsplus.processing.calibration.calibrate import Findings, Pair, measure
+from napari_elsplus.processing.calibration.lag import search_lag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

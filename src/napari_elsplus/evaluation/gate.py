@@ -9,10 +9,10 @@ import numpy as np
 
 from napari_elsplus.evaluation.against_truth import WRONG_PX
 from napari_elsplus.evaluation.rig import simulated_rig
-from napari_elsplus.processing.frontend import FrontEnd
-from napari_elsplus.processing.motion import Velocity
-from napari_elsplus.processing.registration import Registrar
-from napari_elsplus.processing.tracking import needed_evidence
+from napari_elsplus.processing.tracking.frontend import FrontEnd
+from napari_elsplus.processing.tracking.motion import Velocity
+from napari_elsplus.processing.tracking.registration import Registrar
+from napari_elsplus.processing.tracking.tracker import needed_evidence
 from napari_elsplus.simulation.scenes import picture
 from napari_elsplus.simulation.trajectories import Recorded, trajectory
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.evaluation.rig import SimulatedRig
-    from napari_elsplus.processing.registration import View
+    from napari_elsplus.processing.tracking.registration import View
     from napari_elsplus.simulation.scenes import Scene
     from napari_elsplus.simulation.trajectories import Trajectory
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.processing.calibrate import measure_flat
-from napari_elsplus.processing.frontend import FrontEnd
+from napari_elsplus.processing.calibration.calibrate import measure_flat
+from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.simulation.calibration_scenes import background, transmission
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.renderer import Renderer

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 
 from napari_elsplus.evaluation.running import thread_clock
-from napari_elsplus.processing.descent import CORRELATED_PX
-from napari_elsplus.processing.evidence import rival_evidence
-from napari_elsplus.processing.frontend import FrontEnd
-from napari_elsplus.processing.lucas_kanade import workspace
-from napari_elsplus.processing.mosaic import Mosaic
-from napari_elsplus.processing.registration import Link, Registrar, View
-from napari_elsplus.processing.tracking import State, Tracker
+from napari_elsplus.processing.mosaicing.mosaic import Mosaic
+from napari_elsplus.processing.tracking.descent import CORRELATED_PX
+from napari_elsplus.processing.tracking.evidence import rival_evidence
+from napari_elsplus.processing.tracking.frontend import FrontEnd
+from napari_elsplus.processing.tracking.lucas_kanade import workspace
+from napari_elsplus.processing.tracking.registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.tracker import State, Tracker
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.calibration import Calibration
-    from napari_elsplus.processing.grid import Grid
-    from napari_elsplus.processing.motion import Warp
-    from napari_elsplus.processing.paper_mosaic import PaperTracker
+    from napari_elsplus.processing.tracking.grid import Grid
+    from napari_elsplus.processing.tracking.motion import Warp
+    from napari_elsplus.processing.tracking.paper import PaperTracker
 
     Image = NDArray[np.float32] | NDArray[np.uint8]
 

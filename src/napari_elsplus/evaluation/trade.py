@@ -12,7 +12,7 @@ from napari_elsplus.processing.axial import contrast_to_noise
 from napari_elsplus.simulation.axial_response import LINE_MODELS, LineModel, drop_offs, line_response, signal_kept
 
 if TYPE_CHECKING:
-    from napari_elsplus.processing.line import Line
+    from napari_elsplus.processing.calibration.line import Line
 
 ELECTRONS_PER_DN: Final = 40.0
 """Of an 8-bit camera without gain; assumed, like the read noise, since frames of a line do not tell."""

@@ -19,7 +19,7 @@ from napari_elsplus.evaluation.parsimony.turning import Turned, Walk, follow
 from napari_elsplus.evaluation.stability.pairs import SCENES, Statistics, cases, statistics
 from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill, require_marks
-from napari_elsplus.processing.registration import LEAST_EVIDENCE
+from napari_elsplus.processing.tracking.registration import LEAST_EVIDENCE
 from napari_elsplus.tracking_pipeline import Method
 
 if TYPE_CHECKING:

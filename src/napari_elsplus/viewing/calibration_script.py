@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from napari_elsplus.processing.draft import Step
+    from napari_elsplus.processing.calibration.draft import Step
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +71,8 @@ from napari_elsplus.acquisition.client import EngineClient
 from napari_elsplus.acquisition.guided import GuidedCalibration
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.io import open_recording, read_volts, write_calibration
-from napari_elsplus.processing.draft import Draft, Step
-from napari_elsplus.processing.stepwise import measure_step, setup_of
+from napari_elsplus.processing.calibration.draft import Draft, Step
+from napari_elsplus.processing.calibration.stepwise import measure_step, setup_of
 
 draft = Draft(bundle_um={bundle_um!r})
 {body}

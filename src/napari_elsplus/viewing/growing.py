@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.pyramid import Pyramid
-from napari_elsplus.processing.sheet import Sheet
-from napari_elsplus.processing.tiles import Rectangle
+from napari_elsplus.processing.mosaicing.pyramid import Pyramid
+from napari_elsplus.processing.mosaicing.sheet import Sheet
+from napari_elsplus.processing.mosaicing.tiles import Rectangle
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tiles import Canvas
+    from napari_elsplus.processing.mosaicing.tiles import Canvas
 
 LEVELS: Final = 8
 """Halves of halves that are kept: enough for 65,000 pixels."""
@@ -59,9 +59,9 @@ class GrowingImage:
 
     Examples
     --------
-    >>> from napari_elsplus.processing.grid import Grid
-    >>> from napari_elsplus.processing.mosaic import Mosaic
-    >>> from napari_elsplus.processing.motion import RollingShutter
+    >>> from napari_elsplus.processing.tracking.grid import Grid
+    >>> from napari_elsplus.processing.mosaicing.mosaic import Mosaic
+    >>> from napari_elsplus.processing.tracking.motion import RollingShutter
     >>> mosaic = Mosaic(Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0)))
     >>> _ = mosaic.insert(np.full((120, 120), 7, np.float32), 0.0, 0.0)
     >>> image = GrowingImage()

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from napari_elsplus.acquisition.mosaic_board import MosaicFeed
-from napari_elsplus.processing.grid import FIELD
-from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.processing.mosaicing.mosaic import Insertion
+from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.viewing.mosaicking import MosaicPlan, MosaicScale, without_last_segment
 from napari_elsplus.viewing.track import fastest_px_per_frame
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.tracking import TrackState
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.io import TrackPoint
+    from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.processing.sectioning import Mode
-    from napari_elsplus.processing.tiles import Canvas
 
 
 class LiveMosaics:

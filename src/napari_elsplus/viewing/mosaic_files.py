@@ -8,7 +8,7 @@ from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.mosaic_picture import draw_mosaic
 from napari_elsplus.io import refuse_existing, write_mosaic, write_track
-from napari_elsplus.processing.sheet import Sheet
+from napari_elsplus.processing.mosaicing.sheet import Sheet
 from napari_elsplus.viewing.growing import white_of
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def mosaic_script(stack: Stack, calibration_file: Path | None, plan: MosaicPlan)
 from pathlib import Path
 
 from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.tracking_pipeline import Method
 from napari_elsplus.viewing.mosaic_files import save_mosaics

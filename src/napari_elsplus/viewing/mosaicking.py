@@ -10,10 +10,10 @@ import numpy as np
 
 from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.processing.grid import FIELD
-from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.processing.tracking import State
+from napari_elsplus.processing.tracking.grid import FIELD
+from napari_elsplus.processing.tracking.tracker import State
 from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs, with_timing
 from napari_elsplus.viewing.track import fastest_px_per_frame
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.io import TrackPoint
+    from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.processing.sectioning import Frames
-    from napari_elsplus.processing.tiles import Canvas
-    from napari_elsplus.processing.tracking import Pose
+    from napari_elsplus.processing.tracking.tracker import Pose
 
     Watch = Callable[[Iterable[int]], Iterable[int]]
 

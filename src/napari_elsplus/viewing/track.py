@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.paper_mosaic import SIDE_PX, TEMPLATE_PX
-from napari_elsplus.processing.tracking import FARTHEST, State
+from napari_elsplus.processing.tracking.paper import SIDE_PX, TEMPLATE_PX
+from napari_elsplus.processing.tracking.tracker import FARTHEST, State
 from napari_elsplus.tracking_pipeline import Method
 
 if TYPE_CHECKING:

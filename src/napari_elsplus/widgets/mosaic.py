@@ -18,7 +18,7 @@ from napari_elsplus.acquisition.tracking import TrackPlan
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import read_calibration
-from napari_elsplus.processing.mosaic import Insertion
+from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.settings import recall, remember
 from napari_elsplus.tracking_pipeline import Method

@@ -9,7 +9,7 @@ import numpy as np
 from napari.layers import Image, Points, Vectors
 
 from napari_elsplus import __version__
-from napari_elsplus.processing.coverage import CELL_PX, coverage_maps
+from napari_elsplus.processing.mosaicing.coverage import CELL_PX, coverage_maps
 from napari_elsplus.viewing.growing import GrowingImage
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.viewing.track import BEGINS, LOST, PREDICTED, TrackDrawing, placed

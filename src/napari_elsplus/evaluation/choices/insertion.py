@@ -10,9 +10,9 @@ import numpy as np
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
-from napari_elsplus.processing.grid import Grid
-from napari_elsplus.processing.mosaic import STILL, Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.motion import Velocity
+from napari_elsplus.processing.mosaicing.mosaic import STILL, Insertion, Mosaic, rim_weights
+from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.motion import Velocity
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Straight
 

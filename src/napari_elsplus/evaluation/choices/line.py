@@ -16,7 +16,7 @@ from scipy.optimize import OptimizeWarning, curve_fit
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role
 from napari_elsplus.evaluation.rigs import Rig
-from napari_elsplus.processing.line import locate_line
+from napari_elsplus.processing.calibration.line import locate_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable

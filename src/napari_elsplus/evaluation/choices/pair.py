@@ -13,8 +13,8 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rigs import Rig
-from napari_elsplus.processing.bundle import locate_pair
-from napari_elsplus.processing.calibrate import locate_pair as measure_pair
+from napari_elsplus.processing.calibration.bundle import locate_pair
+from napari_elsplus.processing.calibration.calibrate import locate_pair as measure_pair
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -16,11 +16,11 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.evaluation.harness import Benchmark, Case, Claim, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import jumps, simulated_rig, tissue
-from napari_elsplus.processing.grid import Grid
-from napari_elsplus.processing.motion import Warp
-from napari_elsplus.processing.paper_mosaic import TEMPLATE_PX
-from napari_elsplus.processing.registration import Link, Registrar, View
-from napari_elsplus.processing.shift_search import LEAST_OVERLAP
+from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.motion import Warp
+from napari_elsplus.processing.tracking.paper import TEMPLATE_PX
+from napari_elsplus.processing.tracking.registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.shift_search import LEAST_OVERLAP
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,7 +15,7 @@ from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.evaluation.choices.registration import METHODS, WRONG_PX, Pair, judge
 from napari_elsplus.evaluation.harness import Absent, Benchmark, Case, Chart, Claim, TimedElsewhere
 from napari_elsplus.evaluation.rig import StopAndGo, measured, tissue
-from napari_elsplus.processing.grid import Grid
+from napari_elsplus.processing.tracking.grid import Grid
 from napari_elsplus.simulation.instrument import Instrument
 
 if TYPE_CHECKING:

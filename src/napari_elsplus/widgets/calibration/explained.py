@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from napari_elsplus.processing.draft import Step
+from napari_elsplus.processing.calibration.draft import Step
 
 EXPLAINED: Final = {
     Step.OFFSET: "Rows between the line in both views: the distance of the residual's slit from the line.",

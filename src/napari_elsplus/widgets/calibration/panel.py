@@ -16,8 +16,8 @@ from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.errors import ElsPlusError, InputError, MeasurementError
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import open_recording, read_calibration, read_volts, write_calibration
-from napari_elsplus.processing.draft import Draft, Found, LitPair, Setup, State, Step, step_of
-from napari_elsplus.processing.stepwise import measure_step, setup_of
+from napari_elsplus.processing.calibration.draft import Draft, Found, LitPair, Setup, State, Step, step_of
+from napari_elsplus.processing.calibration.stepwise import measure_step, setup_of
 from napari_elsplus.settings import put_in_force, recall, remember
 from napari_elsplus.viewing.calibration_script import Source, calibration_script
 from napari_elsplus.viewing.outlines import outline_layer, summary

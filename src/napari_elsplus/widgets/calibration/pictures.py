@@ -10,10 +10,10 @@ import numpy as np
 
 from napari_elsplus.evaluation.trade import line_as_seen, weigh
 from napari_elsplus.optics import BUNDLE_UM
-from napari_elsplus.processing.calibrate import Background, SlitOffset
-from napari_elsplus.processing.draft import MOVED_ROWS, Draft, Flat, Found, LitPair, Setup, Step
-from napari_elsplus.processing.galvo import PAPER_VOLTAGES, GalvoMap
-from napari_elsplus.processing.lag import ScanLag
+from napari_elsplus.processing.calibration.calibrate import Background, SlitOffset
+from napari_elsplus.processing.calibration.draft import MOVED_ROWS, Draft, Flat, Found, LitPair, Setup, Step
+from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES, GalvoMap
+from napari_elsplus.processing.calibration.lag import ScanLag
 from napari_elsplus.widgets.plots import Band, Curve
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.line import Line
+    from napari_elsplus.processing.calibration.line import Line
 
 TOLERANCE_UM: Final = 1.0
 """Half the width of the green band around the target."""

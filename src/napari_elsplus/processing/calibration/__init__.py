@@ -1,0 +1,1 @@
+"""From calibration frames to slit offset, galvo map, scan lag and bundle pair, with their uncertainties."""

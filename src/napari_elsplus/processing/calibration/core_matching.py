@@ -1,0 +1,266 @@
+"""Two views of the same cores, matched to a hundredth of a pixel.
+
+Centres and diameters of the discs give shift and scale, a search over angles the rotation, a correlation the right
+one among the lattice's near matches, and Newton steps on the pixels the rest, in the manner of Lucas & Kanade (1981;
+Baker & Matthews 2004, https://doi.org/10.1023/B:VISI.0000011205.11775.fd).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.calibration.uncertainty import clustered
+from napari_elsplus.processing.resampling import resampled
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.calibration.bundle import Disc
+
+    Floats = NDArray[np.float64]
+    Image = NDArray[np.float32]
+
+STEEPEST_TURN_DEG: Final = 2.0
+INNER: Final = 0.9
+TILES: Final = 8
+SEARCHED_POINTS: Final = 5_000
+SHIFT_STEP_PX: Final = 0.75
+SHIFT_STEPS: Final = 4
+
+
+class PairModel(StrEnum):
+    """How the right view may differ from the left, from the simplest."""
+
+    SHIFT = "shift"
+    SIMILARITY = "similarity"
+    AFFINE = "affine"
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return {PairModel.SHIFT: 2, PairModel.SIMILARITY: 4, PairModel.AFFINE: 6}[self]
+
+    @property
+    def matrices(self) -> Floats:
+        """The 2 x 3 matrix of each parameter, acting on (row, col, 1): shape (parameters, 2, 3)."""
+        shift = [[[0, 0, 1], [0, 0, 0]], [[0, 0, 0], [0, 0, 1]]]
+        match self:
+            case PairModel.SHIFT:
+                terms = shift
+            case PairModel.SIMILARITY:
+                terms = [*shift, [[1, 0, 0], [0, 1, 0]], [[0, -1, 0], [1, 0, 0]]]
+            case PairModel.AFFINE:
+                terms = [*shift, *([[[1, 0, 0], [0, 0, 0]], [[0, 1, 0], [0, 0, 0]]])]
+                terms += [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]]
+        return np.array(terms, np.float64)
+
+    @property
+    def identity(self) -> Floats:
+        """Parameters of the affine model that move nothing."""
+        return np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+
+    @property
+    def constraints(self) -> Floats:
+        """What must vanish in the affine parameters, less the identity, if this model holds: (constraints, 6)."""
+        match self:
+            case PairModel.SHIFT:
+                return np.eye(6)[2:]
+            case PairModel.SIMILARITY:
+                return np.array([[0.0, 0, 1, 0, 0, -1], [0, 0, 0, 1, 1, 0]])
+            case PairModel.AFFINE:
+                return np.zeros((0, 6))
+
+    def nearest(self, matrix: Floats) -> Floats:
+        """Return the matrix of this model that is nearest to one, 2 x 2."""
+        match self:
+            case PairModel.SHIFT:
+                return np.eye(2)
+            case PairModel.SIMILARITY:
+                stretch, turn = matrix[0, 0] + matrix[1, 1], matrix[1, 0] - matrix[0, 1]
+                return np.array([[stretch, -turn], [turn, stretch]]) / 2
+            case PairModel.AFFINE:
+                return matrix
+
+    def displacements(self, rows: Floats, cols: Floats) -> Floats:
+        """Displacement (row, col) of points per parameter: shape (parameters, 2, points)."""
+        points = np.stack([rows, cols, np.ones_like(rows)])
+        return np.asarray(self.matrices @ points, np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class CoreFit:
+    """One model fitted to the cores.
+
+    Parameters
+    ----------
+    motion : numpy.ndarray
+        Maps a point (row, col, 1) about the left centre to (row, col) about the right centre, shape (2, 3).
+    influence : numpy.ndarray
+        What each tile of the disc contributes to the errors of the model's parameters, shape (tiles, parameters).
+    correlation : float
+        Between the aligned contrasts.
+    uncertainty_px : float
+        One standard deviation of the motion along a row or column, at the rim.
+    """
+
+    motion: Floats
+    influence: Floats
+    correlation: float
+    uncertainty_px: float
+
+    @property
+    def parameters(self) -> Floats:
+        """The motion as the parameters of the affine model: shift, then the matrix row by row."""
+        return np.concatenate([self.motion[:, 2], self.motion[:, :2].ravel()])
+
+
+class CoreMatcher:
+    """The cores of both views on one grid about the left centre.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        Frame (rows, cols), float32, of the bundle lit from its far end.
+    left, right : Disc
+        The two discs in it.
+
+    Attributes
+    ----------
+    side : int
+        Rows and columns of the grid.
+    inside : numpy.ndarray
+        (side, side) bool: the pixels that are compared, those of the 90 % disc that the frame holds in both views.
+    rows, cols : numpy.ndarray
+        Their positions about the left centre, shape (points,).
+    """
+
+    def __init__(self, frame: Image, left: Disc, right: Disc) -> None:
+        radius = left.diameter_px / 2
+        self.side = 2 * int(np.ceil(radius)) + 5
+        rows, cols = np.mgrid[: self.side, : self.side] - (self.side - 1) / 2.0
+        self.inside = np.hypot(rows, cols) < INNER * radius
+        for disc in (left, right):
+            for at, centre, size in zip((rows, cols), disc.centre, frame.shape, strict=True):
+                self.inside &= (centre + at >= 3) & (centre + at < size - 3)
+        self.rows, self.cols = rows[self.inside], cols[self.inside]
+        self._right_centre = right.centre
+        self._scale = right.diameter_px / left.diameter_px
+        self._contrast = _contrast(frame, radius)
+        self._confocal = resampled(self._contrast, self.grid_to_frame(left.centre, np.eye(2, 3)), self.side)
+
+    @property
+    def points(self) -> int:
+        """Number of pixels compared."""
+        return len(self.rows)
+
+    def grid_to_frame(self, centre: tuple[float, float], motion: Floats) -> Floats:
+        """Map from the grid's (row, col, 1) to the frame, for a motion about a centre."""
+        moved = np.array(motion, np.float64)
+        moved[:, 2] += np.array(centre) - moved[:, :2] @ np.full(2, (self.side - 1) / 2)
+        return moved
+
+    def start(self) -> Floats:
+        """Motion to within half a core: scale from the diameters, then the angle and shift that correlate best.
+
+        The angle is what the discs' rims do not tell; the shift makes up for a rim that is a core off, where the
+        lattices nearly match too.
+        """
+        motion = np.array([[self._scale, 0.0, 0.0], [0.0, self._scale, 0.0]])
+        some = slice(None, None, -(-self.points // SEARCHED_POINTS))
+        rows, cols = self.rows[some], self.cols[some]
+        target = self._confocal[self.inside][some]
+        target = (target - target.mean()) / target.std()
+        shifts = SHIFT_STEP_PX * np.arange(-SHIFT_STEPS, SHIFT_STEPS + 1)
+        down, across = (grid.ravel() for grid in np.meshgrid(shifts, shifts, indexing="ij"))
+        step = 0.5 / float(np.hypot(rows, cols).max())
+        count = int(np.radians(STEEPEST_TURN_DEG) / step)
+        best, found = -1.0, motion
+        for turned in (_rotated(motion, k * step) for k in range(-count, count + 1)):
+            row, col = turned @ np.stack([rows, cols, np.ones_like(rows)]) + np.array(self._right_centre)[:, None]
+            at_row, at_col = (at.astype(np.float32) for at in (row + down[:, None], col + across[:, None]))
+            values = cv2.remap(self._contrast, at_col, at_row, cv2.INTER_LINEAR)
+            scores = (values @ target) / len(target) / np.maximum(values.std(axis=1), 1e-9)
+            if scores.max() > best:
+                best = float(scores.max())
+                found = turned.copy()
+                found[:, 2] += (down[scores.argmax()], across[scores.argmax()])
+        return found
+
+    def fit(self, start: Floats, model: PairModel) -> CoreFit:
+        """Fit a model by Newton steps from a motion that is right to within a core.
+
+        Of what least squares would sum, only products of the one view with the other are kept. Products of a view with
+        itself vanish on the signal, but not on its noise, which would turn and stretch the fit in dim light.
+        """
+        motion = start.copy()
+        motion[:, :2] = model.nearest(motion[:, :2])
+        moves = model.displacements(self.rows, self.cols)
+        target = self._confocal[self.inside].astype(np.float64)
+        of_target = self._slopes(self._confocal, moves)
+        for _ in range(20):
+            moved = self._sample(motion)
+            found = moved[self.inside].astype(np.float64)
+            of_found = self._slopes(moved, moves)
+            curvature = of_target.T @ of_found
+            curvature = (curvature + curvature.T) / 2
+            scores = (of_found * target[:, None] - of_target * found[:, None]) / 2
+            step = np.linalg.lstsq(curvature, scores.sum(axis=0), rcond=None)[0]
+            motion = motion + np.tensordot(step, model.matrices, 1)
+            moved_px = float(np.abs(np.tensordot(step, moves, 1)).max())
+            if moved_px > self.side / 4:
+                raise MeasurementError(
+                    f"the two views do not show the same cores: laid onto one another they slip by {moved_px:.0f} px",
+                    "is the bundle lit from its far end, and in focus in both views?",
+                )
+            if moved_px < 1e-3:
+                break
+        tile, count = tiles(self.rows, self.cols)
+        influence = clustered(scores, curvature, tile, count)
+        return CoreFit(
+            motion=motion,
+            influence=influence,
+            correlation=float(np.corrcoef(target, found)[0, 1]),
+            uncertainty_px=self._at_rim(influence, model),
+        )
+
+    def _slopes(self, image: Image, moves: Floats) -> Floats:
+        """Return how the image changes with each parameter, shape (points, parameters)."""
+        down, across = (np.asarray(np.gradient(image, axis=axis))[self.inside] for axis in (0, 1))
+        return np.asarray((moves[:, 0] * down + moves[:, 1] * across).T, np.float64)
+
+    def _sample(self, motion: Floats) -> Image:
+        return resampled(self._contrast, self.grid_to_frame(self._right_centre, motion), self.side)
+
+    def _at_rim(self, influence: Floats, model: PairModel) -> float:
+        rim = float(np.hypot(self.rows, self.cols).max())
+        angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        errors = np.tensordot(influence, model.displacements(rim * np.sin(angles), rim * np.cos(angles)), 1)
+        return float(np.sqrt(np.square(errors).sum(axis=0).mean()))
+
+
+def tiles(rows: Floats, cols: Floats) -> tuple[NDArray[np.intp], int]:
+    """Return the square tile in which each point of a disc lies, and the number of tiles."""
+    reach = 1.001 * max(float(np.abs(rows).max()), float(np.abs(cols).max()))
+    down, across = (((at / reach + 1) * TILES / 2).astype(np.intp) for at in (rows, cols))
+    return down * TILES + across, TILES**2
+
+
+def _rotated(motion: Floats, angle: float) -> Floats:
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return np.column_stack([turn @ motion[:, :2], motion[:, 2]])
+
+
+def _contrast(frame: Image, radius: float) -> Image:
+    """Contrast of the cores: light over its local mean, so that neither gain nor uneven light matters."""
+    fine = cv2.GaussianBlur(frame, (0, 0), 0.6)
+    mean = cv2.GaussianBlur(frame, (0, 0), max(4.0, radius / 12))
+    dark = float(np.percentile(mean, 1))
+    floor = 0.05 * float(np.percentile(mean - dark, 95))
+    contrast: Image = (fine - mean) / np.maximum(mean - dark, max(floor, 1e-6))
+    return contrast

@@ -1,0 +1,324 @@
+"""Where the laser line is in one view of the bundle.
+
+The paper takes profiles perpendicular to the line, removes the background by a threshold and fits a Gaussian (System
+Calibration, step i). Here the profiles of all columns are fitted together, with the line's tilt, so that the honeycomb
+of the cores averages out and its rest is part of the stated uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy import ndimage
+
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.calibration.line_search import Streak, brightest_streak, without_hot_pixels
+from napari_elsplus.processing.calibration.uncertainty import clustered
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Image = NDArray[np.float32]
+
+RUNS: Final = 32
+"""Runs of columns that a line is divided into: its profiles, and the clusters of its uncertainty."""
+VISIBLE_SIGMAS: Final = 7.0
+WIDEST_FIT_ROWS: Final = 120
+"""Rows to either side that a fit may use."""
+TAPER: Final = 1.5
+"""Standard deviation of the weights across the line, in those of the smoothed profile."""
+LEAST_SURE_ROWS: Final = 1.0
+"""A slit of three rows that is a row off loses a good part of the light."""
+WORST_MISFIT: Final = 0.04
+"""Weighted departure of the mean profile from a Gaussian, over its height. Lines stay below 0.008, dim ones too."""
+_ROW, _SLOPE = 3, 4
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A laser line in one view.
+
+    Parameters
+    ----------
+    row : float
+        Row of the line at ``column``.
+    column : float
+        Middle of the lit columns.
+    slope : float
+        Rows per column; the line's tilt.
+    width_rows : float
+        Standard deviation of its Gaussian.
+    amplitude : float
+        Grey levels above the background.
+    level, ramp : float
+        Background of the fit at the line, and its slope in grey levels per row.
+    columns : tuple of int
+        First lit column and the one after the last.
+    profile : numpy.ndarray
+        Grey levels across the line, mean of its columns, as fitted; shape (rows,).
+    profile_rows : numpy.ndarray
+        Their rows, from the line's middle, shape (rows,).
+    influence : numpy.ndarray
+        Shape (runs, 2): what each run of columns contributes to the error of row and slope.
+    """
+
+    row: float
+    column: float
+    slope: float
+    width_rows: float
+    amplitude: float
+    level: float
+    ramp: float
+    columns: tuple[int, int]
+    profile: Floats
+    profile_rows: Floats
+    influence: Floats
+
+    @property
+    def tilt_deg(self) -> float:
+        """Tilt against the camera's rows; positive where the line falls to the right."""
+        return float(np.degrees(np.arctan(self.slope)))
+
+    @property
+    def tilt_uncertainty_deg(self) -> float:
+        """One standard deviation of the tilt."""
+        return float(np.degrees(np.linalg.norm(self.influence[:, 1])))
+
+    @property
+    def fitted(self) -> Floats:
+        """The Gaussian and its background at ``profile_rows``, shape (rows,); good near the line only, as fitted."""
+        bell = np.exp(-0.5 * np.square(self.profile_rows / self.width_rows))
+        return np.asarray(self.level + self.ramp * self.profile_rows + self.amplitude * bell, np.float64)
+
+    def row_at(self, column: float) -> float:
+        """Row of the line at a column."""
+        return self.row + self.slope * (column - self.column)
+
+    def influence_at(self, column: float) -> Floats:
+        """Return what each run of columns contributes to the error of :meth:`row_at`."""
+        total: Floats = self.influence[:, 0] + (column - self.column) * self.influence[:, 1]
+        return total
+
+    def uncertainty_rows(self, column: float | None = None) -> float:
+        """One standard deviation of the line's row at a column."""
+        return float(np.linalg.norm(self.influence_at(self.column if column is None else column)))
+
+
+def locate_line(view: NDArray[np.generic], background: Image | None = None, near: Line | None = None) -> Line:
+    """Find the laser line in one view: threshold, Gaussian, tilt, uncertainty.
+
+    Parameters
+    ----------
+    view : numpy.ndarray
+        One view of the bundle (rows, cols), any real dtype, with a single standing line along the rows.
+    background : numpy.ndarray, optional
+        Mean frame of the dark tube for the same pixels.
+    near : Line, optional
+        Where it was a moment ago. If it has moved by less than its width, the search for it is saved.
+
+    Returns
+    -------
+    Line
+        The brightest line; fainter reflections of it are ignored.
+
+    Raises
+    ------
+    MeasurementError
+        If no line stands out of the noise, or what does is too wide for one.
+
+    Notes
+    -----
+    The profiles are smoothed with the line's own width before the Gaussian is fitted. That costs little precision and
+    keeps the rows of cores, which are about as far apart as the line is wide, from pulling the fit. A slope of the
+    background is fitted too: near the bundle's rim the line's halo is cut on one side. A reflection within three widths
+    merges with the line and moves it; it does so in both views alike, so that their offset stays true.
+
+    Examples
+    --------
+    >>> rows = np.arange(80)[:, None] - 31.25 + 0 * np.arange(120)
+    >>> line = locate_line(100 * np.exp(-(rows**2) / 8))
+    >>> round(line.row, 3)
+    31.25
+    """
+    image = np.asarray(view, np.float32) if background is None else np.subtract(view, background, dtype=np.float32)
+    line = None if near is None else _still_near(image, near)
+    if line is None:
+        streak = brightest_streak(image)
+        first, band = _band_around(image, streak)
+        line = _fit(band, streak._replace(row=streak.row - first))
+        # A whole row in the middle: what interpolation skews left and right of it then cancels.
+        line = _fit(band, Streak(round(line.row), line.column, line.slope, line.width_rows))
+        line = replace(line, row=line.row + first)
+    if line.width_rows > len(image) / 8:
+        raise MeasurementError(
+            f"no laser line: the brightest streak is {2.355 * line.width_rows:.0f} of {len(image)} rows wide",
+            "is other light on?",
+        )
+    return line
+
+
+def _still_near(image: Image, near: Line) -> Line | None:
+    """Fit the line where it was; None if it is no more within its width of there."""
+    streak = Streak(round(near.row), near.column, near.slope, near.width_rows)
+    first, band = _band_around(image, streak)
+    try:
+        line = _fit(band, streak._replace(row=streak.row - first))
+    except MeasurementError:
+        return None
+    line = replace(line, row=line.row + first)
+    return line if abs(line.row_at(near.column) - near.row) < near.width_rows else None
+
+
+def _band_around(image: Image, streak: Streak) -> tuple[int, Image]:
+    """First row, and the rows that a fit may need, without hot pixels."""
+    reach = WIDEST_FIT_ROWS + int(np.ceil(abs(streak.slope) * image.shape[1] / 2))
+    first = max(int(streak.row) - reach, 0)
+    return first, without_hot_pixels(image[first : int(streak.row) + reach + 1])
+
+
+def _fit(image: Image, streak: Streak) -> Line:
+    """Fit one tilted Gaussian line, by Gauss-Newton, to the profiles around a streak."""
+    width = min(streak.width_rows, WIDEST_FIT_ROWS / 9)
+    reach = int(np.ceil(4.5 * width)) + 2
+    patch, inside, spread = _along(image, streak, reach + int(np.ceil(3 * width)))
+    first, stop = _lit_columns(_brightness(patch, width))
+    inset = min(int(np.ceil(2 * width)) + 2, (stop - first) // 8)
+    edges = np.linspace(first + inset, stop - inset, RUNS + 1).astype(int)
+    if stop - first - 2 * inset < RUNS or inside[:, first:stop].mean() < 0.6:
+        raise MeasurementError(
+            f"no laser line: what is brightest spans {stop - first} columns", "is the laser on, and on the bundle?"
+        )
+    profiles = np.add.reduceat(patch, edges, axis=1)[:, :-1] / np.diff(edges)
+    seen = np.logical_and.reduceat(inside, edges, axis=1)[:, :-1]
+    margin = (len(patch) - 1) // 2 - reach
+    data = ndimage.gaussian_filter1d(profiles, width, axis=0, mode="nearest", truncate=3.0)[margin:-margin]
+    seen = seen[margin:-margin]
+    middle = (first + stop - 1) / 2
+    u = np.broadcast_to(np.arange(-reach, reach + 1.0)[:, None], data.shape)[seen]
+    x = np.broadcast_to((edges[:-1] + edges[1:] - 1) / 2 - middle, data.shape)[seen]
+    run = np.broadcast_to(np.arange(RUNS), data.shape)[seen]
+    parameters, influence = _gauss_newton(data[seen], u, x, run, width)
+    amplitude, level, log_width, shift, turn, ramp = (float(value) for value in parameters)
+    fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2 - spread, 0.1)))
+    misfit = _misfit(data, seen, parameters, u, x)
+    # In dim light a part of the line may be all that is seen: what counts is how sure it is in the middle of the view.
+    across = influence[:, _ROW] + ((image.shape[1] - 1) / 2 - middle) * influence[:, _SLOPE]
+    _must_be_a_line(amplitude, np.linalg.norm([influence[:, 0], across], axis=1), shift, reach, misfit)
+    return Line(
+        row=streak.row + streak.slope * (middle - streak.column) + shift,
+        column=middle,
+        slope=streak.slope + turn,
+        width_rows=fitted,
+        amplitude=amplitude * float(np.exp(log_width)) / fitted,
+        level=level + ramp * shift,
+        ramp=ramp,
+        columns=(first, stop),
+        profile=profiles.mean(axis=1),
+        profile_rows=np.arange(len(profiles), dtype=np.float64) - (len(profiles) - 1) / 2 - shift,
+        influence=influence[:, [_ROW, _SLOPE]],
+    )
+
+
+def _along(image: Image, streak: Streak, reach: int) -> tuple[Floats, NDArray[np.bool_], float]:
+    """Profiles of all columns, each shifted so that the streak lies in their middle: (2 reach + 1, cols).
+
+    The shift interpolates linearly; by how much that adds to the profile's variance comes last.
+    """
+    rows, cols = image.shape
+    where = streak.row + streak.slope * (np.arange(cols) - streak.column)
+    base = np.floor(where).astype(int)
+    part = (where - base).astype(np.float32)
+    index = base + np.arange(-reach, reach + 2)[:, None]
+    whole = image[np.clip(index, 0, rows - 1), np.arange(cols)]
+    inside = (index >= 0) & (index < rows)
+    return (
+        ((1 - part) * whole[:-1] + part * whole[1:]).astype(np.float64),
+        inside[:-1] & inside[1:],
+        float(np.mean(part * (1 - part))),
+    )
+
+
+def _brightness(patch: Floats, width: float) -> Floats:
+    """Light of the line in each column, above the column's own background."""
+    u = np.arange(len(patch)) - (len(patch) - 1) / 2
+    bell = np.exp(-(u**2) / (2 * width**2))
+    weights = bell - bell.mean()
+    return np.asarray(weights @ patch, np.float64)
+
+
+def _lit_columns(brightness: Floats) -> tuple[int, int]:
+    """Longest run of columns in which the line shines, at half its usual brightness."""
+    smooth = ndimage.uniform_filter1d(brightness, max(3, len(brightness) // RUNS), mode="nearest")
+    lit = np.r_[False, smooth > 0.5 * np.percentile(smooth, 85), False].astype(np.int8)
+    starts, stops = np.flatnonzero(np.diff(lit) == 1), np.flatnonzero(np.diff(lit) == -1)
+    longest = int(np.argmax(stops - starts)) if len(starts) else 0
+    return (int(starts[longest]), int(stops[longest])) if len(starts) else (0, 0)
+
+
+def _gauss_newton(data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], width: float) -> tuple[Floats, Floats]:
+    """Amplitude, level, log width, row, slope and the level's slope, and the runs' influences on them."""
+    level = float(np.percentile(data, 25))
+    start = (float(np.percentile(data, 95)) - level, level, np.log(np.sqrt(2) * width), 0.0, 0.0, 0.0)
+    parameters = np.array(start)
+    for _ in range(12):
+        model, jacobian, taper = _model(parameters, u, x)
+        weighted = jacobian * taper[:, None]
+        step = np.linalg.lstsq(weighted.T @ jacobian, weighted.T @ (data - model), rcond=None)[0]
+        step[2] = np.clip(step[2], -0.4, 0.4)
+        step[_ROW] = np.clip(step[_ROW], -width, width)
+        parameters += step
+        if np.abs(step[2 : _ROW + 1]).max() < 1e-5:
+            break
+    model, jacobian, taper = _model(parameters, u, x)
+    weighted = jacobian * taper[:, None]
+    return parameters, clustered(weighted * (data - model)[:, None], weighted.T @ jacobian, run, RUNS)
+
+
+def _model(parameters: Floats, u: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Model, its derivatives, and weights that fade out away from the line.
+
+    Without the fading the halo, which is no straight slope, would pull a line that is not in the middle of a row.
+    """
+    amplitude, level, log_width, shift, turn, ramp = parameters
+    z = (u - shift - turn * x) / np.exp(log_width)
+    bell = np.exp(-0.5 * z * z)
+    pull = amplitude * bell * z / np.exp(log_width)
+    jacobian = np.stack([bell, np.ones_like(bell), amplitude * bell * z * z, pull, pull * x, u], axis=1)
+    taper = np.exp(-0.5 * (z / TAPER) ** 2)
+    return amplitude * bell + level + ramp * u, jacobian, taper
+
+
+def _misfit(data: Floats, seen: NDArray[np.bool_], parameters: Floats, u: Floats, x: Floats) -> float:
+    """Largest departure of the mean profile from the fit, weighted as in the fit, over the amplitude."""
+    left = np.zeros(data.shape)
+    model, _, taper = _model(parameters, u, x)
+    left[seen] = (data[seen] - model) * taper
+    count = np.count_nonzero(seen, axis=1)
+    profile = left.sum(axis=1)[count > 0] / count[count > 0]
+    return float(np.abs(profile).max() / max(abs(float(parameters[0])), 1e-12))
+
+
+def _must_be_a_line(amplitude: float, spread: Floats, shift: float, reach: int, misfit: float) -> None:
+    noise, spread_rows = spread
+    sigmas = amplitude / max(noise, 1e-12)
+    if not sigmas > VISIBLE_SIGMAS:
+        raise MeasurementError(
+            f"no laser line: the brightest streak stands {sigmas:.1f} standard deviations out of the noise, "
+            f"{VISIBLE_SIGMAS:g} are needed",
+            "is the laser on, and on the bundle?",
+        )
+    if abs(shift) > reach:
+        raise MeasurementError(f"no laser line: the fit wandered off by {shift:.0f} rows", "is the laser on?")
+    if spread_rows > LEAST_SURE_ROWS:
+        raise MeasurementError(
+            f"no laser line: what may be one is so dim that it is known to {spread_rows:.1f} rows only",
+            "give more light, or more frames",
+        )
+    if misfit > WORST_MISFIT:
+        raise MeasurementError(
+            f"no laser line: the brightest streak departs from a Gaussian by {100 * misfit:.0f} % of its height",
+            "is other light on?",
+        )

@@ -1,0 +1,51 @@
+"""The slit offset frame after frame, while the tilt mirror is being turned."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.calibration.steps import measure_offset
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.calibration.steps import Pair, SlitOffset
+
+SEARCH_AGAIN: Final = 60
+"""After so many frames the brightest line is looked for anew: what was followed may be a reflection."""
+
+
+class OffsetFollower:
+    """Measures the slit offset in one frame after the other, each line looked for where it was.
+
+    Parameters
+    ----------
+    background : numpy.ndarray, optional
+        Mean frame of the dark tube.
+    pair : Pair, optional
+        The bundle images, if they are known.
+    """
+
+    def __init__(self, background: NDArray[np.float32] | None = None, pair: Pair | None = None) -> None:
+        self._background, self._pair = background, pair
+        self._last: SlitOffset | None = None
+        self._followed = 0
+
+    def measure(self, frame: NDArray[np.generic]) -> SlitOffset:
+        """Measure the offset in a raw frame (rows, cols).
+
+        Raises
+        ------
+        MeasurementError
+            If there is no line in one of the views.
+        """
+        last = self._last if self._followed < SEARCH_AGAIN else None
+        self._followed = 0 if last is None else self._followed + 1
+        try:
+            self._last = measure_offset([frame], self._background, self._pair, near=last)
+        except MeasurementError:
+            self._last = None
+            raise
+        return self._last

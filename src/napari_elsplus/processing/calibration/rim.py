@@ -1,0 +1,162 @@
+"""The rim of a lit disc, followed around at half level, and the circle through it.
+
+Parts of a rim that a dark target hides show an edge too far inside, never too far outside. The circle is therefore
+fitted to the points that agree with each other best, not to the middle of all.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+from scipy import optimize
+
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.calibration.uncertainty import clustered_influence
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Image = NDArray[np.float32]
+
+ARCS: Final = 36
+"""Arcs that the rim is divided into: the clusters of the circle's uncertainty."""
+UNSURE: Final = 0.05
+"""Share of the rim's roughness by which its half level may be off on all arcs alike: what arcs cannot tell."""
+AGREEING: Final = 0.4
+"""Share of the rim's points that must see the true rim."""
+
+
+def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
+    """Fit a circle to the half level of a lit disc, starting from one that is right to a few percent.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        (rows, cols) float32.
+    circle : numpy.ndarray
+        Row, column and radius to start from.
+
+    Returns
+    -------
+    circle : numpy.ndarray
+        Row, column and radius.
+    uncertainty : numpy.ndarray
+        One standard deviation of each, shape (3,).
+    seen : float
+        Share of the circumference on which the rim was found.
+
+    Raises
+    ------
+    MeasurementError
+        If no rim is seen on most of the circumference.
+    """
+    smooth = cv2.GaussianBlur(_evenly_lit(frame, circle), (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
+    uncertainty, seen = np.zeros(3), 0.0
+    for reach in (0.25, 0.1, 0.1):
+        points, arcs, rays = _half_level(smooth, circle, reach)
+        if len(points) < max(ARCS, rays // 6):
+            raise MeasurementError(
+                f"no bundle: a rim is seen on {100 * len(points) / rays:.0f} % of a circle",
+                "is the probe lit from the far end, and the bundle in view?",
+            )
+        circle, uncertainty, used = _fit_circle(points, arcs, circle)
+        if not 0.5 < 2 * circle[2] / min(frame.shape) < 2 * max(frame.shape) / min(frame.shape):
+            raise MeasurementError("no bundle: what is lit is no disc", "is the probe lit from the far end?")
+        seen = used / rays
+    return circle, uncertainty, seen
+
+
+def circle_through(points: Floats, start: Floats, scale_px: float) -> Floats:
+    """Fit a circle (row, column, radius) to points (n, 2), far ones counting little."""
+
+    def misses(circle: Floats) -> Floats:
+        away: Floats = np.hypot(points[:, 0] - circle[0], points[:, 1] - circle[1]) - circle[2]
+        return away
+
+    circle: Floats = optimize.least_squares(misses, start, loss="cauchy", f_scale=scale_px).x
+    return circle
+
+
+def _evenly_lit(frame: Image, circle: Floats) -> Image:
+    """Light over a quadratic that is fitted to it inside the disc, so that half level means the same all around."""
+    row, column, radius = circle
+    rows, cols = ((np.arange(size) - at) / radius for size, at in zip(frame.shape, (row, column), strict=True))
+    step = max(1, int(radius / 60))
+    y, x = (grid.ravel() for grid in np.meshgrid(rows[::step], cols[::step], indexing="ij"))
+    inside = np.hypot(y, x) < 0.95
+    coarse = frame[::step, ::step].ravel().astype(np.float64)
+    beside = np.hypot(y, x) > 1.1
+    dark = float(np.median(coarse[beside])) if beside.any() else float(coarse.min())
+    light = coarse[inside] - dark
+    terms = np.linalg.lstsq(_quadratic(y[inside], x[inside]).T, light, rcond=None)[0]
+    y, x = (np.clip(axis, -1.1, 1.1) for axis in (rows[:, None], cols))
+    down, across = (terms[0] + terms[1] * y + terms[3] * y * y, terms[2] * x + terms[5] * x * x)
+    surface = (down + across + terms[4] * y * x) / max(float(light.mean()), 1e-6)
+    return np.asarray((frame - dark) / np.maximum(surface, 0.2), np.float32)
+
+
+def _quadratic(y: Floats, x: Floats) -> Floats:
+    return np.stack([np.ones_like(y), y, x, y * y, y * x, x * x])
+
+
+def _half_level(smooth: Image, circle: Floats, reach: float) -> tuple[Floats, NDArray[np.intp], int]:
+    """Points where the light has fallen to half, on rays from the centre; rays that see no edge are left out."""
+    row, column, radius = circle
+    rays = int(np.clip(2 * np.pi * radius / 2, 4 * ARCS, 720))
+    angles = 2 * np.pi * (np.arange(rays) + 0.5) / rays
+    radii = np.arange((1 - reach) * radius, (1 + reach) * radius, 0.25)
+    at_row = (row + radii * np.sin(angles)[:, None]).astype(np.float32)
+    at_col = (column + radii * np.cos(angles)[:, None]).astype(np.float32)
+    light = cv2.remap(smooth, at_col, at_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    outside = (at_row < 0) | (at_row > smooth.shape[0] - 1) | (at_col < 0) | (at_col > smooth.shape[1] - 1)
+    far = radii > (1 + 0.4 * reach) * radius
+    near = (radii > (1 - 0.9 * reach) * radius) & (radii < (1 - 0.25 * reach) * radius)
+    dark = np.median(np.where(outside[:, far], np.inf, light[:, far]), axis=1)
+    usual_dark = np.median(dark[np.isfinite(dark)]) if np.isfinite(dark).any() else float(smooth.min())
+    dark = np.where(np.isfinite(dark), dark, usual_dark)
+    bright = np.median(light[:, near], axis=1)
+    contrast = bright - dark
+    above = light > (0.5 * (bright + dark))[:, None]
+    last = above.shape[1] - 1 - np.argmax(above[:, ::-1], axis=1)
+    ray = np.arange(rays)
+    seen = (contrast > 0.4 * np.percentile(contrast, 75)) & (last < above.shape[1] - 1) & above.any(axis=1)
+    beyond = np.minimum(last + 1, above.shape[1] - 1)
+    seen &= ~outside[ray, beyond]
+    drop = light[ray, last] - light[ray, beyond]
+    part = (light[ray, last] - 0.5 * (bright + dark)) / np.where(drop > 0, drop, 1.0)
+    at = radii[last] + 0.25 * np.clip(part, 0, 1)
+    points = np.stack([row + at * np.sin(angles), column + at * np.cos(angles)], axis=1)
+    return points[seen], (ray * ARCS // rays)[seen], rays
+
+
+def _fit_circle(points: Floats, arcs: NDArray[np.intp], start: Floats) -> tuple[Floats, Floats, int]:
+    """Circle through the points that agree, its uncertainty, and how many they are."""
+    circle = start
+    for _ in range(6):
+        away = points - circle[:2]
+        distance = np.hypot(*away.T)
+        miss = distance - circle[2]
+        middle, scatter = _where_most_agree(miss)
+        good = np.abs(miss - middle) < max(3.5 * scatter, 0.5)
+        jacobian = np.c_[away / distance[:, None], np.ones(len(away))][good]
+        step = np.linalg.lstsq(jacobian, miss[good], rcond=None)[0]
+        circle = circle + step
+        if np.abs(step).max() < 1e-3:
+            break
+    left = miss[good] - jacobian @ step
+    by_arcs = np.linalg.norm(clustered_influence(jacobian, left, arcs[good], ARCS), axis=0)
+    return circle, np.hypot(by_arcs, UNSURE * left.std()), int(good.sum())
+
+
+def _where_most_agree(miss: Floats) -> tuple[float, float]:
+    """Middle of the shortest stretch that holds so many of the values, and the scatter of what lies beyond it."""
+    ordered = np.sort(miss)
+    count = int(AGREEING * len(ordered))
+    widths = ordered[count:] - ordered[:-count]
+    first = int(np.argmin(widths))
+    middle = float((ordered[first] + ordered[first + count]) / 2)
+    outward = miss[miss > middle] - middle
+    return middle, 1.4826 * float(np.median(outward)) if len(outward) else 0.0

@@ -1,0 +1,1 @@
+"""From tracked frames to a mosaic: tiles, insertion, pyramid, coverage."""

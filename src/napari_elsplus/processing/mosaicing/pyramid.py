@@ -1,0 +1,103 @@
+"""A mosaic at halved resolutions for display: only what changed is computed anew."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from napari_elsplus.compiled import kernel
+from napari_elsplus.processing.mosaicing.tiles import TILE_PX, HeapTiles, Rectangle, TileStore, tile_rectangle
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.mosaicing.tiles import Canvas
+
+
+class Pyramid:
+    """Halves of a mosaic, each pixel the mean of those of the four below it that were drawn on.
+
+    Parameters
+    ----------
+    canvas : Canvas
+        Level 0; the pyramid takes its dirty rectangles.
+    levels : int
+        Number of levels, the canvas itself included.
+    new_store : callable
+        Makes the store of a level's tiles.
+    """
+
+    def __init__(self, canvas: Canvas, levels: int, new_store: Callable[[], TileStore] = HeapTiles) -> None:
+        self._canvas = canvas
+        self._stores = [new_store() for _ in range(levels - 1)]
+        self._half = np.empty((TILE_PX, TILE_PX), np.float32)
+        self._count = np.empty((TILE_PX, TILE_PX), np.float32)
+
+    def refresh(self) -> list[Rectangle]:
+        """Bring all levels up to date; return what changed on each, an empty list if nothing did."""
+        dirty = self._canvas.take_dirty()
+        if dirty is None:
+            return []
+        changed = [dirty]
+        for level in range(1, len(self._stores) + 1):
+            below = changed[-1]
+            here = Rectangle(below.top // 2, below.left // 2, -(-below.bottom // 2), -(-below.right // 2))
+            self._halve(level, here)
+            changed.append(here)
+        return changed
+
+    def read(self, level: int, part: Rectangle) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Copy a part of a level: grey levels, and 0 or more where nothing or something was drawn."""
+        if level == 0:
+            return self._canvas.read(part)
+        store = self._stores[level - 1]
+        image, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
+        existing = set(store.keys())
+        for key in part.tiles():
+            if key in existing:
+                at, tile = tile_rectangle(*key), store.tile(*key)
+                shared = part.within(at)
+                here, there = shared.slices(part), shared.slices(at)
+                image[here], weight[here] = tile.value[there], tile.weight[there]
+        return image, weight
+
+    def _halve(self, level: int, part: Rectangle) -> None:
+        """Compute a part of a level from the one below, tile by tile, so that no more than a tile is held."""
+        store = self._stores[level - 1]
+        existing = set(store.keys())
+        for key in part.tiles():
+            at = tile_rectangle(*key)
+            block = part.within(at)
+            rows, cols = block.shape
+            image, weight = self.read(
+                level - 1, Rectangle(2 * block.top, 2 * block.left, 2 * block.bottom, 2 * block.right)
+            )
+            half, count = self._half[:rows, :cols], self._count[:rows, :cols]
+            if not halve(image, weight, half, count) and key not in existing:
+                continue
+            tile, there = store.tile(*key), block.slices(at)
+            tile.value[there], tile.weight[there] = half, count
+
+
+@kernel
+def halve(
+    image: NDArray[np.float32], weight: NDArray[np.float32], half: NDArray[np.float32], count: NDArray[np.float32]
+) -> bool:
+    """Write to `half` the means of those of 2 x 2 pixels that have a weight, and to `count` how many have."""
+    any_drawn = False
+    for row in range(half.shape[0]):
+        for col in range(half.shape[1]):
+            total, drawn = np.float32(0), np.float32(0)
+            for down in range(2):
+                for across in range(2):
+                    if weight[2 * row + down, 2 * col + across] > 0:
+                        total += image[2 * row + down, 2 * col + across]
+                        drawn += np.float32(1)
+            count[row, col] = drawn
+            half[row, col] = total / drawn if drawn > 0 else np.float32(0)
+            if drawn > 0:
+                any_drawn = True
+    return any_drawn

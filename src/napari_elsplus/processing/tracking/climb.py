@@ -1,0 +1,108 @@
+"""When rotation and scale are modelled: the Bayesian information criterion, asked of many links together.
+
+A slow turn shows in no single link but in their sum, which grows faster than its uncertainty.
+
+References
+----------
+Schwarz, Ann. Stat. 6, 461 (1978), doi:10.1214/aos/1176344136.
+"""
+
+from __future__ import annotations
+
+from math import log
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.processing.tracking.ladder import Remainder, Rung
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+_MARGIN: Final = 2.0
+"""How many times the criterion's penalty must be saved: it is asked again and again in a long recording."""
+_MARGIN_OF_SCALE: Final = 6.0
+"""The same for scale, which a probe in contact has no reason to change."""
+_REMEMBERED: Final = 64
+_LAST: Final = (2, _REMEMBERED)
+"""Links that are weighed together: few tell a sudden turn, many a slow one."""
+_SCATTER: Final = 2.0
+_PRIOR_LINKS: Final = 4
+"""Variance of links about their mean, in units of what they say, and how many links that is worth at first."""
+_MOST_ALIKE: Final = 0.95
+
+
+def asked_for(found: Sequence[Remainder]) -> Rung:
+    """Return what the sum of links asks for, at its largest: a probe may turn to and fro.
+
+    How much a sum may be off is learnt from how the links scatter about their mean, and from how alike the errors of
+    successive ones are: where little is in view, the same few things mislead many links in a row.
+
+    Examples
+    --------
+    >>> step = np.zeros((3, 6)) + np.array([0, 0, 0, 0, 2e-4, 0])
+    >>> asked_for([Remainder(step, np.array([3e-4, 3e-4]), 1500.0)] * 100).name
+    'RIGID'
+    >>> asked_for([Remainder(0 * step, np.array([3e-4, 3e-4]), 1500.0)] * 100).name
+    'TRANSLATION'
+    """
+    if not found:
+        return Rung.TRANSLATION
+    steps = np.array([one.step[Rung.SIMILARITY, 4:] for one in found])
+    return _rung(steps, np.array([one.sigma for one in found]), sum(one.values for one in found))
+
+
+def _rung(steps: NDArray[np.float64], sigmas: NDArray[np.float64], values: float) -> Rung:
+    scaled = steps / sigmas
+    about = scaled - scaled.mean(axis=0)
+    scatter = ((about * about).sum(axis=0) + _SCATTER * _PRIOR_LINKS) / (len(steps) + _PRIOR_LINKS)
+    alike = np.clip((about[1:] * about[:-1]).sum(axis=0) / (len(steps) * scatter), 0.0, _MOST_ALIKE)
+    variance = (sigmas * sigmas).cumsum(axis=0) * (scatter * (1 + alike) / (1 - alike))
+    turned, zoomed = (steps.cumsum(axis=0) ** 2 / variance).max(axis=0)
+    needed = _MARGIN * log(values)
+    if zoomed > _MARGIN_OF_SCALE * needed:
+        return Rung.SIMILARITY
+    return Rung.RIGID if turned > needed else Rung.TRANSLATION
+
+
+class Climb:
+    """Gathers from link to link what rotation and scale would explain, and climbs when the evidence asks for it.
+
+    Attributes
+    ----------
+    rung : Rung
+        What is to be modelled from now on.
+
+    Examples
+    --------
+    >>> climb = Climb()
+    >>> nothing = np.zeros((3, 6))
+    >>> climb.weigh(Remainder(nothing, np.array([3e-4, 3e-4]), 1500.0)).name
+    'TRANSLATION'
+    >>> turned = nothing + np.array([0, 0, 0, 0, 0.01, 0])
+    >>> [climb.weigh(Remainder(turned, np.array([3e-4, 3e-4]), 1500.0)).name for _ in range(2)][-1]
+    'RIGID'
+    """
+
+    def __init__(self) -> None:
+        self.rung = Rung.TRANSLATION
+        self._steps, self._sigmas = np.empty((_REMEMBERED, 2)), np.empty((_REMEMBERED, 2))
+        self._values = np.empty(_REMEMBERED)
+        self._links = 0
+
+    def weigh(self, found: Remainder, *, keep: bool = True) -> Rung:
+        """Weigh a link with those before; return the rung that is asked for. It is remembered if it is to be kept."""
+        if self._links == _REMEMBERED:
+            for kept in (self._steps, self._sigmas, self._values):
+                kept[:-1] = kept[1:]
+            self._links -= 1
+        n = self._links
+        self._steps[n], self._sigmas[n], self._values[n] = found.step[Rung.SIMILARITY, 4:], found.sigma, found.values
+        for last in _LAST:
+            these = np.s_[max(0, n + 1 - last) : n + 1]
+            asked = _rung(self._steps[these], self._sigmas[these], float(self._values[these].sum()))
+            self.rung = max(self.rung, asked)
+        self._links += keep
+        return self.rung

@@ -1,0 +1,135 @@
+"""A link in one piece: down a pyramid of two frames to full resolution, then against the link's rivals.
+
+Each level starts where the coarser one ended. Called as one, so that a frame costs one step out of Python.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.tracking.evidence import in_pixels_of, rival_evidence
+from napari_elsplus.processing.tracking.lucas_kanade import align
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Levels = tuple[NDArray[np.float32], ...]
+    Columns = tuple[NDArray[np.int32], ...]
+
+LEVELS: Final = 3
+CORRELATED_PX: Final = 20.0
+"""Pixels that share one noise value: the front end smooths, and the core pattern is correlated."""
+ROW_STEP: Final = 2
+"""Every how many rows are used at full resolution."""
+_RIGID: Final = 1e12
+_STEPS: Final = (6, 10, 12)
+_TOLERANCE_PX: Final = (0.02, 0.1, 0.2)
+_ROW_STEPS: Final = (ROW_STEP, 2, 1)
+"""Of each level, the finest first: largest number of steps, smallest step in its own pixels, rows used."""
+_CANDIDATE_STEPS: Final = 8
+
+
+@lean_kernel
+def link_levels(
+    earlier: Levels,
+    later: Levels,
+    first: Columns,
+    last: Columns,
+    middles: tuple[float, ...],
+    stiffness: tuple[float, float],
+    warp: NDArray[np.float64],
+    information: NDArray[np.float64],
+    work: NDArray[np.float64],
+) -> tuple[float, float, float]:
+    """Refine a warp in place, fill its information matrix, and weigh it against its rivals.
+
+    Parameters
+    ----------
+    earlier, later : tuple of numpy.ndarray
+        Frames at full, half and quarter resolution, (n, n) float32.
+    first, last : tuple of numpy.ndarray
+        (n,) int32 lit columns of each row at each level.
+    middles : tuple of float
+        Row of the bundle's centre at each level.
+    stiffness : tuple of float
+        Information on a and s that is there beforehand.
+    warp : numpy.ndarray
+        (4,) float64: a, b, s, d in pixels of full resolution; what is expected, and the result.
+    information : numpy.ndarray
+        (4, 4) float64: inverse covariance of the result.
+    work : numpy.ndarray
+        From :func:`napari_elsplus.processing.tracking.lucas_kanade.workspace`.
+
+    Returns
+    -------
+    correlation : float
+        Zero-mean normalised correlation of the overlap.
+    count : float
+        Number of pixels in it that were used.
+    evidence : float
+        For this warp and against the best of its rivals, nats per pixel.
+    """
+    stiff, expected, scaled = work[3], work[5, 0], work[5, 1]
+    origin = warp[0], warp[1], warp[2], warp[3]
+    correlation, count = 0.0, 0.0
+    for level in range(LEVELS - 1, -1, -1):
+        px = 2.0**level
+        coarsest = level == LEVELS - 1
+        stiff[:] = 0.0
+        stiff[0, 0], stiff[2, 2] = (_RIGID, _RIGID) if coarsest else stiffness
+        in_pixels_of(px, origin, expected)
+        in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
+        correlation, count = align(
+            earlier[level], later[level], first[level], last[level], middles[level], _ROW_STEPS[level], _STEPS[level],
+            _TOLERANCE_PX[level], expected, stiff, CORRELATED_PX / _ROW_STEPS[level] / 4**level, scaled, information,
+            work,
+        )  # fmt: skip
+        if correlation == 0.0:
+            break
+        in_pixels_of(1 / px, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
+    evidence = rival_evidence(
+        earlier[1], later[1], first[1], last[1], middles[1], warp, information, stiffness, CORRELATED_PX / 8, work
+    )
+    return correlation, count, evidence
+
+
+@lean_kernel
+def align_candidate(
+    earlier: NDArray[np.float32],
+    later: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle: float,
+    warp: NDArray[np.float64],
+    work: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Refine the shift of a warp in pixels of full resolution, on frames of half resolution.
+
+    Returns the correlation of the overlap and the number of its pixels.
+    """
+    stiff, expected, scaled = work[3], work[5, 0], work[5, 1]
+    stiff[:] = 0.0
+    stiff[0, 0] = stiff[2, 2] = _RIGID
+    in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), expected)
+    in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), scaled)
+    score = align(
+        earlier, later, first, last, middle, 1, _CANDIDATE_STEPS, _TOLERANCE_PX[1], expected, stiff, 1.0, scaled,
+        work[4], work,
+    )  # fmt: skip
+    in_pixels_of(0.5, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
+    return score
+
+
+@lean_kernel
+def fill_coarser(levels: Levels) -> None:
+    """Fill each level but the first with the means of two by two pixels of the finer one."""
+    quarter = np.float32(0.25)
+    for level in range(1, LEVELS):
+        fine, coarse = levels[level - 1], levels[level]
+        for row in range(coarse.shape[0]):
+            upper, lower, into = fine[2 * row], fine[2 * row + 1], coarse[row]
+            for col in range(coarse.shape[1]):
+                into[col] = quarter * (upper[2 * col] + upper[2 * col + 1] + lower[2 * col] + lower[2 * col + 1])

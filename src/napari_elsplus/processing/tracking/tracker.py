@@ -1,0 +1,400 @@
+"""Frame after frame: where the probe is, how well that is known, and when it is not.
+
+Each frame is linked to a key frame that is renewed before the overlap shrinks: at fast motion that is the frame
+before, at slow motion one key frame serves many frames, so that errors do not add up. The link starts from the motion
+so far; it is kept only if the frames themselves single out its shift, and otherwise sought among all shifts. Frames
+that no link reaches are predicted for a while, then lost; a new segment starts where frames can be linked again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import hypot, isfinite, nan
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from napari_elsplus.processing.tracking.climb import Climb
+from napari_elsplus.processing.tracking.evidence import stretch_and_shear_variance
+from napari_elsplus.processing.tracking.ladder import Rung, turned_by
+from napari_elsplus.processing.tracking.motion import Displacement, Velocity
+from napari_elsplus.processing.tracking.prediction import AT_REST, Motion
+from napari_elsplus.processing.tracking.registration import LEAST_EVIDENCE, Link, Registrar, View
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.grid import Grid
+
+KEY_FRAME_REACH: Final = 0.1
+"""Displacement from the key frame, in bundle diameters, at which it is renewed."""
+PATIENCE_FRAMES: Final = 5
+"""Frames without a link that are predicted before the track is lost."""
+FARTHEST: Final = 0.6
+"""Predicted displacement, in bundle diameters, beyond which no link is tried."""
+
+
+class State(StrEnum):
+    """How much is known of a frame's position."""
+
+    TRACKED = "tracked"
+    """Linked to other frames by what they show."""
+    PREDICTED = "predicted"
+    """Not linked; the position is what the motion before suggests."""
+    LOST = "lost"
+    """Unknown."""
+
+
+class Pose(NamedTuple):
+    """Where the probe was while one frame was read; pixels of the tracking grid.
+
+    Parameters
+    ----------
+    segment : int
+        Positions are comparable within a segment.
+    row, col : float
+        Position when the bundle's middle row is read, relative to the segment's first frame; nan if lost.
+    velocity : Velocity
+        Pixels per frame period.
+    score : float
+        Correlation of the overlap with the frame that this one was linked to.
+    sigma : float
+        Larger axis of the position's uncertainty relative to that frame, one standard deviation.
+    state : State
+        Tracked, predicted or lost.
+    angle : float
+        Of the probe against the segment's first frame, radians, from rows towards columns; zero until asked for.
+    scale : float
+        Pixels of the first frame per pixel of this one.
+    """
+
+    segment: int
+    row: float
+    col: float
+    velocity: Velocity
+    score: float
+    sigma: float
+    state: State
+    angle: float = 0.0
+    scale: float = 1.0
+
+
+SURE_CORRELATION: Final = 0.9
+"""Correlation below which a predicted link is compared with all other shifts."""
+SMOOTH_MOTION_PX: Final = 5.0
+"""Spread of the velocity up to which the motion is so smooth that it tells where to look."""
+MOST_UNEVEN_PX: Final = 0.7
+"""Error of a displacement from uneven motion within the frames, up to which a link is used."""
+FALL_OF_CORRELATION: Final = 0.08
+"""How far a link's correlation may lie below what was usual so far."""
+_MEMORY: Final = 0.2
+_MEMORY_OF_TURN: Final = 0.3
+_RISE_OF_CORRELATION: Final = 0.03
+_ASK_EVERY: Final = 4
+"""Frames between two questions whether the probe turns, as long as it does not."""
+_ASK_AT_REST: Final = 32
+"""The same, while one key frame serves."""
+_VELOCITY_SIGMA: Final = 0.3
+"""What the velocity of a linked frame is trusted to."""
+_REACH_PX: Final = 8.0
+_FIRST_REACH: Final = 0.3
+
+
+@dataclass(slots=True)
+class _Placed:
+    """A frame that others can be linked to."""
+
+    view: View
+    index: int = -1
+    row: float = 0.0
+    col: float = 0.0
+    velocity: Velocity = AT_REST
+    angle: float = 0.0
+    scale: float = 1.0
+
+
+def needed_evidence(spread_px: float) -> float:
+    """Evidence that a link needs over its rivals: the more, the less the motion tells where to look.
+
+    Parameters
+    ----------
+    spread_px : float
+        How far velocities were, of late, from what was expected of them.
+    """
+    return LEAST_EVIDENCE * max(1.0, spread_px / SMOOTH_MOTION_PX)
+
+
+class Tracker:
+    """Tracks the probe through a sequence of tracking images.
+
+    Parameters
+    ----------
+    grid : Grid
+        The grid of the images, with the timing of its rows.
+
+    Attributes
+    ----------
+    links : list of tuple
+        (earlier frame, later frame, displacement in the later one's orientation, link) of every accepted link.
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self.grid = grid
+        self.registrar = Registrar(grid)
+        self.links: list[tuple[int, int, Displacement, Link]] = []
+        self._slots = [self.registrar.view() for _ in range(4)]
+        self._scratch = self.registrar.view()
+        self._climb = Climb()
+        self._newest: Link | None = None
+        self._asked = 0
+        self._began = self._covered = 0
+        self._turned = 0.0
+        self._turn_rate = 0.0
+        self._uneven = 0.0
+        self._motion = Motion(grid.shutter)
+        self._key: _Placed | None = None
+        self._last: _Placed | None = None
+        self._previous: _Placed | None = None
+        self._usual = nan
+        self._segment = 0
+        self._frames = 0
+
+    @property
+    def rung(self) -> Rung:
+        """What the frames have asked for so far, beside translations."""
+        return self._climb.rung
+
+    def slot(self) -> NDArray[np.float32]:
+        """Return the array into which the next image is to be written before :meth:`add` is called."""
+        return self._free().image
+
+    def add(self) -> Pose:
+        """Track the image in the current slot."""
+        here = _Placed(self.registrar.prepare(self._free()), self._frames)
+        self._frames += 1
+        if self._key is None:
+            self._key = self._last = here
+            pose = Pose(self._segment, 0.0, 0.0, AT_REST, nan, nan, State.TRACKED)
+        else:
+            pose = self._continue(here) or self._restart(here) or self._coast(here)
+        self._previous = here
+        return pose
+
+    def _free(self) -> View:
+        taken = [placed.view for placed in (self._key, self._last, self._previous) if placed is not None]
+        return next(view for view in self._slots if not any(view is other for other in taken))
+
+    def _continue(self, here: _Placed) -> Pose | None:
+        """Link a frame to the key frame of the segment, or to the last frame that was."""
+        key, last = self._key, self._last
+        assert key is not None
+        assert last is not None
+        renew = hypot(*self._expected(key, here.index)) > KEY_FRAME_REACH * self.grid.diameter
+        if self.rung is Rung.TRANSLATION:
+            self._ask(renew=renew)
+        if renew:
+            key = self._key = last
+        if hypot(*self._expected(key, here.index)) > FARTHEST * self.grid.diameter:
+            return None
+        link = self._link(key, here)
+        if link is None:
+            return None
+        return self._track(here, link) if self._place(key, here, link) else None
+
+    def _restart(self, here: _Placed) -> Pose | None:
+        """Start a new segment from the frame before, which itself has no place, if the two can be linked."""
+        previous, last = self._previous, self._last
+        assert previous is not None
+        if previous is last:
+            return None
+        before = self._motion, self._usual
+        self._motion, self._usual = Motion(self.grid.shutter), nan
+        origin = _Placed(previous.view, previous.index)
+        link = self._link(origin, here)
+        if link is None or not self._place(origin, here, link):
+            self._motion, self._usual = before
+            return None
+        here.row = here.col = here.angle = 0.0
+        here.scale = 1.0
+        self._key = here
+        self._segment += 1
+        self._began = self._asked = here.index
+        self._covered, self._turned = 0, 0.0
+        return self._track(here, link)
+
+    def _coast(self, here: _Placed) -> Pose:
+        """Predict a frame that cannot be linked, or give the track up."""
+        key, last = self._key, self._last
+        assert key is not None
+        assert last is not None
+        ahead = self._expected(last, here.index)
+        gone = here.index - last.index > PATIENCE_FRAMES or hypot(*ahead) > FARTHEST * self.grid.diameter
+        if gone or not self._motion.known:
+            return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, State.LOST)
+        row, col = turned_by(last.angle, last.scale) @ ahead
+        return Pose(
+            self._segment, last.row + float(row), last.col + float(col), self._motion.next_velocity, nan, nan,
+            State.PREDICTED, last.angle, last.scale,
+        )  # fmt: skip
+
+    def _ask(self, *, renew: bool) -> None:
+        """Ask, now and then, whether the frames since the key frame have turned, and from when on that is modelled."""
+        key, last, link = self._key, self._last, self._newest
+        assert key is not None
+        assert last is not None
+        wait = _ASK_EVERY if renew else _ASK_AT_REST
+        if link is None or last is key or last.index - self._asked < wait:
+            return
+        self._asked = last.index
+        found = self.registrar.remainder(key.view, last.view, link.warp, self._spread)
+        if found is None:
+            return
+        apart, turn = last.index - key.index, -float(found.step[Rung.RIGID, 4])
+        rung = self._climb.weigh(found, keep=renew)
+        covered, turned = self._covered + apart, self._turned + turn
+        if rung is not Rung.TRANSLATION:
+            self._turn_rate = turned / covered
+            last.angle = self._turn_rate * (last.index - self._began)
+            key.angle = last.angle - turn
+        elif renew:
+            self._covered, self._turned = covered, turned
+
+    def _expected(self, earlier: _Placed, index: int) -> Displacement:
+        """Displacement from a placed frame that the motion so far suggests, in the orientation of the last one."""
+        last = self._last
+        assert last is not None
+        if not self._motion.known:
+            return Displacement(0.0, 0.0)
+        ahead = self._motion.ahead(index - last.index)
+        gone = last.row - earlier.row, last.col - earlier.col
+        if self.rung is not Rung.TRANSLATION:
+            row, col = turned_by(-last.angle, 1 / last.scale) @ gone
+            gone = float(row), float(col)
+        return Displacement(gone[0] + ahead.row, gone[1] + ahead.col)
+
+    @property
+    def _spread(self) -> tuple[float, float]:
+        """Standard deviations of stretch and shear about what the motion so far suggests."""
+        return (self._motion.spread / self.grid.shutter.rows_per_frame + 1e-9,) * 2
+
+    def _link(self, earlier: _Placed, here: _Placed) -> Link | None:
+        """Link two frames, first where the motion suggests it, else anywhere; None if the frames do not say where."""
+        if self.rung is not Rung.TRANSLATION:
+            return self._turned_link(earlier, here, self.rung)
+        shutter, motion = self.grid.shutter, self._motion
+        expected = shutter.warp(earlier.velocity, motion.next_velocity, self._expected(earlier, here.index))
+        if motion.known:
+            link = self.registrar.link(earlier.view, here.view, expected, self._spread)
+            if link.correlation > SURE_CORRELATION and self._accepted(link, here):
+                return link
+            turned = self._suddenly_turned(earlier, here, link)
+            if turned is not None:
+                return turned
+        found = self.registrar.search(earlier.view, here.view, expected, self._spread, self._reach(here))
+        if found is None or not self._accepted(found, here):
+            return None
+        turned = None if found.correlation > SURE_CORRELATION else self._suddenly_turned(earlier, here, found)
+        return turned or found
+
+    def _reach(self, here: _Placed) -> float:
+        """How far the shift may well be from what is expected."""
+        assert self._last is not None
+        return _REACH_PX * (here.index - self._last.index) if self._motion.known else _FIRST_REACH * self.grid.diameter
+
+    def _suddenly_turned(self, earlier: _Placed, here: _Placed, link: Link) -> Link | None:
+        """Try, where frames agree less than they should, whether they do once one is turned."""
+        found = self.registrar.remainder(earlier.view, here.view, link.warp, self._spread)
+        if found is None or not Climb().weigh(found):
+            return None
+        turned = self._turned_link(earlier, here, Rung.RIGID)
+        if turned is None or not turned.correlation > max(link.correlation + _RISE_OF_CORRELATION, SURE_CORRELATION):
+            return None
+        self._climb.rung = Rung.RIGID
+        return turned
+
+    def _turned_link(self, earlier: _Placed, here: _Placed, rung: Rung) -> Link | None:
+        """Link two frames of a probe that turns."""
+        last, motion = self._last, self._motion
+        assert last is not None
+        turn = last.angle - earlier.angle + self._turn_rate * (here.index - last.index) if motion.known else 0.0
+        zoom = last.scale / earlier.scale if motion.known else 1.0
+        row, col = self._expected(earlier, here.index)
+        for reach in (None, self._reach(here)) if motion.known else (self._reach(here),):
+            link = self.registrar.turned_link(
+                earlier.view, here.view, (row, col, turn, zoom), (earlier.velocity, motion.next_velocity),
+                self._spread, rung, self._scratch, reach,
+            )  # fmt: skip
+            if link is not None and self._accepted(link, here) and (reach or link.correlation > SURE_CORRELATION):
+                return link
+        return None
+
+    def _accepted(self, link: Link, here: _Placed) -> bool:
+        """Whether the frames single out this shift, and agree about as well as frames did so far.
+
+        After a gap less is known beforehand, so that the frames themselves must say more.
+        """
+        assert self._last is not None
+        gap = here.index - self._last.index if self._motion.known else 1
+        usual = not link.correlation < self._usual - FALL_OF_CORRELATION
+        return link.observed and link.evidence >= gap * needed_evidence(self._motion.spread) and usual
+
+    def _place(self, earlier: _Placed, here: _Placed, link: Link) -> bool:
+        """Give a frame its position and velocity; refuse if the probe moved too unevenly for the link to say so."""
+        shutter, last = self.grid.shutter, self._last
+        assert last is not None
+        after = self._velocity(earlier, here, link)
+        successive = here.index - last.index == 1 or not self._motion.known
+        before = shutter.velocities(link.warp)[0] if here.index == earlier.index + 1 else after
+        self._uneven = self._motion.unevenness(before, after, successive=successive)
+        if self._uneven > MOST_UNEVEN_PX:
+            return False
+        if not self._motion.known:
+            earlier.velocity = before
+        moved = shutter.displacement(link.warp, after)
+        here.angle, here.scale, here.velocity = earlier.angle + link.turn, earlier.scale * link.zoom, after
+        row, col = moved if self.rung is Rung.TRANSLATION else turned_by(here.angle, here.scale) @ moved
+        here.row, here.col = earlier.row + float(row), earlier.col + float(col)
+        self.links.append((earlier.index, here.index, moved, link))
+        return True
+
+    def _velocity(self, earlier: _Placed, here: _Placed, link: Link) -> Velocity:
+        if here.index == earlier.index + 1:
+            return self.grid.shutter.velocities(link.warp)[1]
+        return self._velocity_after_gap(earlier, here, link)
+
+    def _velocity_after_gap(self, earlier: _Placed, here: _Placed, link: Link) -> Velocity:
+        """Velocity of a frame linked to one some frames before: from its shear, or from where it came to lie."""
+        shutter, motion, last = self.grid.shutter, self._motion, self._last
+        assert last is not None
+        moved = shutter.displacement(link.warp, motion.next_velocity)
+        gap = here.index - last.index
+        gone = Displacement(last.row - earlier.row, last.col - earlier.col)
+        if self.rung is not Rung.TRANSLATION:
+            gone = Displacement(*(turned_by(-last.angle, 1 / last.scale) @ gone).tolist())
+        along = Velocity((moved.row - gone.row) / gap, (moved.col - gone.col) / gap)
+        if not isfinite(shutter.rows_per_frame):
+            return along
+        sheared = shutter.later_velocity(link.warp, earlier.velocity)
+        stretch, shear = stretch_and_shear_variance(link.information)
+        surprise = (gap * motion.surprise / 2) ** 2
+        parts = (
+            surprise / (surprise + shutter.rows_per_frame**2 * variance + _VELOCITY_SIGMA**2)
+            for variance in (stretch, shear)
+        )
+        return Velocity(*(v + part * (w - v) for v, w, part in zip(along, sheared, parts, strict=True)))
+
+    def _track(self, here: _Placed, link: Link) -> Pose:
+        last = self._last
+        assert last is not None
+        gap = here.index - last.index
+        if self.rung is not Rung.TRANSLATION:
+            self._turn_rate += _MEMORY_OF_TURN * ((here.angle - last.angle) / gap - self._turn_rate)
+        self._motion.follow(here.velocity, successive=gap == 1)
+        self._last, self._newest = here, link
+        known = isfinite(self._usual)
+        self._usual = self._usual + _MEMORY * (link.correlation - self._usual) if known else link.correlation
+        sigma = hypot(link.sigma, self._uneven)
+        return Pose(
+            self._segment, here.row, here.col, here.velocity, link.correlation, sigma, State.TRACKED,
+            here.angle, here.scale,
+        )  # fmt: skip

@@ -1,0 +1,133 @@
+"""Volts to rows, in the face of dark frames, outliers and a galvo that is not straight."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo
+from napari_elsplus.processing.calibration.line import Line
+
+ROWS = np.linspace(40, 260, 200)
+
+
+def line(row: float, chord: float = 200.0, slope: float = 0.0) -> Line:
+    half = chord / 2
+    return Line(
+        row=row,
+        column=150.0,
+        slope=slope,
+        width_rows=2.0,
+        amplitude=100.0,
+        level=0.0,
+        ramp=0.0,
+        columns=(int(150 - half), int(150 + half)),
+        profile=np.zeros(3),
+        profile_rows=np.arange(3.0),
+        influence=np.full((4, 2), 0.01),
+    )
+
+
+def fitted(rows: np.ndarray, volts: np.ndarray, column: float | None = None, slope: float = 0.0) -> GalvoMap:
+    return fit_galvo(volts, [line(row, slope=slope) for row in rows], column)
+
+
+@given(
+    volts_per_row=st.floats(2e-4, 1e-2),
+    falling=st.booleans(),
+    at_zero=st.floats(-5, 5),
+    backwards=st.booleans(),
+)
+@settings(max_examples=60, deadline=None)
+def test_any_straight_map_is_recovered(volts_per_row: float, falling: bool, at_zero: float, backwards: bool) -> None:
+    volts_per_row = -volts_per_row if falling else volts_per_row
+    rows = ROWS[::-1] if backwards else ROWS
+    found = fitted(rows, at_zero + volts_per_row * rows)
+    assert found.volts_per_row == pytest.approx(volts_per_row, rel=1e-9)
+    assert found.volts_at_row_zero == pytest.approx(at_zero, abs=1e-6 * abs(volts_per_row) + 1e-12)
+    assert found.r_squared == pytest.approx(1)
+    assert not found.curved
+
+
+def test_stated_uncertainty_is_the_scatter_of_repeats() -> None:
+    random = np.random.default_rng(0)
+    repeats = [fitted(ROWS + random.normal(0, 0.05, ROWS.size), 0.001 * ROWS) for _ in range(200)]
+    for name in ("volts_per_row", "volts_at_row_zero"):
+        scatter = np.std([getattr(found, name) for found in repeats])
+        stated = np.median([getattr(found, f"{name}_uncertainty") for found in repeats])
+        assert stated == pytest.approx(scatter, rel=0.2)
+
+
+def test_dark_frames_and_short_lines_are_left_out() -> None:
+    volts = 0.001 * ROWS
+    lines: list[Line | None] = [line(row) for row in ROWS]
+    lines[:30] = [None] * 30
+    lines[30:50] = [line(row + 3, chord=80) for row in ROWS[30:50]]
+    found = fit_galvo(volts, lines)
+    assert (found.lines, found.dark, found.outliers) == (150, 50, 0)
+    assert found.volts_per_row == pytest.approx(0.001, rel=1e-9)
+
+
+def test_outliers_are_thrown_out_and_counted() -> None:
+    random = np.random.default_rng(2)
+    rows = ROWS + random.normal(0, 0.03, ROWS.size)
+    wrong = random.choice(ROWS.size, 40, replace=False)
+    rows[wrong] += random.choice([-1, 1], 40) * random.uniform(2, 80, 40)
+    found = fitted(rows, 0.001 * ROWS)
+    assert found.outliers == 40
+    assert found.volts_per_row == pytest.approx(0.001, rel=2e-4)
+    assert set(np.flatnonzero(~found.used)) == set(wrong)
+
+
+def test_a_bent_galvo_is_detected_and_a_straight_one_is_not_accused() -> None:
+    random = np.random.default_rng(3)
+    along = np.linspace(-1, 1, ROWS.size)
+    noise = random.normal(0, 0.05, ROWS.size)
+    bent = fitted(ROWS + 0.6 * along**3 + noise, 0.001 * ROWS)
+    assert bent.curved
+    assert bent.curvature_rows == pytest.approx(0.24, abs=0.08)
+    assert not fitted(ROWS + noise, 0.001 * ROWS).curved
+
+
+def test_rows_are_taken_at_the_column_asked_for() -> None:
+    found = fitted(ROWS, 0.001 * ROWS, column=250.0, slope=0.02)
+    assert found.row(0.1) == pytest.approx(100 + 0.02 * 100)
+    assert found.tilt_deg == pytest.approx(np.degrees(np.arctan(0.02)))
+
+
+def test_the_parking_voltage_stands_the_line_outside() -> None:
+    for volts_per_row, at_zero in ((0.001, -0.15), (-0.001, 0.4), (0.002, 1.0)):
+        found = fitted(ROWS, at_zero + volts_per_row * ROWS)
+        row = found.row(found.park_v(20.0, 280.0))
+        assert row <= 20 + 1e-6 or row >= 280 - 1e-6
+
+
+def test_what_is_no_sweep_is_refused() -> None:
+    volts = 0.001 * ROWS
+    lines: list[Line | None] = [line(row) for row in ROWS]
+    random = np.random.default_rng(4)
+    with pytest.raises(InputError, match="199 voltages for 200 frames"):
+        fit_galvo(volts[1:], lines)
+    with pytest.raises(InputError, match="voltage 7 is not finite"):
+        fit_galvo(np.where(np.arange(200) == 7, np.nan, volts), lines)
+    with pytest.raises(MeasurementError, match="visible in 0 of 200 frames"):
+        fit_galvo(volts, [None] * 200)
+    with pytest.raises(InputError, match=r"all voltages are 0\.5"):
+        fit_galvo(np.full(200, 0.5), lines)
+    with pytest.raises(MeasurementError, match=r"moves 0\.0 rows"):
+        fit_galvo(volts, [line(100.0)] * 200)
+    with pytest.raises(MeasurementError, match="out of step"):
+        fit_galvo(random.permutation(volts), lines)
+
+
+@pytest.mark.parametrize("column", [90.0, 210.0])
+def test_a_map_taken_at_another_column_is_the_map_fitted_there(column: float) -> None:
+    volts = 0.002 * ROWS - 0.3
+    here, there = (fitted(ROWS, volts, column=at, slope=0.01) for at in (150.0, column))
+    moved = here.at_column(column)
+    assert moved.row(0.1) == pytest.approx(there.row(0.1), abs=1e-9)
+    assert moved.rows == pytest.approx(there.rows, abs=1e-9)
+    assert abs(moved.row(0.1) - here.row(0.1)) == pytest.approx(0.6, abs=1e-6)

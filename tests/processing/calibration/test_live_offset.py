@@ -1,0 +1,49 @@
+"""The slit offset followed from frame to frame: as true as a search in each, and found again where it jumps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.processing.calibration.calibrate import measure_offset
+from napari_elsplus.processing.calibration.live_offset import SEARCH_AGAIN, OffsetFollower
+
+RIG = Rig(left=(100.0, 98.0), right=(91.0, 302.5), diameter_px=180.0, line_rows=2.2, tilt_deg=1.0)
+
+
+def turned(rows: float, line_at: float = 3.3) -> np.ndarray:
+    """One frame, the tilt mirror turned so that the right view has moved by so many rows."""
+    return replace(RIG, right=(RIG.right[0] + rows, RIG.right[1])).line(1, line_at)[0]
+
+
+def test_a_mirror_that_is_turned_slowly_is_followed() -> None:
+    follower = OffsetFollower()
+    for rows in np.linspace(0, 6, 13):
+        frame = turned(rows)
+        found, searched = follower.measure(frame), measure_offset([frame])
+        assert found.rows == pytest.approx(RIG.offset_rows(3.3) + rows, abs=0.1)
+        assert found.rows == pytest.approx(searched.rows, abs=0.03)
+        assert found.uncertainty_rows == pytest.approx(searched.uncertainty_rows, rel=0.5)
+
+
+def test_a_line_that_jumps_or_was_gone_is_found_again() -> None:
+    follower = OffsetFollower()
+    follower.measure(turned(0))
+    assert follower.measure(turned(25)).rows == pytest.approx(RIG.offset_rows(3.3) + 25, abs=0.1)
+    with pytest.raises(MeasurementError, match="no laser line"):
+        follower.measure(RIG.background(1)[0])
+    assert follower.measure(turned(0, -40.0)).rows == pytest.approx(RIG.offset_rows(-40.0), abs=0.1)
+
+
+def test_a_reflection_is_not_followed_for_ever() -> None:
+    follower = OffsetFollower()
+    faint = (RIG.lit_by_line(-30) / RIG.electrons_per_dn / 2 + 4).astype(np.uint8)
+    follower.measure(faint)
+    both = ((RIG.lit_by_line(-30) / 2 + RIG.lit_by_line(30)) / RIG.electrons_per_dn + 4).astype(np.uint8)
+    rows = [follower.measure(both).left.row_at(RIG.left[1]) for _ in range(SEARCH_AGAIN + 1)]
+    assert rows[0] == pytest.approx(RIG.left[0] - 30, abs=0.3)
+    assert rows[-1] == pytest.approx(RIG.left[0] + 30, abs=0.3)

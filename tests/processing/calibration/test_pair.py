@@ -1,0 +1,92 @@
+"""Right laid onto left by the cores: the simplest model that holds, to hundredths of a pixel, with honest errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.processing.calibration.bundle import locate_pair
+from napari_elsplus.processing.calibration.core_matching import PairModel
+from napari_elsplus.processing.calibration.pair import Alignment, align_pair
+
+RIG = Rig(left=(105.0, 103.0), right=(95.5, 318.3), diameter_px=190.0)
+
+
+def aligned(rig: Rig, image: np.ndarray | None = None) -> Alignment:
+    image = rig.bundle()[0] if image is None else image
+    return align_pair(image, *locate_pair(image))
+
+
+def error_px(found: Alignment, rig: Rig) -> float:
+    """Largest error of the map in the disc."""
+    angle = np.linspace(0, 2 * np.pi, 12)
+    rim = 0.5 * rig.diameter_px * np.stack([np.sin(angle), np.cos(angle)])
+    points = np.vstack([np.array(rig.right)[:, None] + rim, np.ones(12)])
+    return float(np.hypot(*((found.residual_to_confocal - rig.residual_to_confocal) @ points)).max())
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "scale", "gain", "model"),
+    [
+        (0.0, 1.0, 1.0, PairModel.SHIFT),
+        (0.3, 1.005, 0.93, PairModel.SIMILARITY),
+        (-1.5, 0.99, 1.2, PairModel.SIMILARITY),
+    ],
+)
+@pytest.mark.parametrize("photons", [1000.0, 12.0])
+def test_map_model_and_gain_are_true(
+    turn_deg: float, scale: float, gain: float, model: PairModel, photons: float
+) -> None:
+    rig = replace(RIG, turn_deg=turn_deg, scale=scale, gain=gain, photons=photons)
+    rig = replace(rig, electrons_per_dn=max(photons / 120, 1.0), read_noise_e=1.5)
+    found = aligned(rig)
+    assert found.model is model
+    assert error_px(found, rig) < (0.03 if photons > 100 else 0.2)
+    assert abs(found.gain / gain - 1) < max(0.002, 3 * found.gain_uncertainty)
+
+
+def test_a_pair_that_is_sheared_is_aligned_as_such() -> None:
+    class Sheared(Rig):
+        @property
+        def left_to_right(self) -> np.ndarray:
+            return np.array([[1.0, 0.004], [0.0, 1.003]])
+
+    rig = Sheared(RIG.left, RIG.right, RIG.diameter_px)
+    found = aligned(rig)
+    assert found.model is PairModel.AFFINE
+    assert error_px(found, rig) < 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_wrong_start_by_a_core_is_put_right(seed: int) -> None:
+    """A lattice nearly matches a pitch away; only the right cores match fully."""
+    rig = Rig.draw(300 + seed)
+    image = rig.bundle()[0]
+    left, right = locate_pair(image)
+    away = replace(right, centre=(right.centre[0] + rig.pitch_px, right.centre[1] - 0.5 * rig.pitch_px))
+    assert error_px(align_pair(image, left, away), rig) < 0.1
+
+
+def test_stray_light_does_not_change_the_gain() -> None:
+    rig = replace(RIG, gain=0.9)
+    image = rig.bundle()[0] * 0.7 + 20 + 20 * np.linspace(0, 1, rig.shape[1])
+    assert aligned(rig, image).gain == pytest.approx(0.9, rel=0.005)
+
+
+def test_views_of_different_bundles_are_refused() -> None:
+    image = RIG.bundle()[0].copy()
+    other = replace(RIG, seed=9).bundle()[0]
+    image[:, 211:] = other[:, 211:]
+    with pytest.raises(MeasurementError, match="do not show the same cores"):
+        aligned(RIG, image)
+
+
+def test_a_view_that_is_half_dark_is_refused() -> None:
+    image = RIG.bundle()[0].copy()
+    image[:105, 211:] = 4
+    with pytest.raises(MeasurementError, match=r"0\.\d+ times as bright"):
+        aligned(RIG, image)

@@ -1,0 +1,21 @@
+from __future__ import annotations
+
+import numpy as np
+
+from napari_elsplus.processing.mosaicing.coverage import coverage_maps
+from napari_elsplus.processing.mosaicing.tiles import Rectangle
+
+
+def test_counts_and_means_are_those_of_the_discs_that_cover_a_cell() -> None:
+    rng = np.random.default_rng(0)
+    places, scores = rng.uniform(-100, 500, (50, 2)), rng.uniform(0.5, 1, 50)
+    scores[0] = np.nan
+    frames, quality = coverage_maps(places, scores, 60.0, Rectangle(-24, 16, 360, 416))
+    row, col = (8 * (np.arange(size) + 0.5) + first for size, first in zip(frames.shape, (-24, 16), strict=True))
+    covers = np.hypot(row[:, None, None] - places[:, 0], col[None, :, None] - places[:, 1]) <= 60
+    np.testing.assert_array_equal(frames, covers.sum(axis=2))
+    scored = covers[..., 1:]
+    mean = (scored * scores[1:]).sum(axis=2) / np.maximum(scored.sum(axis=2), 1)
+    np.testing.assert_allclose(quality, mean, atol=1e-5)
+    assert (quality[frames == 0] == 0).all()
+    assert frames.max() > 2

@@ -1,0 +1,186 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
+from napari_elsplus.processing.mosaicing.tiles import TILE_PX, HeapTiles, Rectangle
+from napari_elsplus.processing.tracking.frontend import FrontEnd
+from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.motion import RollingShutter, Velocity
+from napari_elsplus.tracking_pipeline import Pipeline, RawPairs, picture
+from recordings import record, smooth_path, texture
+
+GRID = Grid(120, 1, (0, 0), (59.3, 59.8), 116.0, RollingShutter(150.0))
+
+
+def wave(row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    return 100 + 40 * np.sin(row / 9) * np.cos(col / 7)
+
+
+def seen(row: float, col: float, velocity: Velocity = Velocity(0.0, 0.0)) -> np.ndarray:  # noqa: B008
+    """What a probe at (row, col) that moves while its rows are read makes of the wave."""
+    y, x = (np.arange(GRID.side) - c for c in GRID.centre)
+    y = y[:, None]
+    r = GRID.shutter.rows_per_frame
+    return wave(row + y + velocity.row * y / r, col + x + velocity.col * y / r).astype(np.float32)
+
+
+def miss(mosaic: Mosaic) -> float:
+    """Largest error of what was drawn."""
+    assert mosaic.extent is not None
+    image, weight = mosaic.read()
+    row, col = np.mgrid[: image.shape[0], : image.shape[1]]
+    truth = wave(row + mosaic.extent.top, col + mosaic.extent.left)
+    assert (weight > 0).sum() > 5000
+    return float(np.abs(image - truth)[weight > 0].max())
+
+
+@pytest.mark.parametrize("insertion", list(Insertion))
+@pytest.mark.parametrize("velocity", [Velocity(0.0, 0.0), Velocity(30.0, -25.0), Velocity(-20.0, 8.0)])
+def test_frames_are_unsheared_and_laid_to_a_fraction_of_a_pixel(insertion: Insertion, velocity: Velocity) -> None:
+    mosaic = Mosaic(GRID, insertion)
+    for row, col in ((3.4, -7.7), (20.9, 15.2), (-500.0, 700.25)):
+        mosaic.insert(seen(row, col, velocity), row, col, velocity)
+    assert miss(mosaic) < 0.5
+    sheared = Mosaic(GRID, insertion)
+    sheared.insert(seen(0.0, 0.0, Velocity(30.0, -25.0)), 0.0, 0.0)
+    assert miss(sheared) > 10
+
+
+def test_a_dead_leaf_covers_what_lay_there_but_its_rim_does_not() -> None:
+    mosaic = Mosaic(GRID)
+    mosaic.insert(np.full((120, 120), 1.0, np.float32), 0.0, 0.0)
+    mosaic.insert(np.full((120, 120), 2.0, np.float32), 0.0, 50.0)
+    at = mosaic.extent
+    assert at is not None
+    image, _ = mosaic.read()
+    assert image[-at.top, 50 - at.left] == 2.0
+    assert image[-at.top, 0 - at.left] == 1.0  # the rim of the second frame
+    assert image[-at.top, 15 - at.left] == 2.0
+
+
+def test_feathered_frames_are_averaged() -> None:
+    """One that is brighter here and darker there, so that the brightness of both is the same."""
+    mosaic = Mosaic(GRID, Insertion.FEATHERED)
+    checks = np.where(np.indices((120, 120)).sum(axis=0) // 2 % 2, 1.0, 2.0).astype(np.float32)
+    for frame in (checks, 3 - checks):
+        mosaic.insert(frame, 0.3, 0.3)
+    image, weight = mosaic.read()
+    assert np.abs(image[weight > 0] - 1.5).max() < 0.02
+
+
+def test_a_flickering_laser_leaves_no_seams_in_a_feathered_mosaic() -> None:
+    exposures = (1.0, 0.75, 1.2, 0.9, 1.3)
+    mosaic = Mosaic(GRID, Insertion.FEATHERED)
+    for k, factor in enumerate(exposures):
+        mosaic.insert(factor * seen(0.0, 25.0 * k), 0.0, 25.0 * k)
+    assert miss(mosaic) < 0.1 * 140
+
+
+def test_brightness_does_not_drift_along_a_noisy_path() -> None:
+    rng = np.random.default_rng(0)
+    mosaic = Mosaic(GRID, Insertion.FEATHERED)
+    for k in range(150):
+        frame = 20 + 5 * rng.standard_normal((120, 120)).astype(np.float32)
+        mosaic.insert(frame, 0.0, 30.0 * k)
+    image, weight = mosaic.read()
+    assert abs(image[:, -60:][weight[:, -60:] > 0.2].mean() / 20 - 1) < 0.05
+
+
+def test_where_the_line_has_left_the_bundle_the_residual_is_missing_and_the_weight_low() -> None:
+    """Offset of -20 rows: the line is 20 rows above, so the upper rim is not subtracted; +20: the lower one."""
+    upper, lower = rim_weights(GRID, -20.0), rim_weights(GRID, 20.0)
+    assert upper[14, 60] < 0.1 < rim_weights(GRID)[14, 60]
+    assert upper[104, 60] == rim_weights(GRID)[104, 60]
+    assert lower[104, 60] < 0.1 < upper[104, 60]
+
+
+def test_canvas_grows_in_every_direction_by_the_tiles_that_are_touched() -> None:
+    store = HeapTiles()
+    mosaic = Mosaic(GRID, store=store)
+    for row, col in ((0.0, 0.0), (-20_000.0, 300.0), (300.0, 50_000.0)):
+        mosaic.insert(seen(row, col), row, col)
+    assert len(store.keys()) <= 12
+    part = Rectangle(-20_010, 290, -19_990, 310)
+    image, _ = mosaic.read(part)
+    truth = wave(*np.mgrid[part.top : part.bottom, part.left : part.right])
+    assert np.abs(image - truth).max() < 0.5
+
+
+def test_only_what_was_touched_is_dirty() -> None:
+    mosaic = Mosaic(GRID)
+    mosaic.insert(seen(0.0, 0.0), 0.0, 0.0)
+    first = mosaic.take_dirty()
+    assert first is not None
+    assert mosaic.take_dirty() is None
+    mosaic.insert(seen(400.0, 0.0), 400.0, 0.0)
+    second = mosaic.take_dirty()
+    assert second is not None
+    assert second.within(first).shape[0] == 0
+    mosaic.clear()
+    assert mosaic.read()[0].size == 0
+
+
+def test_tiles_cover_the_plane_once() -> None:
+    keys = list(Rectangle(-1, -TILE_PX - 1, TILE_PX + 1, 1).tiles())
+    assert sorted(keys) == [(r, c) for r in (-1, 0, 1) for c in (-2, -1, 0)]
+
+
+def test_mosaic_of_a_fast_recording_is_the_scene() -> None:
+    """Correlation with the true scene at least 0.98; frames laid down sheared reach about 0.7."""
+    truth = record(texture(1200, 8, 3.0), smooth_path(40, 33.0, 1200, 8))
+    pairs = RawPairs(truth.frames, "els")
+    found = {}
+    for method in ("elsplus", "paper"):
+        pipeline = Pipeline(truth.calibration, truth.frames.shape[1:], method=method)
+        for index in range(len(pairs)):
+            pipeline.track(pairs(index)[0], index)
+        pipeline.finish(pairs)
+        mosaic = pipeline.mosaics[0]
+        at = mosaic.extent
+        assert at is not None
+        image, weight = mosaic.read()
+        row, col = (a * pipeline.camera_px_per_pixel for a in np.mgrid[at.top : at.bottom, at.left : at.right])
+        start = truth.positions[0]
+        scene = cv2.remap(
+            truth.scene, (col + start[1]).astype(np.float32), (row + start[0]).astype(np.float32), cv2.INTER_LINEAR
+        )
+        smooth = [cv2.GaussianBlur(a, (0, 0), 1.0)[weight > 0] for a in (image, scene)]
+        found[method] = np.corrcoef(*smooth)[0, 1]
+    assert found["elsplus"] > 0.98
+    assert found["paper"] < 0.9
+
+
+def test_segments_are_shown_below_one_another() -> None:
+    small, large = Mosaic(GRID), Mosaic(GRID)
+    small.insert(seen(0.0, 0.0), 0.0, 0.0)
+    for col in (0.0, 80.0):
+        large.insert(seen(0.0, col), 0.0, col)
+    image = picture([small, large])
+    assert image.shape == (2 * large.read()[0].shape[0] + 16, large.read()[0].shape[1])
+    assert (image[: large.read()[0].shape[0]] == large.read()[0]).all()
+
+
+def test_front_end_allocates_nothing() -> None:
+    truth = record(texture(600, 9), np.full((2, 2), 300.0))
+    front_end = FrontEnd(truth.calibration, truth.frames.shape[1:])
+    out = np.zeros((front_end.grid.side,) * 2, np.float32)
+    assert front_end.image(truth.frames[0], out) is out
+
+
+def test_turned_frames_are_laid_upright() -> None:
+    velocity, angle, scale = Velocity(20.0, -12.0), np.deg2rad(9.0), 1.03
+    r, (y, x) = GRID.shutter.rows_per_frame, (np.arange(GRID.side) - c for c in GRID.centre)
+    y, x = np.meshgrid(y, x, indexing="ij")
+    y, x = y * (1 + velocity.row / r), x + velocity.col * y / r
+    rows = scale * (np.cos(angle) * y - np.sin(angle) * x)
+    cols = scale * (np.sin(angle) * y + np.cos(angle) * x)
+    image = wave(30.2 + rows, -11.7 + cols).astype(np.float32)
+    mosaic = Mosaic(GRID)
+    mosaic.insert(image, 30.2, -11.7, velocity, angle, scale)
+    assert miss(mosaic) < 1.0
+    unturned = Mosaic(GRID)
+    unturned.insert(image, 30.2, -11.7, velocity)
+    assert miss(unturned) > 10

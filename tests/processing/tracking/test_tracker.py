@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.tracking.tracker import State
+from napari_elsplus.simulation.trajectories import Recorded
+from napari_elsplus.tracking_pipeline import Pipeline, RawPairs
+from recordings import Truth, fibres, record, smooth_path, texture
+from simulated import INSTRUMENT, followed
+
+
+def track(truth: Truth, *, finish: bool = True) -> Pipeline:
+    pipeline = Pipeline(truth.calibration, truth.frames.shape[1:])
+    pairs = RawPairs(truth.frames, Mode.ELS)
+    for index in range(len(pairs)):
+        pipeline.track(pairs(index)[0], index)
+    if finish:
+        pipeline.finish(pairs)
+    return pipeline
+
+
+def errors(pipeline: Pipeline, truth: Truth) -> tuple[np.ndarray, float]:
+    """Pair errors of tracked links, px, and the drift of the segments in percent of their path."""
+    rows = pipeline.rows
+    place = np.array([(row.row_px, row.col_px) for row in rows])
+    good = np.array([row.state == "tracked" for row in rows])
+    segment = np.array([row.segment for row in rows])
+    same = good[1:] & good[:-1] & (segment[1:] == segment[:-1])
+    pair = np.hypot(*(np.diff(place, axis=0) - np.diff(truth.positions, axis=0)).T)[same]
+    step = np.hypot(*np.diff(truth.positions, axis=0).T)
+    drift = path = 0.0
+    for number in np.unique(segment[good]):
+        at = np.flatnonzero(good & (segment == number))
+        ends = [place[at[-1]] - place[at[0]], truth.positions[at[-1]] - truth.positions[at[0]]]
+        drift += float(np.hypot(*(ends[0] - ends[1])))
+        path += float(step[at[0] : at[-1]].sum())
+    return pair, 100 * drift / path
+
+
+@pytest.mark.parametrize(
+    ("speed", "options", "pair_px", "drift_percent"),
+    [
+        (33.0, {}, 0.03, 0.02),
+        (33.0, {"right": (126.4, 355.2), "gain": 0.93, "turn_deg": 0.3}, 0.03, 0.02),
+        (33.0, {"photons": 150.0}, 0.05, 0.04),
+        (0.5, {}, 0.03, 0.2),
+    ],
+    ids=["fast", "offset of the other sign, right view turned and darker", "dim", "slow"],
+)
+def test_textured_scenes(speed: float, options: dict[str, float], pair_px: float, drift_percent: float) -> None:
+    truth = record(fibres(1200, 300, 2), smooth_path(50, speed, 1200, 3), **options)  # type: ignore[arg-type]
+    pipeline = track(truth)
+    pair, drift = errors(pipeline, truth)
+    assert {row.state for row in pipeline.rows} == {"tracked"}
+    assert np.median(pair) < pair_px
+    assert drift < drift_percent
+
+
+def test_sparse_fibres_are_tracked_where_they_can_be_and_nowhere_else() -> None:
+    truth = record(fibres(1200, 45, 3, half_length_px=(80, 250)), smooth_path(60, 28.0, 1200, 5), seed=3)
+    pipeline = track(truth)
+    pair, drift = errors(pipeline, truth)
+    assert (pair > 3).sum() == 0
+    assert len(pair) > 0.6 * 59
+    assert np.median(pair) < 0.3
+    assert drift < 0.5
+
+
+def blinded(truth: Truth, first: int, last: int, level: int = 4) -> Truth:
+    frames = truth.frames.copy()
+    frames[first:last] = level
+    return Truth(frames, truth.calibration, truth.positions, truth.starts, truth.scene)
+
+
+def test_a_short_blackout_is_bridged_and_said() -> None:
+    truth = record(texture(1000, 4), smooth_path(20, 12.0, 1000, 4))
+    pipeline = track(blinded(truth, 8, 10))
+    states = [row.state for row in pipeline.rows]
+    assert states == ["tracked"] * 8 + ["predicted"] * 2 + ["tracked"] * 10
+    place = np.array([(row.row_px, row.col_px) for row in pipeline.rows])
+    assert np.abs(place - (truth.positions - truth.positions[0])).max() < 1.0
+
+
+def test_a_long_blackout_splits_the_track_and_a_known_place_joins_it_again() -> None:
+    """The probe runs along a line and back: the second segment shows what the first one saw."""
+    there = np.linspace((500.0, 350.0), (500.0, 650.0), 17)
+    truth = record(texture(1000, 5), np.concatenate([there, there[::-1]]))
+    dark = blinded(truth, 14, 23)
+    live = track(dark, finish=False)
+    assert [row.segment for row in live.rows if row.state == "tracked"] == [0] * 14 + [1] * (33 - 24)
+    pipeline = track(dark)
+    assert [row.state for row in pipeline.rows[14:]] == ["lost"] * 9 + ["tracked"] * 10
+    assert {row.segment for row in pipeline.rows} == {0}
+    place = np.array([(row.row_px, row.col_px) for row in pipeline.rows])[23:]
+    assert np.abs(place - (truth.positions - truth.positions[0])[23:]).max() < 0.3
+
+
+@pytest.mark.parametrize("level", [0, 4, 255])
+def test_a_recording_without_structure_is_lost_after_its_first_frame(level: int) -> None:
+    truth = record(texture(600, 6), np.full((8, 2), 300.0))
+    pipeline = track(blinded(truth, 0, 7, level))
+    assert [row.state for row in pipeline.rows] == ["tracked"] + ["lost"] * 6
+    assert all(np.isnan(row.row_px) for row in pipeline.rows[1:])
+
+
+def test_one_frame_is_a_track_of_one() -> None:
+    truth = record(texture(600, 7), np.full((2, 2), 300.0))
+    pipeline = track(truth)
+    assert [(row.state, row.row_px, row.col_px) for row in pipeline.rows] == [(State.TRACKED, 0.0, 0.0)]
+    assert len(pipeline.mosaics) == 1
+
+
+def test_frames_of_nan_are_lost_and_spoil_no_others() -> None:
+    truth = record(texture(1000, 4), smooth_path(12, 12.0, 1000, 4))
+    frames = truth.frames.astype(np.float32)
+    frames[6] = np.nan
+    broken = Truth(frames, truth.calibration, truth.positions, truth.starts, truth.scene)  # type: ignore[arg-type]
+    pipeline = track(broken)
+    assert [row.state for row in pipeline.rows] == ["tracked"] * 6 + ["predicted"] + ["tracked"] * 5
+    assert np.isfinite(pipeline.mosaics[0].read()[0]).all()
+
+
+def test_a_saturated_recording_is_lost_though_the_flat_field_has_structure() -> None:
+    truth = record(texture(600, 6), np.full((6, 2), 300.0), gain=0.9)
+    pipeline = track(blinded(truth, 0, 5, 255))
+    assert [row.state for row in pipeline.rows] == ["tracked"] + ["lost"] * 4
+
+
+def uneven(change_px: float, seed: int) -> Recorded:
+    """A path whose velocity takes a new value each frame, evenly in between, camera pixels per frame."""
+    rng = np.random.default_rng(seed)
+    knots = 15.0 + rng.normal(0, change_px / 2, (34, 2))
+    t = np.arange(0, 32, 1 / 16)
+    velocity = np.stack([np.interp(t, np.arange(len(knots)), knot) for knot in knots.T], 1)
+    optics = INSTRUMENT.optics
+    return Recorded(t * optics.frame_period_s, np.cumsum(velocity, axis=0) / 16 * optics.um_per_px)
+
+
+@pytest.mark.parametrize("change_px", [4.0, 20.0, 60.0])
+def test_jerks_show_in_the_uncertainty_or_are_refused(change_px: float) -> None:
+    """Links are as wrong as they say, and none is called tracked that is 3 px off."""
+    seen = followed(uneven(change_px, 1), "fibres", 30, finish=False)
+    rows = seen.pipeline.rows
+    step = np.diff(seen.found_px, axis=0) - np.diff(seen.positions_px, axis=0)
+    linked = np.array([a.state == b.state == "tracked" and a.segment == b.segment for a, b in pairwise(rows)])
+    error, said = np.hypot(*step.T)[linked], np.array([row.sigma_px for row in rows[1:]])[linked]
+    assert (error > 3).sum() == 0
+    assert 0.3 < np.sqrt(np.mean((error / said) ** 2) / 2) < 3
+    assert linked.all() == (change_px < 30)
+    assert linked.sum() > 5
