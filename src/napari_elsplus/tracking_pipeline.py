@@ -85,7 +85,7 @@ class _Ours:
 
     def look(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
         self._front_end.image(raw, out, raw_residual)
-        if self._front_end.saturated(raw):
+        if self._front_end.blank(raw):
             out[:] = 0
 
     def place(self, image: NDArray[np.float32]) -> Pose:

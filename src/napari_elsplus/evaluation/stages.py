@@ -114,7 +114,7 @@ def our_stages(calibration: Calibration, raw: NDArray[np.uint8]) -> dict[str, fl
             registrar.begin()
             start = clock()
             image = front_end.image(frame, tracker.slot())
-            front_end.saturated(frame)
+            front_end.blank(frame)
             made = clock()
             pose = tracker.add()
             tracked = clock()

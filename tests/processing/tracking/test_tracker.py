@@ -124,9 +124,10 @@ def test_frames_of_nan_are_lost_and_spoil_no_others() -> None:
     assert np.isfinite(pipeline.mosaics[0].read()[0]).all()
 
 
-def test_a_saturated_recording_is_lost_though_the_flat_field_has_structure() -> None:
+@pytest.mark.parametrize("level", [255, 40])
+def test_a_recording_of_one_level_is_lost_though_the_flat_field_has_structure(level: int) -> None:
     truth = record(texture(600, 6), np.full((6, 2), 300.0), gain=0.9)
-    pipeline = track(blinded(truth, 0, 5, 255))
+    pipeline = track(blinded(truth, 0, 5, level))
     assert [row.state for row in pipeline.rows] == ["tracked"] + ["lost"] * 4
 
 

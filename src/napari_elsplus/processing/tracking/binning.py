@@ -243,11 +243,12 @@ def _smooth_row(
 
 
 @lean_kernel
-def share_at_limit(raw: NDArray[Any], top: int, left: int, reach: int, limit: int) -> float:
-    """Share of a square part of a frame that is at the camera's limit; every eighth pixel is looked at."""
-    full, seen = 0, 0
+def is_blank(raw: NDArray[Any], top: int, left: int, reach: int, limit: float) -> bool:
+    """Whether most of a square part of a frame is at a limit, or all at one level; every eighth pixel is looked at."""
+    full, alike, seen = 0, 0, 0
     for r in range(top, top + reach, _EVERY_PX):
         for c in range(left, left + reach, _EVERY_PX):
             full += raw[r, c] == limit
+            alike += raw[r, c] == raw[top, left]
             seen += 1
-    return full / seen
+    return 2 * full > seen or alike == seen

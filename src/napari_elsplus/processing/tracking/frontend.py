@@ -14,7 +14,7 @@ import numpy as np
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.processing.tracking.binning import scratch, share_at_limit, subtract_views
+from napari_elsplus.processing.tracking.binning import is_blank, scratch, subtract_views
 from napari_elsplus.processing.tracking.grid import Grid
 
 if TYPE_CHECKING:
@@ -113,14 +113,16 @@ class FrontEnd:
         )
         return out
 
-    def saturated(self, raw: NDArray[Any]) -> bool:
-        """Whether most of the confocal view is at the camera's limit, so that only the flat field has structure."""
-        if raw.dtype.kind != "u":
-            return False
+    def blank(self, raw: NDArray[Any]) -> bool:
+        """Whether the confocal view shows nothing, so that only background and flat field have structure.
+
+        Most of it is at the camera's limit, or all of it at one level.
+        """
+        limit = float(np.iinfo(raw.dtype).max) if raw.dtype.kind == "u" else np.inf
         grid = self.grid
         top, left = grid.origin
         reach = grid.side * grid.binning
-        return share_at_limit(raw, top + reach // 4, left + reach // 4, reach // 2, np.iinfo(raw.dtype).max) > 0.5
+        return bool(is_blank(raw, top + reach // 4, left + reach // 4, reach // 2, limit))
 
     def _binned_flat(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the flat, whose middle is the bundle's centre, on the grid."""
