@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy as np
 from napari_elsplus.processing.calibration.calibrate import measure_flat
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.simulation.calibration_scenes import background, transmission
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.instrument import REFERENCE_SLIT_ROWS, Instrument
 from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import Plane, Scene, scene
 from napari_elsplus.simulation.textures import Mottle
@@ -71,7 +71,8 @@ def simulated_rig(preset: str = "240hz", offset_um: float = -29.0, rate_hz: floa
 def measured(instrument: Instrument) -> SimulatedRig:
     """Return the rig of an instrument, its background and flat field measured on it."""
     known = true_calibration(instrument, background(instrument))
-    flat = measure_flat(list(transmission(instrument, seed=2)), known)
+    lamp_dn = instrument.light_dn * min(1.0, REFERENCE_SLIT_ROWS / instrument.slit_rows)  # a wide slit calls for less
+    flat = measure_flat(list(transmission(replace(instrument, light_dn=lamp_dn), seed=2)), known)
     return SimulatedRig(instrument, known.model_copy(update={"flat": flat}))
 
 
