@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.trajectories import Trajectory
 
     Image = NDArray[np.float32]
+
+LEAST_ELECTRONS_PER_DN_OF_FLAT: Final = 1.0
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,17 @@ def simulated_rig(preset: str = "240hz", offset_um: float = -29.0, rate_hz: floa
 
 
 def measured(instrument: Instrument) -> SimulatedRig:
-    """Return the rig of an instrument, its background and flat field measured on it."""
+    """Return the rig of an instrument, its background and flat field measured on it.
+
+    The flat is lit so that it is not over-exposed by a wide slit, and brightly where the scene is dim.
+    """
     known = true_calibration(instrument, background(instrument))
-    lamp_dn = instrument.light_dn * min(1.0, REFERENCE_SLIT_ROWS / instrument.slit_rows)  # a wide slit calls for less
-    flat = measure_flat(list(transmission(replace(instrument, light_dn=lamp_dn), seed=2)), known)
+    lit = replace(
+        instrument,
+        light_dn=instrument.light_dn * min(1.0, REFERENCE_SLIT_ROWS / instrument.slit_rows),
+        electrons_per_dn=max(instrument.electrons_per_dn, LEAST_ELECTRONS_PER_DN_OF_FLAT),
+    )
+    flat = measure_flat(list(transmission(lit, seed=2)), known)
     return SimulatedRig(instrument, known.model_copy(update={"flat": flat}))
 
 
