@@ -231,6 +231,18 @@ class Benchmark:
     waits: bool = False
 
 
+def named(methods: Sequence[Method], names: Sequence[str]) -> tuple[Method, ...]:
+    """Return the methods of these names, in their order.
+
+    Raises
+    ------
+    KeyError
+        If there is none of such a name.
+    """
+    known = {method.name: method for method in methods}
+    return tuple(known[name] for name in names)
+
+
 def pareto(rows: Sequence[Row]) -> list[Row]:
     """Rows of one case that no other beats in both cost and error, cheapest first.
 

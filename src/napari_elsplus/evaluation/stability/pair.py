@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from napari_elsplus.evaluation.choices.pair import METHODS, Lit, judge
-from napari_elsplus.evaluation.harness import Benchmark, Case, Chart
+from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, named
 from napari_elsplus.evaluation.rigs import Rig
 
-_SHOWN = {"cores", "circles", "most lit row and column", "PyFibreBundle find_bundle"}
+_SHOWN = ("cores", "circles", "most lit row and column", "PyFibreBundle find_bundle")
 
 
 def _stressed(seed: int, stress: str, level: float) -> Lit:
@@ -51,7 +51,7 @@ BENCHMARK = Benchmark(
     question="Where laying the right view onto the left fails, in % of the frames",
     error_label="largest misplacement / px",
     cases=_cases,
-    methods=tuple(method for method in METHODS if method.name in _SHOWN),
+    methods=named(METHODS, _SHOWN),
     judge=judge,
     chart=Chart.FAILURES,
     seconds=0.0,
