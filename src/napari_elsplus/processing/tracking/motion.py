@@ -12,9 +12,8 @@ time at which the bundle's middle row is read; R is the number of rows per frame
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import NamedTuple
-
-import numpy as np
 
 from napari_elsplus.errors import InputError
 
@@ -94,7 +93,7 @@ class RollingShutter:
         The four parameters are just enough, because the displacement is the mean of the velocities.
         """
         r, m = self.rows_per_frame, self.middle
-        if not np.isfinite(r):
+        if not isfinite(r):
             return (steady := Velocity(-warp.b, -warp.d)), steady
         stretch = 1 / ((1 - m) * warp.a + m + warp.b / r)
         col = -stretch * (warp.d + (1 - m) * warp.s * r)

@@ -158,6 +158,7 @@ class Tracker:
         self._usual = nan
         self._segment = 0
         self._frames = 0
+        self._coming = self._free()
 
     @property
     def rung(self) -> Rung:
@@ -166,11 +167,11 @@ class Tracker:
 
     def slot(self) -> NDArray[np.float32]:
         """Return the array into which the next image is to be written before :meth:`add` is called."""
-        return self._free().image
+        return self._coming.image
 
     def add(self) -> Pose:
         """Track the image in the current slot."""
-        here = _Placed(self.registrar.prepare(self._free()), self._frames)
+        here = _Placed(self.registrar.prepare(self._coming), self._frames)
         self._frames += 1
         if self._key is None:
             self._key = self._last = here
@@ -178,6 +179,7 @@ class Tracker:
         else:
             pose = self._continue(here) or self._restart(here) or self._coast(here)
         self._previous = here
+        self._coming = self._free()
         return pose
 
     def _free(self) -> View:
@@ -189,14 +191,17 @@ class Tracker:
         key, last = self._key, self._last
         assert key is not None
         assert last is not None
-        renew = hypot(*self._expected(key, here.index)) > KEY_FRAME_REACH * self.grid.diameter
+        ahead = self._expected(key, here.index)
+        renew = hypot(*ahead) > KEY_FRAME_REACH * self.grid.diameter
         if self.rung is Rung.TRANSLATION:
             self._ask(renew=renew)
         if renew:
             key = self._key = last
-        if hypot(*self._expected(key, here.index)) > FARTHEST * self.grid.diameter:
+        if renew or self.rung is not Rung.TRANSLATION:
+            ahead = self._expected(key, here.index)
+        if hypot(*ahead) > FARTHEST * self.grid.diameter:
             return None
-        link = self._link(key, here)
+        link = self._link(key, here, ahead)
         if link is None:
             return None
         return self._track(here, link) if self._place(key, here, link) else None
@@ -210,7 +215,7 @@ class Tracker:
         before = self._motion, self._usual
         self._motion, self._usual = Motion(self.grid.shutter), nan
         origin = _Placed(previous.view, previous.index)
-        link = self._link(origin, here)
+        link = self._link(origin, here, self._expected(origin, here.index))
         if link is None or not self._place(origin, here, link):
             self._motion, self._usual = before
             return None
@@ -277,12 +282,12 @@ class Tracker:
         """Standard deviations of stretch and shear about what the motion so far suggests."""
         return (self._motion.spread / self.grid.shutter.rows_per_frame + 1e-9,) * 2
 
-    def _link(self, earlier: _Placed, here: _Placed) -> Link | None:
-        """Link two frames, first where the motion suggests it, else anywhere; None if the frames do not say where."""
+    def _link(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> Link | None:
+        """Link two frames, first where it is expected ahead, else anywhere; None if the frames do not say where."""
         if self.rung is not Rung.TRANSLATION:
             return self._turned_link(earlier, here, self.rung)
         shutter, motion = self.grid.shutter, self._motion
-        expected = shutter.warp(earlier.velocity, motion.next_velocity, self._expected(earlier, here.index))
+        expected = shutter.warp(earlier.velocity, motion.next_velocity, ahead)
         if motion.known:
             link = self.registrar.link(earlier.view, here.view, expected, self._spread)
             if link.correlation > SURE_CORRELATION and self._accepted(link, here):
@@ -342,9 +347,11 @@ class Tracker:
         """Give a frame its position and velocity; refuse if the probe moved too unevenly for the link to say so."""
         shutter, last = self.grid.shutter, self._last
         assert last is not None
-        after = self._velocity(earlier, here, link)
+        if here.index == earlier.index + 1:
+            before, after = shutter.velocities(link.warp)
+        else:
+            before = after = self._velocity_after_gap(earlier, here, link)
         successive = here.index - last.index == 1 or not self._motion.known
-        before = shutter.velocities(link.warp)[0] if here.index == earlier.index + 1 else after
         self._uneven = self._motion.unevenness(before, after, successive=successive)
         if self._uneven > MOST_UNEVEN_PX:
             return False
@@ -356,11 +363,6 @@ class Tracker:
         here.row, here.col = earlier.row + float(row), earlier.col + float(col)
         self.links.append((earlier.index, here.index, moved, link))
         return True
-
-    def _velocity(self, earlier: _Placed, here: _Placed, link: Link) -> Velocity:
-        if here.index == earlier.index + 1:
-            return self.grid.shutter.velocities(link.warp)[1]
-        return self._velocity_after_gap(earlier, here, link)
 
     def _velocity_after_gap(self, earlier: _Placed, here: _Placed, link: Link) -> Velocity:
         """Velocity of a frame linked to one some frames before: from its shear, or from where it came to lie."""
