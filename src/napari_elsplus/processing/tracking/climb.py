@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.compiled import lean_kernel
 from napari_elsplus.processing.tracking.ladder import Remainder, Rung
 
 if TYPE_CHECKING:
@@ -55,16 +56,39 @@ def asked_for(found: Sequence[Remainder]) -> Rung:
 
 
 def _rung(steps: NDArray[np.float64], sigmas: NDArray[np.float64], values: float) -> Rung:
-    scaled = steps / sigmas
-    about = scaled - scaled.mean(axis=0)
-    scatter = ((about * about).sum(axis=0) + _SCATTER * _PRIOR_LINKS) / (len(steps) + _PRIOR_LINKS)
-    alike = np.clip((about[1:] * about[:-1]).sum(axis=0) / (len(steps) * scatter), 0.0, _MOST_ALIKE)
-    variance = (sigmas * sigmas).cumsum(axis=0) * (scatter * (1 + alike) / (1 - alike))
-    turned, zoomed = (steps.cumsum(axis=0) ** 2 / variance).max(axis=0)
     needed = _MARGIN * log(values)
-    if zoomed > _MARGIN_OF_SCALE * needed:
+    if largest_sum(steps[:, 1], sigmas[:, 1]) > _MARGIN_OF_SCALE * needed:
         return Rung.SIMILARITY
-    return Rung.RIGID if turned > needed else Rung.TRANSLATION
+    return Rung.RIGID if largest_sum(steps[:, 0], sigmas[:, 0]) > needed else Rung.TRANSLATION
+
+
+@lean_kernel
+def largest_sum(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> float:
+    """Largest square of the sum of the first links, over its variance.
+
+    Parameters
+    ----------
+    steps, sigmas : numpy.ndarray
+        (m,) what each link says, and how well it says it knows.
+    """
+    links, mean = len(steps), 0.0
+    for k in range(links):
+        mean += steps[k] / sigmas[k] / links
+    square, neighbours, before = 0.0, 0.0, 0.0
+    for k in range(links):
+        about = steps[k] / sigmas[k] - mean
+        square += about * about
+        neighbours += about * before
+        before = about
+    scatter = (square + _SCATTER * _PRIOR_LINKS) / (links + _PRIOR_LINKS)
+    alike = min(max(neighbours / (links * scatter), 0.0), _MOST_ALIKE)
+    scatter *= (1 + alike) / (1 - alike)
+    total, variance, largest = 0.0, 0.0, 0.0
+    for k in range(links):
+        total += steps[k]
+        variance += sigmas[k] * sigmas[k] * scatter
+        largest = max(largest, total * total / variance)
+    return largest
 
 
 class Climb:
