@@ -168,10 +168,6 @@ class EngineClient:
         """Take the background in the dark tube."""
         return self._ask("measure_background")
 
-    def measure_lag(self) -> Future[ScanLag]:
-        """Measure the scan's lag at full speed."""
-        return self._ask("measure_lag")
-
     def calibrate_simulated(self) -> Future[tuple[Findings, ScanLag]]:
         """Let the simulated rig calibrate itself."""
         asked = self._ask("calibrate_simulated")

@@ -183,7 +183,6 @@ class Server:
             ),
             "locate_pair": partial(procedures.bundle, engine),
             "measure_background": partial(procedures.background, engine),
-            "measure_lag": partial(procedures.lag, engine, watch=self._watch("lag")),
             "setup": partial(guided.setup, engine),
             "prepare": partial(guided.prepare, rig),
             "find_span": partial(span_of_the_bundle, engine, self._watch("search for the bundle")),
