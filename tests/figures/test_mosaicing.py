@@ -7,6 +7,7 @@ import pytest
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.evaluation.against_truth import TrackErrors
+from napari_elsplus.evaluation.drift import Drift
 from napari_elsplus.evaluation.gate import Gate, Judged
 from napari_elsplus.evaluation.mosaicing import METHODS, Outcome, Scenario
 from napari_elsplus.evaluation.parsimony.turning import Turned, Walk
@@ -15,6 +16,7 @@ from napari_elsplus.figures.mosaicing import (
     draw_errors,
     draw_gate,
     draw_mosaics,
+    drift_table,
     gate_table,
     make,
     pairs_table,
@@ -71,3 +73,8 @@ def test_a_page_without_a_place_for_the_table_is_refused_before_anything_is_meas
     (tmp_path / "mosaicing.md").write_text("# Tracking")
     with pytest.raises(InputError, match="no place for"):
         make(tmp_path)
+
+
+def test_drift_is_told_before_and_after_the_graph() -> None:
+    lines = drift_table({("fibres", True): Drift(5930.2, 0.0288, 0.00108, 1.0)})
+    assert lines[-1] == "| fibres, rounds | 5930 | 100 % | 0.0288 | 0.0011 |"

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from napari_elsplus.evaluation.choices.registration import METHODS as REGISTRATIONS
+from napari_elsplus.evaluation.drift import Drift, drift
 from napari_elsplus.evaluation.gate import Gate, Judged, gate, judged_links
 from napari_elsplus.evaluation.harness import Absent
 from napari_elsplus.evaluation.mosaicing import TRANSLATION, Outcome, Scenario, outcomes
@@ -216,10 +217,27 @@ def _show(axes: Axes, image: np.ndarray[tuple[int, ...], np.dtype[np.float32]], 
     axes.set_axis_off()
 
 
+def drift_table(found: dict[tuple[str, bool], Drift]) -> list[str]:
+    """Tell how far the end of the track lies from the truth."""
+    lines = [
+        "| scene, path | length (px) | tracked | at the end, live (% of path) | after the graph (% of path) |",
+        "|---|---|---|---|---|",
+    ]
+    for (name, back), one in found.items():
+        lines.append(
+            f"| {name}, {'rounds' if back else 'straight on'} | {one.path_px:.0f} | {100 * one.tracked:.0f} % "
+            f"| {one.live_percent:.4f} | {one.graph_percent:.4f} |"
+        )
+    return lines
+
+
 TABLES: Final[dict[str, Callable[[Path], list[str]]]] = {
     "methods": _methods,
     "gate": _gate,
     "pairs": lambda _: pairs_table(many_pairs(PAIRS)),
+    "drift": lambda _: drift_table(
+        {(name, back): drift(name, back=back) for name in ("fibres", "nuclei") for back in (False, True)}
+    ),
     "turning": lambda _: turning_table({walk: follow(walk) for walk in WALKS}),
 }
 """The tables of the page, by their marks; what makes them also draws the pictures that belong to them."""

@@ -27,7 +27,7 @@ SCENES: Final = ("fibres", "nuclei", "paper")
 ELECTRONS_OF_WHITE: Final = 100.0
 FARTHEST_PERCENT: Final = 60
 _BINS: Final = 3
-_WHITE_DN: Final = 80.0
+WHITE_DN: Final = 80.0
 _PREDICTION_PX: Final = 3.0
 _FIELD_UM: Final = 1500.0
 _SHOWN: Final = ("link, predicted", "link, searched", "template", "OpenCV phaseCorrelate", "PyFibreBundle")
@@ -47,7 +47,7 @@ def pairs(scene: str, low: float, high: float, count: int, seed: int = 0) -> lis
     count, seed : int
         How many, and which.
     """
-    rig = measured(Instrument.of("240hz", electrons_per_dn=ELECTRONS_OF_WHITE / _WHITE_DN, read_noise_e=2.0))
+    rig = measured(Instrument.of("240hz", electrons_per_dn=ELECTRONS_OF_WHITE / WHITE_DN, read_noise_e=2.0))
     grid = Grid.of(rig.calibration)
     random = np.random.default_rng((seed, round(100 * low)))
     px = grid.diameter * np.sqrt(random.uniform(low**2, high**2, count))
