@@ -22,7 +22,7 @@ from napari_elsplus.viewing.axial import (
     simulated_scan,
 )
 from napari_elsplus.widgets.axial_plots import drop_off_curves, response_curves, table
-from napari_elsplus.widgets.choosing import calibrated_frames, calibrated_recordings, shown_index
+from napari_elsplus.widgets.choosing import calibrated_frames, calibrated_recordings, renew_choices, shown_index
 from napari_elsplus.widgets.panel import Panel, button_row, copy_as_script, told
 from napari_elsplus.widgets.plots import ThemedPlot
 from napari_elsplus.widgets.work import Work
@@ -217,10 +217,7 @@ class AxialResponse(Panel):
 
     def _layers_changed(self) -> None:
         for choice in (self.stack, self.live):
-            chosen = choice.value
-            choice.reset_choices()
-            if chosen in choice.choices:
-                choice.value = chosen
+            renew_choices(choice)
         idle = not self.work.busy
         self.measure.enabled = idle and bool(self.stack.choices)
         self.script.enabled = bool(self.stack.choices)

@@ -5,13 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from napari.layers import Image
 
 from napari_elsplus.acquisition.live_images import RAW
+from napari_elsplus.errors import InputError
 from napari_elsplus.widgets.live_layers import LIVE
 
 if TYPE_CHECKING:
     import napari.viewer
-    from napari.layers import Image
+    from magicgui.widgets import ComboBox
 
 
 def calibrated_recordings(viewer: napari.viewer.Viewer) -> list[str]:
@@ -31,3 +33,27 @@ def shown_index(viewer: napari.viewer.Viewer, layer: Image) -> int:
     """Return which plane of a layer (T, rows, cols) the slider is at; the nearest one where it is beside the layer."""
     steps = (viewer.dims.point[0] - layer.translate[0]) / layer.scale[0]
     return int(np.clip(round(steps), 0, layer.data.shape[0] - 1))
+
+
+def renew_choices(choice: ComboBox) -> None:
+    """Offer what there is now; what was chosen stays chosen while it is there, and no change is told."""
+    chosen = choice.value
+    with choice.changed.blocked():
+        choice.reset_choices()
+        if chosen in choice.choices:
+            choice.value = chosen
+
+
+def chosen_image(viewer: napari.viewer.Viewer, choice: ComboBox, what: str) -> Image:
+    """Return the layer that is chosen.
+
+    Raises
+    ------
+    InputError
+        If there is none; it says what could have been chosen.
+    """
+    if choice.value is None:
+        raise InputError(f"no {what} is open", "open one, or File > Open Sample > ELS+ endomicroscopy")
+    layer = viewer.layers[choice.value]
+    assert isinstance(layer, Image)
+    return layer

@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from magicgui.widgets import ComboBox, Container, PushButton
-from napari.layers import Image
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
-from napari_elsplus.errors import InputError
 from napari_elsplus.processing.cores import CoreFilter
 from napari_elsplus.processing.quality import white_level
 from napari_elsplus.processing.sectioning import Mode
@@ -27,13 +25,14 @@ from napari_elsplus.viewing.comparison import (
     white_levels,
 )
 from napari_elsplus.viewing.layers import TITLES
-from napari_elsplus.widgets.choosing import calibrated_recordings, shown_index
+from napari_elsplus.widgets.choosing import calibrated_recordings, chosen_image, renew_choices, shown_index
 from napari_elsplus.widgets.panel import Panel, button_row, copy_as_script, told
 from napari_elsplus.widgets.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.stage import Exhibit, Stage
 
 if TYPE_CHECKING:
     import napari.viewer
+    from napari.layers import Image
 
 COLOURS: Final = {Mode.LS: "blue", Mode.ELSA: "orange", Mode.ELS: "green"}
 DASHES: Final = {Mode.LS: "dotted", Mode.ELSA: "dashed", Mode.ELS: "solid"}
@@ -194,12 +193,7 @@ class Compare(Panel):
         layout.addLayout(button_row(self.script, self.save))
 
     def _chosen(self) -> Image:
-        if self.recording.value is None:
-            remedy = "open one, or File > Open Sample > ELS+ endomicroscopy"
-            raise InputError("no recording with a calibration is open", remedy)
-        layer = self.viewer.layers[self.recording.value]
-        assert isinstance(layer, Image)
-        return layer
+        return chosen_image(self.viewer, self.recording, "recording with a calibration")
 
     def _exhibits(self, comparison: Comparison) -> list[Exhibit]:
         if self.view.value == DIFFERENCE:
@@ -231,11 +225,7 @@ class Compare(Panel):
         if self.comparing and not (self.stage.intact and self._source in self.viewer.layers):
             self.end()  # the user took one of them away
             return
-        chosen = self.recording.value
-        with self.recording.changed.blocked():
-            self.recording.reset_choices()
-            if chosen in self.recording.choices:
-                self.recording.value = chosen
+        renew_choices(self.recording)
         able = bool(self.recording.choices)
         self.start.enabled = self.script.enabled = able
         self.rescale.enabled = self.save.enabled = self.comparing

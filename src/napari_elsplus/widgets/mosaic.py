@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from magicgui.types import FileDialogMode
 from magicgui.widgets import CheckBox, ComboBox, Container, FileEdit, PushButton
-from napari.layers import Image
 from napari.utils.notifications import show_info, show_warning
 from qtpy.QtCore import QTimer
 from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
@@ -27,6 +26,7 @@ from napari_elsplus.viewing.live_mosaic import LiveMosaics
 from napari_elsplus.viewing.mosaic_files import mosaic_script, save_mosaics
 from napari_elsplus.viewing.mosaicking import MosaicPlan, StackMosaics
 from napari_elsplus.viewing.track import speed_of
+from napari_elsplus.widgets.choosing import chosen_image, renew_choices
 from napari_elsplus.widgets.engine_panel import EnginePanel
 from napari_elsplus.widgets.mosaic_layers import MosaicLayers
 from napari_elsplus.widgets.mosaic_sources import Source, source_names, source_of
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     import napari.viewer
+    from napari.layers import Image
 
     from napari_elsplus.acquisition.client import EngineClient
 
@@ -321,11 +322,7 @@ class MosaicPanel(EnginePanel):
         return words + (f"; {area_mm2:.2g} mm\N{SUPERSCRIPT TWO}." if isfinite(area_mm2) else ".")
 
     def _chosen(self) -> Image:
-        if self.recording.value is None:
-            raise InputError("no stack is open", "open one, or File > Open Sample > ELS+ endomicroscopy")
-        layer = self.viewer.layers[self.recording.value]
-        assert isinstance(layer, Image)
-        return layer
+        return chosen_image(self.viewer, self.recording, "stack")
 
     def _hide_others(self) -> None:
         ours = set(self.layers.ours.values())
@@ -335,11 +332,7 @@ class MosaicPanel(EnginePanel):
                 self._hidden.append(layer)
 
     def _layers_changed(self) -> None:
-        chosen = self.recording.value
-        with self.recording.changed.blocked():
-            self.recording.reset_choices()
-            if chosen in self.recording.choices:
-                self.recording.value = chosen
+        renew_choices(self.recording)
         self.refresh()
 
     def _theme_changed(self) -> None:

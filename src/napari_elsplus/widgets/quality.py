@@ -10,7 +10,7 @@ from magicgui.widgets import ComboBox, Container, PushButton
 from napari.layers import Image, Shapes
 from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QVBoxLayout
 
-from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.errors import CalibrationError
 from napari_elsplus.processing.cores import CoreFilter
 from napari_elsplus.processing.resolution import RESOLVED_CONTRAST
 from napari_elsplus.processing.sectioning import Mode
@@ -26,7 +26,7 @@ from napari_elsplus.viewing.quality import (
     quality_script,
 )
 from napari_elsplus.viewing.stack import images_origin_px, space, um_per_px_of
-from napari_elsplus.widgets.choosing import calibrated_recordings, shown_index
+from napari_elsplus.widgets.choosing import calibrated_recordings, chosen_image, renew_choices, shown_index
 from napari_elsplus.widgets.panel import Panel, button_row, copy_as_script, told
 from napari_elsplus.widgets.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.work import Work
@@ -115,9 +115,12 @@ class Quality(Panel):
         """Average the residual images of the recording, in a thread of its own."""
         with told():
             stack, calibration, _ = self._chosen()
-            self._edge_place = space(um_per_px_of(stack, calibration), images_origin_px(calibration))
-            frames = len(stack.planes)
-            self.work.begin(frames, lambda: measure_edge(stack, calibration, self.work.watch), self._edge_measured)
+            place = space(um_per_px_of(stack, calibration), images_origin_px(calibration))
+            self.work.begin(
+                len(stack.planes),
+                lambda: measure_edge(stack, calibration, self.work.watch),
+                lambda edge: self._edge_measured(edge, place),
+            )
             self._layers_changed()
 
     @property
@@ -190,15 +193,11 @@ class Quality(Panel):
         layout.addLayout(button_row(self.script, self.save))
 
     def _chosen(self) -> tuple[Stack, Calibration, int]:
-        if self.recording.value is None:
-            remedy = "open one, or File > Open Sample > ELS+ endomicroscopy"
-            raise InputError("no recording with a calibration is open", remedy)
-        layer = self.viewer.layers[self.recording.value]
-        assert isinstance(layer, Image)
+        layer = chosen_image(self.viewer, self.recording, "recording with a calibration")
         known = layer.metadata["elsplus"]
         return known["stack"], known["calibration"], shown_index(self.viewer, layer)
 
-    def _edge_measured(self, edge: EdgeMap) -> None:
+    def _edge_measured(self, edge: EdgeMap, place: dict[str, Any]) -> None:
         self.edge = edge
         curve = Curve("residual", edge.position_um, edge.profile, "green")
         self.plot.draw([curve])
@@ -210,7 +209,7 @@ class Quality(Panel):
                 name=EDGE,
                 contrast_limits=(0, 1.2),
                 colormap="viridis",
-                **self._edge_place,
+                **place,
             )
         )
         self.show_numbers()
@@ -219,10 +218,7 @@ class Quality(Panel):
         if self._boxes is not None and self._boxes not in self.viewer.layers:
             self._boxes, self.resolution = None, None
             self.show_numbers()
-        chosen = self.recording.value
-        self.recording.reset_choices()
-        if chosen in self.recording.choices:
-            self.recording.value = chosen
+        renew_choices(self.recording)
         able = bool(self.recording.choices)
         self.align.enabled = self.mark.enabled = self.script.enabled = able
         self.average.enabled = able and not self.work.busy

@@ -17,6 +17,7 @@ from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, expo
 from napari_elsplus.processing.mosaicing.tiles import Rectangle, TiledCanvas, TileStore, tile_rectangle
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.ladder import turned_by, unsheared, upright
+from napari_elsplus.processing.tracking.lucas_kanade import between, bilinear, neighbours
 from napari_elsplus.processing.tracking.motion import Velocity
 
 if TYPE_CHECKING:
@@ -216,25 +217,19 @@ def insert_rows(
         begin, end = max(0, low - whole), min(width, high - whole - (1 if across > 0 else 0))
         if end <= begin:
             continue
-        w00, w01 = np.float32((1 - down) * (1 - across)), np.float32((1 - down) * across)
-        w10, w11 = np.float32(down * (1 - across)), np.float32(down * across)
-        upper, upper_next = image[above, begin + whole : end + whole], image[above, begin + whole + 1 : end + whole + 1]
-        lower, lower_next = (
-            image[above + 1, begin + whole : end + whole],
-            image[above + 1, begin + whole + 1 : end + whole + 1],
-        )
+        corners, parts = neighbours(image, above, begin + whole, end - begin), bilinear(down, across)
         nearest = above + (1 if down >= 0.5 else 0)
         aside = whole + (1 if across >= 0.5 else 0)
         weights = image_weight[nearest, begin + aside : end + aside]
         into, had = value[r, begin:end], weight[r, begin:end]
         if blend:
             for k in range(end - begin):
-                new = w00 * upper[k] + w01 * upper_next[k] + w10 * lower[k] + w11 * lower_next[k]
+                new = between(corners, parts, k)
                 into[k] += weights[k] * new
                 had[k] += weights[k]
         else:
             for k in range(end - begin):
-                new = w00 * upper[k] + w01 * upper_next[k] + w10 * lower[k] + w11 * lower_next[k]
+                new = between(corners, parts, k)
                 lies, outweighs, heavy = into[k], had[k], weights[k]
                 covers = heavy >= np.float32(_OUTWEIGHS) * outweighs  # all is read before, so that this is no branch
                 into[k] = new if covers else lies

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.compiled import lean_kernel
-from napari_elsplus.processing.tracking.lucas_kanade import row_shift
+from napari_elsplus.processing.tracking.lucas_kanade import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion import Warp
 
 if TYPE_CHECKING:
@@ -217,12 +217,10 @@ def unexplained(
         if end <= begin:
             continue
         size = end - begin
-        here, shown = template[row, begin:end], image[above : above + 2, begin + whole : end + whole + 1]
+        here, corners = template[row, begin:end], neighbours(image, above, begin + whole, size)
         left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
         over, under = template[row - 1, begin:end], template[row + 1, begin:end]
-        w00, w01 = np.float32((1 - down) * (1 - across)), np.float32((1 - down) * across)
-        w10, w11 = np.float32(down * (1 - across)), np.float32(down * across)
-        upper, upper_next, lower, lower_next = shown[0, :size], shown[0, 1:], shown[1, :size], shown[1, 1:]
+        weights = bilinear(down, across)
         rows, cols, miss = tilt[0, :size], tilt[1, :size], tilt[2, :size]
         x0 = np.float32(begin - middle_col)
         half, g, o = np.float32(0.5), np.float32(gain), np.float32(offset)
@@ -232,7 +230,7 @@ def unexplained(
         for k in range(size):
             t = here[k]
             gy, gx = half * (under[k] - over[k]), half * (right_of[k] - left[k])
-            e = w00 * upper[k] + w01 * upper_next[k] + w10 * lower[k] + w11 * lower_next[k] - g * t - o
+            e = between(corners, weights, k) - g * t - o
             rows[k], cols[k], miss[k] = gy, gx, e
             yy += gy * gy
             yx += gy * gx

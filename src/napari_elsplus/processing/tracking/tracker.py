@@ -285,20 +285,20 @@ class Tracker:
     def _link(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> Link | None:
         """Link two frames, first where it is expected ahead, else anywhere; None if the frames do not say where."""
         if self.rung is not Rung.TRANSLATION:
-            return self._turned_link(earlier, here, self.rung)
+            return self._turned_link(earlier, here, ahead, self.rung)
         shutter, motion = self.grid.shutter, self._motion
         expected = shutter.warp(earlier.velocity, motion.next_velocity, ahead)
         if motion.known:
             link = self.registrar.link(earlier.view, here.view, expected, self._spread)
             if link.correlation > SURE_CORRELATION and self._accepted(link, here):
                 return link
-            turned = self._suddenly_turned(earlier, here, link)
+            turned = self._suddenly_turned(earlier, here, ahead, link)
             if turned is not None:
                 return turned
         found = self.registrar.search(earlier.view, here.view, expected, self._spread, self._reach(here))
         if found is None or not self._accepted(found, here):
             return None
-        turned = None if found.correlation > SURE_CORRELATION else self._suddenly_turned(earlier, here, found)
+        turned = None if found.correlation > SURE_CORRELATION else self._suddenly_turned(earlier, here, ahead, found)
         return turned or found
 
     def _reach(self, here: _Placed) -> float:
@@ -306,27 +306,26 @@ class Tracker:
         assert self._last is not None
         return _REACH_PX * (here.index - self._last.index) if self._motion.known else _FIRST_REACH * self.grid.diameter
 
-    def _suddenly_turned(self, earlier: _Placed, here: _Placed, link: Link) -> Link | None:
+    def _suddenly_turned(self, earlier: _Placed, here: _Placed, ahead: Displacement, link: Link) -> Link | None:
         """Try, where frames agree less than they should, whether they do once one is turned."""
         found = self.registrar.remainder(earlier.view, here.view, link.warp, self._spread)
         if found is None or not Climb().weigh(found):
             return None
-        turned = self._turned_link(earlier, here, Rung.RIGID)
+        turned = self._turned_link(earlier, here, ahead, Rung.RIGID)
         if turned is None or not turned.correlation > max(link.correlation + _RISE_OF_CORRELATION, SURE_CORRELATION):
             return None
         self._climb.rung = Rung.RIGID
         return turned
 
-    def _turned_link(self, earlier: _Placed, here: _Placed, rung: Rung) -> Link | None:
+    def _turned_link(self, earlier: _Placed, here: _Placed, ahead: Displacement, rung: Rung) -> Link | None:
         """Link two frames of a probe that turns."""
         last, motion = self._last, self._motion
         assert last is not None
         turn = last.angle - earlier.angle + self._turn_rate * (here.index - last.index) if motion.known else 0.0
         zoom = last.scale / earlier.scale if motion.known else 1.0
-        row, col = self._expected(earlier, here.index)
         for reach in (None, self._reach(here)) if motion.known else (self._reach(here),):
             link = self.registrar.turned_link(
-                earlier.view, here.view, (row, col, turn, zoom), (earlier.velocity, motion.next_velocity),
+                earlier.view, here.view, (ahead.row, ahead.col, turn, zoom), (earlier.velocity, motion.next_velocity),
                 self._spread, rung, self._scratch, reach,
             )  # fmt: skip
             if link is not None and self._accepted(link, here) and (reach or link.correlation > SURE_CORRELATION):
