@@ -89,6 +89,9 @@ def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path) -> N
         (["--seconds", "1", "--rig", "none"], "no rig 'none'"),
         (["--seconds", "1", "-c", "absent.json"], "absent.json"),
         (["--seconds", "1", "--record", "/nowhere/r.ome.tif"], "/nowhere"),
+        (["--seconds", "nan"], "--seconds is nan"),
+        (["--seconds", "inf"], "--seconds is inf"),
+        (["--seconds", "1", "--record", ""], "name of a file or folder is empty"),
     ],
 )
 def test_bad_input_is_said_in_one_line(

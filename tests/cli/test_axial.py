@@ -91,6 +91,8 @@ def test_what_is_missing_is_named(elsplus: Elsplus, folder: Path) -> None:
         return str(run.err)
 
     assert "no r.depths.csv beside the scan" in line(folder / "r.ome.tif")
+    assert "cannot be saved as p.docx" in line(folder / "r.ome.tif", "--plot", folder / "p.docx")
+    assert "out.json is asked for twice" in line(folder / "r.ome.tif", "--plot", folder / "out.json")
     depths = folder / "d.csv"
     depths.write_text("depth_um\n0\n10\n20\n")
     assert "3 depths for 4 frames" in line(folder / "r.ome.tif", "--depths", depths)
@@ -98,3 +100,17 @@ def test_what_is_missing_is_named(elsplus: Elsplus, folder: Path) -> None:
     bare.mkdir()
     tifffile.imwrite(bare / "scan.tif", np.zeros((5, 64, 64), np.uint8))
     assert "no calibration in or beside scan.tif" in line(bare / "scan.tif", "--depths", depths)
+
+
+def test_a_folder_of_frames_is_a_scan_from_within(
+    elsplus: Elsplus, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder that one is in has a name too, by which its depths are found."""
+    frames = folder / "frames"
+    frames.mkdir()
+    for number, image in enumerate(tifffile.imread(folder / "r.ome.tif")):
+        tifffile.imwrite(frames / f"{number}.tif", image)
+    monkeypatch.chdir(frames)
+    run = elsplus("axial", ".", "-c", folder / "r.calibration.json", "-o", folder / "out.json")
+    assert run.code == 2
+    assert "no frames.depths.csv beside the scan" in run.err

@@ -90,12 +90,15 @@ def test_any_image_is_a_scene_and_a_csv_file_a_path(elsplus: Elsplus, tmp_path: 
         (("recording", "--scene", "plate:far"), "depth is 'far'"),
         (("recording", "--path", "orbit"), "no path 'orbit'"),
         (("recording", "--path", "absent.csv"), "no file absent.csv"),
-        (("recording", "--speed-um-s", "nan"), "speed is nan"),
+        (("recording", "--speed-um-s", "nan"), "--speed-um-s is nan"),
+        (("recording", "--slit-um", "inf"), "--slit-um is inf: give a positive"),
+        (("recording", "--slit-um", "-1"), "--slit-um is -1.0: give a positive"),
+        (("recording", "--scene", "uniform", "--scene-um-per-px", 2), "the scene uniform has no pixels"),
         (("recording", "--rate-hz", 500), "500.0 frames per second"),
         (("recording", "--offset-um", 900), "offset is 900.0 um, beyond the bundle"),
         (("recording", "--offset-um", -300), "do not fit a frame of 524 x 1328"),
         (("axial", "--slit-um", 700), "slit is 700.4 um wide"),
-        (("axial", "--offset-um", "nan"), "offset_rows is nan"),
+        (("axial", "--offset-um", "nan"), "--offset-um is nan"),
     ],
 )
 def test_impossible_wishes_end_in_one_line_and_leave_nothing(
@@ -106,6 +109,18 @@ def test_impossible_wishes_end_in_one_line_and_leave_nothing(
     assert word in run.err
     assert len(run.err.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_plate_may_lie_at_a_broken_number_of_micrometres(elsplus: Elsplus, tmp_path: Path) -> None:
+    run = elsplus("simulate", "recording", "--scene", "plate:50.5", "--frames", 1, "-o", tmp_path / "r.ome.tif")
+    assert run.code == 0, run.err
+
+
+@pytest.mark.parametrize("seed", [-1, 1 << 80])
+def test_a_seed_that_is_none_is_told_as_a_wrong_option(elsplus: Elsplus, tmp_path: Path, seed: int) -> None:
+    run = elsplus("simulate", "axial", "--seed", seed, "-o", tmp_path / "out.ome.tif")
+    assert run.code == 2
+    assert "--seed" in run.err
 
 
 def test_an_existing_file_is_not_replaced_unasked(elsplus: Elsplus, tmp_path: Path) -> None:

@@ -16,10 +16,10 @@ from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.acquisition.tracking import LiveTrack
-from napari_elsplus.cli.options import FILE, force_option, progress
+from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import SIMULATED
-from napari_elsplus.io import read_calibration, refuse_existing, replacing, write_mosaic, write_track
+from napari_elsplus.io import beside, read_calibration, replacing, write_mosaic, write_track
 from napari_elsplus.optics import PRESETS
 from napari_elsplus.tracking_pipeline import picture
 
@@ -39,8 +39,8 @@ ALL_OF_IT_S = 3600.0
 @click.option("-c", "--calibration", type=FILE, help="The rig's calibration; the simulated rig calibrates itself.")
 @click.option("--preset", type=click.Choice(list(PRESETS)), default="240hz", show_default=True, help="Camera region.")
 @click.option("--slit-rows", type=click.IntRange(1), default=3, show_default=True, help="Width of the rolling slit.")
-@click.option("--rate-hz", type=click.FloatRange(0, min_open=True), help="Frames per second; the preset's by default.")
-@click.option("--seconds", type=click.FloatRange(0, min_open=True), required=True, help="How long.")
+@click.option("--rate-hz", type=POSITIVE, help="Frames per second; the preset's by default.")
+@click.option("--seconds", type=POSITIVE, required=True, help="How long.")
 @click.option("--record", type=FILE, help="Record the raw frames to this OME-TIFF.")
 @click.option("--mosaic", type=FILE, help="Write the mosaic to this OME-TIFF.")
 @click.option("--track", type=FILE, help="Write the probe's track to this CSV file.")
@@ -60,9 +60,8 @@ def command(
     force: bool,
 ) -> None:
     """Run the live engine for some seconds: section every frame, record, track, lay the mosaic, report."""
-    for target in (record, mosaic, track, report):
-        if target is not None:
-            refuse_existing(target, force=force)
+    beside_record = () if record is None else [beside(record, f".calibration{ending}") for ending in (".json", ".npz")]
+    refuse_outputs(record, *beside_record, mosaic, track, report, force=force)
     keep_pace()
     given = None if calibration is None else read_calibration(calibration)
     with ExitStack() as held:
@@ -89,8 +88,8 @@ def command(
             engine.stop()
             engine.finish_recording()
             status = engine.status()
-            with replacing(report, force=force) as beside:
-                beside.write_text(json.dumps(status.report(), indent=1) + "\n", encoding="utf-8")
+            with replacing(report, force=force) as unfinished:
+                unfinished.write_text(json.dumps(status.report(), indent=1) + "\n", encoding="utf-8")
         if tracker is not None:
             _write(tracker.pipeline, engine, mosaic, track, force)
     click.echo(summary(status))

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from napari_elsplus.cli.options import FILE, force_option, output_option, progress
+from napari_elsplus.cli.options import FILE, force_option, output_option, progress, refuse_outputs
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import (
     beside,
     open_recording,
     read_calibration,
     read_depths_um,
-    refuse_existing,
     replacing,
 )
 from napari_elsplus.processing.axial import AxialResponse, DropOff, axial_profiles, axial_response
@@ -39,8 +38,11 @@ def command(
     scan: Path, calibration: Path | None, depths: Path | None, output: Path, plot: Path | None, force: bool
 ) -> None:
     """Measure 3 dB and 10 dB drop-offs of LS and ELS+, and the in-focus signal kept, from SCAN."""
-    for target in filter(None, (output, plot)):
-        refuse_existing(target, force=force)
+    refuse_outputs(output, plot, force=force)
+    if plot is not None:
+        from napari_elsplus.figures.files import refuse_format
+
+        refuse_format(plot)
     with open_recording(scan) as recording:
         known = _calibration(recording, calibration)
         depth_um = read_depths_um(depths or _depths_beside(scan))
@@ -68,10 +70,11 @@ def _calibration(recording: Recording, path: Path | None) -> Calibration:
 
 
 def _depths_beside(scan: Path) -> Path:
-    for path in (beside(scan, ".depths.csv"), scan.with_name("depths.csv")):
+    own = beside(scan, ".depths.csv")
+    for path in (own, own.with_name("depths.csv")):
         if path.is_file():
             return path
-    raise InputError(f"there is no {beside(scan, '.depths.csv').name} beside the scan", "name one with --depths")
+    raise InputError(f"there is no {own.name} beside the scan", "name one with --depths")
 
 
 def _summary(response: AxialResponse) -> Iterator[str]:

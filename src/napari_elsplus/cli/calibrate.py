@@ -12,9 +12,9 @@ from napari_elsplus.acquisition.engine import Engine
 from napari_elsplus.acquisition.guardian import Guardian
 from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
 from napari_elsplus.acquisition.status import Settings
-from napari_elsplus.cli.options import FILE, force_option, progress
+from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import open_recording, read_volts, refuse_existing, write_calibration
+from napari_elsplus.io import open_recording, read_volts, write_calibration
 from napari_elsplus.optics import BUNDLE_UM, PRESETS
 from napari_elsplus.processing.calibration.calibrate import Findings, measure
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
@@ -35,10 +35,12 @@ INPUTS = ("line", "sweep", "bundle", "background", "flat")
 @click.option("--bundle", type=FILE, help="Frames of the bundle lit from its far end.")
 @click.option("--background", type=FILE, help="Frames of a dark tube, laser on; the paper takes 50.")
 @click.option("--flat", type=FILE, help="Frames of a uniform scene; the bundle's image serves if it is not given.")
-@click.option("--um-per-px", type=float, help="Micrometres at the bundle for one camera pixel.")
-@click.option("--bundle-um", type=float, help="Diameter of the bundle's image in micrometres, instead of --um-per-px.")
-@click.option("--line-period-s", type=float, help="Seconds from one row's readout to the next.")
-@click.option("--rows-per-frame", type=float, help="Line periods from one frame to the next.")
+@click.option("--um-per-px", type=POSITIVE, help="Micrometres at the bundle for one camera pixel.")
+@click.option(
+    "--bundle-um", type=POSITIVE, help="The bundle image's diameter in micrometres, instead of --um-per-px."
+)
+@click.option("--line-period-s", type=POSITIVE, help="Seconds from one row's readout to the next.")
+@click.option("--rows-per-frame", type=POSITIVE, help="Line periods from one frame to the next.")
 @click.option("--rig", help="Measure everything live on this rig instead; `simulated` needs nobody's hands.")
 @click.option("--preset", type=click.Choice(list(PRESETS)), default="240hz", show_default=True, help="With --rig.")
 @click.option("-o", "--output", type=FILE, required=True, help="Calibration file to write, NAME.json.")
@@ -56,8 +58,7 @@ def command(
     **files: Path | None,
 ) -> None:
     """Measure a calibration from any subset of the inputs, or live on a rig; say what was found, how surely."""
-    refuse_existing(output, force=force)
-    refuse_existing(output.with_suffix(".npz"), force=force)
+    refuse_outputs(output, output.with_suffix(".npz"), force=force)
     given = [name for name, path in files.items() if path]
     if rig is not None:
         if given:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option
+from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, refuse_outputs
 from napari_elsplus.figures.comparison import TITLES, compare, draw_comparison
-from napari_elsplus.figures.files import save_figure
+from napari_elsplus.figures.files import refuse_format, save_figure
 from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.processing.quality import contrast
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 @force_option
 def command(raw: Path, calibration: Path, frame: int, output: Path, force: bool) -> None:
     """Draw LS, ELSA and ELS+ of one frame of RAW with a line profile, scaled as the paper scales them."""
+    refuse_outputs(output, force=force)
+    refuse_format(output)
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
         comparison = compare(recording, record, frame)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress
-from napari_elsplus.io import open_recording, read_calibration, refuse_existing, write_mosaic, write_track
+from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress, refuse_outputs
+from napari_elsplus.io import open_recording, read_calibration, write_mosaic, write_track
 from napari_elsplus.pipelined import Pipelined
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
@@ -39,9 +39,7 @@ def command(
     raw: Path, calibration: Path, mode: str, method: str, insertion: str, output: Path, track: Path | None, force: bool
 ) -> None:
     """Track the probe through RAW and lay the frames into a mosaic."""
-    for target in (output, track):
-        if target is not None:
-            refuse_existing(target, force=force)
+    refuse_outputs(output, track, force=force)
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
         rows, cols = recording.shape[1:]

@@ -1,26 +1,72 @@
-"""Options that several commands share, and the progress bar of all of them."""
+"""Options that several commands share, what they refuse, and the progress bar of all of them."""
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from rich.console import Console
 from rich.progress import track
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     Item = TypeVar("Item")
 
-FILE = click.Path(path_type=Path)
+
+class _Number(type(click.FLOAT)):  # type: ignore[misc] # click does not export its class
+    """A finite number; click's own lets not-a-number and infinity pass."""
+
+    def __init__(self, *, positive: bool = False) -> None:
+        self._positive = positive
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number: float = super().convert(value, param, ctx)
+        if not isfinite(number) or (self._positive and number <= 0):
+            option = param.opts[-1] if param is not None else "the number"
+            kind = "positive, finite" if self._positive else "finite"
+            raise InputError(f"{option} is {number}", f"give a {kind} number")
+        return number
+
+
+class _Named(click.Path):
+    """A path that is not empty."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            raise InputError("the name of a file or folder is empty", "name one")
+        return super().convert(value, param, ctx)
+
+
+FILE = _Named(path_type=Path)
+NUMBER, POSITIVE = _Number(), _Number(positive=True)
+SEED = click.IntRange(0, (1 << 31) - 1)
 
 calibration_option = click.option(
     "-c", "--calibration", type=FILE, required=True, help="The rig's calibration, as `calibrate` writes it."
 )
 output_option = click.option("-o", "--output", type=FILE, required=True, help="File to write.")
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output file.")
+
+
+def refuse_outputs(*paths: Path | None, force: bool) -> None:
+    """Make sure, before any work is done, that all files that are asked for may be written.
+
+    Raises
+    ------
+    InputError
+        If one exists and `force` is not given, cannot be a file, or is asked for twice.
+    """
+    wanted = [path for path in paths if path is not None]
+    for index, path in enumerate(wanted):
+        refuse_existing(path, force=force)
+        if path.resolve() in [other.resolve() for other in wanted[:index]]:
+            raise InputError(f"{path} is asked for twice", "name another file for one of them")
 
 
 def progress(items: Iterable[Item], *, describe: str, total: float | None = None) -> Iterable[Item]:

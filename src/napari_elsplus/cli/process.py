@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress
+from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress, refuse_outputs
 from napari_elsplus.io import open_recording, read_calibration, write_stack
 from napari_elsplus.pipeline import Images
 from napari_elsplus.processing.cores import CoreFilter
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 @force_option
 def command(raw: Path, calibration: Path, mode: str, cores: str, flat_field: bool, output: Path, force: bool) -> None:
     """Section the raw frames of RAW: float32 grey levels, signed, written as OME-TIFF (T, n, n)."""
+    refuse_outputs(output, force=force)
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
         images = Images(recording, record, mode, cores=cores, flat_field=flat_field)

@@ -11,7 +11,16 @@ import click
 import cv2
 import numpy as np
 
-from napari_elsplus.cli.options import FILE, force_option, output_option, progress
+from napari_elsplus.cli.options import (
+    FILE,
+    NUMBER,
+    POSITIVE,
+    SEED,
+    force_option,
+    output_option,
+    progress,
+    refuse_outputs,
+)
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import beside, refuse_existing, replacing, write_calibration, write_column, write_stack
 from napari_elsplus.optics import PRESETS
@@ -33,13 +42,13 @@ if TYPE_CHECKING:
 preset_option = click.option("--preset", type=click.Choice(list(PRESETS)), default="240hz", help="Camera mode.")
 offset_option = click.option(
     "--offset-um",
-    type=float,
+    type=NUMBER,
     default=-29.0,
     show_default=True,
     help="Slit offset; negative: the residual stands higher.",
 )
-slit_option = click.option("--slit-um", type=float, help="Slit width, rounded to whole rows; 3 rows by default.")
-seed_option = click.option("--seed", type=int, default=0, show_default=True, help="Seed of scene and camera noise.")
+slit_option = click.option("--slit-um", type=POSITIVE, help="Slit width, rounded to whole rows; 3 rows by default.")
+seed_option = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of scene and camera noise.")
 
 
 @click.group(short_help="Raw frames from the model instrument.")
@@ -56,7 +65,7 @@ def command() -> None:
     show_default=True,
     help=f"{', '.join(SCENES)}, plate:DEPTH_UM, or an image file.",
 )
-@click.option("--scene-um-per-px", type=float, help="Scale of an image file; a camera pixel's by default.")
+@click.option("--scene-um-per-px", type=POSITIVE, help="Scale of an image file; a camera pixel's by default.")
 @click.option(
     "--path",
     "path_name",
@@ -64,9 +73,9 @@ def command() -> None:
     show_default=True,
     help=f"{', '.join(PATHS)}, or a CSV file with columns time_s, row_um, col_um.",
 )
-@click.option("--speed-um-s", type=float, default=2000.0, show_default=True, help="Speed of the probe.")
+@click.option("--speed-um-s", type=NUMBER, default=2000.0, show_default=True, help="Speed of the probe.")
 @click.option("--frames", type=click.IntRange(min=1), default=240, show_default=True, help="Number of frames.")
-@click.option("--rate-hz", type=float, help="Frames per second, below the preset's.")
+@click.option("--rate-hz", type=POSITIVE, help="Frames per second, below the preset's.")
 @offset_option
 @slit_option
 @seed_option
@@ -79,7 +88,7 @@ def recording(
     """Record a moving probe: raw frames, NAME.truth.json, NAME.calibration.json."""
     instrument = Instrument.of(preset, slit_um=slit_um, offset_um=offset_um, rate_hz=rate_hz)
     moved = _trajectory(path_name, speed_um_s, seed)
-    looked_at = _scene(scene_name, seed, scene_um_per_px or instrument.optics.um_per_px)
+    looked_at = _scene(scene_name, seed, scene_um_per_px, instrument.optics.um_per_px)
     renderer = Renderer(instrument, looked_at, moved, seed=seed)
     renderer.refuse_path(frames)
     facts = {"seed": seed, "scene": scene_name, "path": path_name, **truth.motion(instrument, moved, frames)}
@@ -87,8 +96,8 @@ def recording(
 
 
 @command.command()
-@click.option("--slit-um", type=float, default=2.9, show_default=True, help="Slit width, rounded to whole rows.")
-@click.option("--offset-um", type=float, default=29.0, show_default=True, help="Slit offset.")
+@click.option("--slit-um", type=POSITIVE, default=2.9, show_default=True, help="Slit width, rounded to whole rows.")
+@click.option("--offset-um", type=NUMBER, default=29.0, show_default=True, help="Slit offset.")
 @click.option(
     "--state",
     type=click.Choice(list(LINE_MODELS)),
@@ -175,12 +184,14 @@ def _counted(render: Callable[[int], NDArray[np.uint8]], frames: int) -> Iterato
         yield render(index)
 
 
-def _scene(name: str, seed: int, um_per_px: float) -> Scene:
-    if Path(name).suffix:
+def _scene(name: str, seed: int, um_per_px: float | None, camera_um_per_px: float) -> Scene:
+    if Path(name).suffix and not name.startswith("plate:"):  # plate:50.5 has no suffix
         image = cv2.imread(name, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) if Path(name).is_file() else None
         if image is None:
             raise InputError(f"{name} is no image that can be read", "give PNG, TIFF or JPEG")
-        return picture(image, um_per_px)
+        return picture(image, um_per_px or camera_um_per_px)
+    if um_per_px is not None:
+        raise InputError(f"the scene {name} has no pixels", "leave out --scene-um-per-px, or name an image file")
     return scene(name, seed)
 
 

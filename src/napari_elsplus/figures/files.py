@@ -32,9 +32,21 @@ def save_figure(figure: Figure, path: Path, *, force: bool = False) -> None:
     InputError
         If the format is unknown, or the file exists and is not to be overwritten.
     """
+    kind = refuse_format(path)
+    with replacing(path, force=force) as unfinished:
+        figure.savefig(unfinished, format=kind, dpi=120)
+
+
+def refuse_format(path: Path) -> str:
+    """Make sure that a figure can be saved under a name, and return the format that its ending names.
+
+    Raises
+    ------
+    InputError
+        If the format is unknown.
+    """
     kind = path.suffix.lstrip(".").lower()
     known = FigureCanvasAgg.get_supported_filetypes()
     if kind not in known:
         raise InputError(f"a figure cannot be saved as {path.name}", f"end its name in .{', .'.join(sorted(known))}")
-    with replacing(path, force=force) as unfinished:
-        figure.savefig(unfinished, format=kind, dpi=120)
+    return kind

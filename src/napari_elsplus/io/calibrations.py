@@ -132,10 +132,9 @@ def calibration_beside(recording: str | os.PathLike[str]) -> Path | None:
         The calibration's JSON file, if there is one.
     """
     recording = Path(recording)
-    candidates = [beside(recording, ".calibration.json"), beside(recording, ".json")]
-    if recording.is_dir():
-        candidates.append(recording / "calibration.json")
-    candidates.append(recording.with_name("calibration.json"))
+    names = [beside(recording, ".calibration.json"), beside(recording, ".json")]
+    inside = [recording / "calibration.json"] if recording.is_dir() else []
+    candidates = [*names, *inside, names[0].with_name("calibration.json")]
     return next((path for path in candidates if path.is_file() and _declares_our_format(path)), None)
 
 
@@ -148,6 +147,7 @@ def beside(recording: str | os.PathLike[str], ending: str) -> Path:
     'scan.depths.csv'
     """
     path = Path(recording)
+    path = path if path.name else path.resolve()  # the folder that one is in
     stem = path.name
     for suffix in (".tif", ".tiff", ".avi", ".npy", ".zarr", ".ome"):
         stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and stem.lower() != suffix else stem

@@ -163,6 +163,8 @@ class Instrument:
         **changes
             Other fields of the record.
         """
+        if slit_um is not None and not (isfinite(slit_um) and slit_um > 0):
+            raise InputError(f"the slit is {slit_um} um wide", "it must be a positive number")
         chosen = preset(preset_name)
         if rate_hz is not None:
             chosen = replace(chosen, optics=_slowed(chosen, rate_hz))
@@ -231,6 +233,7 @@ def _slowed(chosen: Preset, rate_hz: float) -> Optics:
     fastest = chosen.optics.frame_rate_hz
     if not 0 < rate_hz <= fastest * (1 + 1e-6):
         raise InputError(
-            f"{rate_hz} frames per second asked of the {chosen.name} preset", f"give at most {fastest:.4g}"
+            f"{rate_hz} frames per second asked of the {chosen.name} preset",
+            f"give more than 0 and at most {fastest:.4g}",
         )
     return chosen.optics.at_rate(rate_hz)
