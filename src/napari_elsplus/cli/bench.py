@@ -8,7 +8,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from napari_elsplus.cli.options import FILE, force_option
+from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
 from napari_elsplus.evaluation.harness import Chart, verdict
 from napari_elsplus.evaluation.peers import PACKAGES, environment, install
 from napari_elsplus.evaluation.registry import MODULES, benchmark
@@ -18,7 +18,6 @@ from napari_elsplus.figures import paper
 from napari_elsplus.figures.benchmark import draw_benchmark
 from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill
-from napari_elsplus.io import refuse_existing
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -96,8 +95,7 @@ def docs(folder: Path, quick: bool, only: tuple[str, ...]) -> None:
 def _measuring(name: str) -> click.Command:
     def measure(out: Path, quick: bool, force: bool) -> None:
         out.mkdir(parents=True, exist_ok=True)
-        for suffix in (".csv", ".png"):
-            refuse_existing(out / f"{name}{suffix}", force=force)
+        refuse_outputs(out / f"{name}.csv", out / f"{name}.png", force=force)
         console = Console(stderr=True)
         with console.status(name) as status:
             result = run(benchmark(name), quick=quick, tell=status.update)

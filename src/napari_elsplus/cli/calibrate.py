@@ -36,9 +36,7 @@ INPUTS = ("line", "sweep", "bundle", "background", "flat")
 @click.option("--background", type=FILE, help="Frames of a dark tube, laser on; the paper takes 50.")
 @click.option("--flat", type=FILE, help="Frames of a uniform scene; the bundle's image serves if it is not given.")
 @click.option("--um-per-px", type=POSITIVE, help="Micrometres at the bundle for one camera pixel.")
-@click.option(
-    "--bundle-um", type=POSITIVE, help="The bundle image's diameter in micrometres, instead of --um-per-px."
-)
+@click.option("--bundle-um", type=POSITIVE, help="The bundle image's diameter in micrometres, instead of --um-per-px.")
 @click.option("--line-period-s", type=POSITIVE, help="Seconds from one row's readout to the next.")
 @click.option("--rows-per-frame", type=POSITIVE, help="Line periods from one frame to the next.")
 @click.option("--rig", help="Measure everything live on this rig instead; `simulated` needs nobody's hands.")

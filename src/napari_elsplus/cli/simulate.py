@@ -22,7 +22,7 @@ from napari_elsplus.cli.options import (
     refuse_outputs,
 )
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import beside, refuse_existing, replacing, write_calibration, write_column, write_stack
+from napari_elsplus.io import beside, replacing, write_calibration, write_column, write_stack
 from napari_elsplus.optics import PRESETS
 from napari_elsplus.simulation import calibration_scenes, truth
 from napari_elsplus.simulation.axial_response import LINE_MODELS
@@ -113,7 +113,7 @@ def axial(slit_um: float, offset_um: float, state: str, seed: int, output: Path,
     instrument = lit_for_plate(Instrument.of("120hz", slit_um=slit_um, offset_um=offset_um, line=LINE_MODELS[state]))
     depths_um = scan_depths_um()
     depths = beside(output, ".depths.csv")
-    refuse_existing(depths, force=force)
+    refuse_outputs(depths, force=force)
     scan = progress(AxialScan(instrument, depths_um, seed=seed), describe="depths", total=len(depths_um))
     _write(output, scan, instrument, {"seed": seed, "state": state}, force=force, axes="ZYX")
     write_column(depths, "depth_um", depths_um, force=force)
@@ -140,8 +140,7 @@ def calibration(preset: str, offset_um: float, slit_um: float | None, seed: int,
     }
     output.mkdir(parents=True, exist_ok=True)
     others = ("sweep_volts.csv", "truth.json")
-    for name in (*(f"{part}.tif" for part in parts), *others):
-        refuse_existing(output / name, force=force)
+    refuse_outputs(*(output / name for name in (*(f"{part}.tif" for part in parts), *others)), force=force)
     for part, frames in parts.items():
         write_stack(
             output / f"{part}.tif",
@@ -165,8 +164,7 @@ def _write(
 ) -> None:
     """Write frames, calibration and truth; all names are checked before the first frame is made."""
     record, known = beside(output, ".calibration.json"), beside(output, ".truth.json")
-    for path in (output, record, record.with_suffix(".npz"), known):
-        refuse_existing(path, force=force)
+    refuse_outputs(output, record, record.with_suffix(".npz"), known, force=force)
     calibration: Calibration = truth.true_calibration(instrument, calibration_scenes.background(instrument))
     count = write_stack(output, frames, calibration=calibration, force=force, axes=axes)
     write_calibration(record, calibration, force=force)

@@ -234,6 +234,6 @@ def _slowed(chosen: Preset, rate_hz: float) -> Optics:
     if not 0 < rate_hz <= fastest * (1 + 1e-6):
         raise InputError(
             f"{rate_hz} frames per second asked of the {chosen.name} preset",
-            f"give more than 0 and at most {fastest:.4g}",
+            f"give at most {fastest:.4g}, more than 0",
         )
     return chosen.optics.at_rate(rate_hz)
