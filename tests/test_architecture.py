@@ -19,6 +19,7 @@ PACKAGE = PROJECT / "src" / "napari_elsplus"
 ROOMS = (
     "errors",
     "compiled",
+    "folders",
     "optics",
     "calibration",
     "processing",

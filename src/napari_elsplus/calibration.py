@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.optics import Optics
 
 FORMAT = "napari-elsplus/calibration"
 VERSION = 1
@@ -205,6 +204,19 @@ class Calibration(Section):
                 f"{where}: {first['msg'].removeprefix('Value error, ')}{value}", "measure this section again"
             ) from None
 
+    @property
+    def um_per_px(self) -> float | None:
+        """Micrometres at the bundle for one camera pixel, where they are known."""
+        return None if self.optics is None else self.optics.um_per_px
+
+    @property
+    def frame_period_s(self) -> float | None:
+        """Seconds from one frame to the next, where the timing is known."""
+        optics = self.optics
+        if optics is None or optics.line_period_s is None or optics.rows_per_frame is None:
+            return None
+        return optics.line_period_s * optics.rows_per_frame
+
     def content(self) -> dict[str, Any]:
         """Everything but the arrays, ready for JSON; absent sections are left out, unknown keys are kept."""
         return self.model_dump(mode="json", exclude_none=True)
@@ -221,23 +233,6 @@ class Calibration(Section):
             if getattr(self, name) is None:
                 how = HOW_TO_MEASURE.get(name, "calibrate")
                 raise CalibrationError(f"the calibration has no {name} section", f"measure it with `{how}`")
-
-    def measured_optics(self) -> Optics:
-        """Scale and timing for converting rows.
-
-        Raises
-        ------
-        CalibrationError
-            If the scale, line period or rows per frame is unknown.
-        """
-        self.require("optics")
-        assert self.optics is not None
-        numbers = self.optics.model_dump(include={"um_per_px", "line_period_s", "rows_per_frame"})
-        unknown = [name for name, value in numbers.items() if value is None]
-        if unknown:
-            option = "--" + unknown[0].replace("_", "-")
-            raise CalibrationError(f"the calibration does not know {unknown[0]}", f"give it with `calibrate {option}`")
-        return Optics(**numbers)
 
     def stale_sections(self, settings: AcquiredWith, frame: FrameSection | None = None) -> dict[str, str]:
         """Sections that no longer hold, each with the reason, when the rig runs with other settings."""

@@ -198,9 +198,8 @@ def _process(
             pipeline.finish(RawPairs(recording, mode))
             tracks[mode] = track_errors(pipeline.rows, true_px)
             mosaics[mode] = picture(list(pipeline.mosaics.values()))
-            scale = optics.um_per_px * pipeline.camera_px_per_pixel
             target = stage.folder / f"mosaic_{mode.value}.ome.tif"
-            write_mosaic(target, mosaics[mode], scale, calibration=calibration, force=stage.force)
+            write_mosaic(target, mosaics[mode], pipeline.um_per_px, calibration=calibration, force=stage.force)
     write_track(stage.folder / "track.csv", pipeline.rows, force=stage.force)
     return tracks, mosaics
 

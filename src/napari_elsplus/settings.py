@@ -6,25 +6,23 @@ work: a warning says so.
 
 from __future__ import annotations
 
-import os
 import tomllib
 import warnings
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any
 
-import platformdirs
 import tomli_w
 
+from napari_elsplus.folders import config_folder
 from napari_elsplus.io import replacing
 
-FOLDER_VARIABLE: Final = "ELSPLUS_CONFIG"
-"""Environment variable that names another folder for the settings."""
+if TYPE_CHECKING:
+    import os
 
 
 def settings_file() -> Path:
     """Where the settings are kept."""
-    folder = os.environ.get(FOLDER_VARIABLE) or platformdirs.user_config_dir("napari-elsplus", appauthor=False)
-    return Path(folder) / "settings.toml"
+    return config_folder() / "settings.toml"
 
 
 def recall(section: str) -> dict[str, Any]:

@@ -192,9 +192,7 @@ class Pipeline:
         ours = Method(method) is Method.ELSPLUS
         make: Callable[..., _Tracking] = _Ours if ours else _Papers
         self._tracking = make(calibration, frame_shape, Mode(mode))
-        self._um_per_px = np.nan
-        if calibration.optics is not None and calibration.optics.um_per_px is not None:
-            self._um_per_px = calibration.optics.um_per_px
+        self._camera_um_per_px = calibration.um_per_px
         self._insertion = Insertion(insertion)
         self._new_store = new_store
         self._weights = np.ones((self.grid.side,) * 2, np.float32)
@@ -215,6 +213,11 @@ class Pipeline:
     def camera_px_per_pixel(self) -> float:
         """Camera pixels per pixel of the mosaics."""
         return self._tracking.scale
+
+    @property
+    def um_per_px(self) -> float | None:
+        """Micrometres for a pixel of the mosaics, where the calibration knows the scale."""
+        return None if self._camera_um_per_px is None else self._camera_um_per_px * self._tracking.scale
 
     def add(
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
@@ -316,7 +319,7 @@ class Pipeline:
         mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
 
     def _row(self, pose: Pose, frame: int, time_s: float) -> TrackPoint:
-        scale, um = self._tracking.scale, self._um_per_px
+        scale, um = self._tracking.scale, np.nan if self._camera_um_per_px is None else self._camera_um_per_px
         row, col = pose.row * scale, pose.col * scale
         return TrackPoint(
             frame, time_s, pose.segment, row, col, row * um, col * um, pose.score, pose.sigma * scale, pose.state.value

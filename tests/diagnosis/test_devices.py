@@ -109,9 +109,11 @@ def test_the_virtual_card_is_listed_as_nis_would_be() -> None:
 
 
 def test_rigs_are_listed_and_a_wrong_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NAPARI_ELSPLUS_RIGS", str(tmp_path))
-    (tmp_path / "good.toml").write_text("[card]\npark_v = -0.7\n")
-    (tmp_path / "wrong.toml").write_text("[card]\npark_v = 70\n")
+    monkeypatch.setenv("ELSPLUS_CONFIG", str(tmp_path))
+    folder = tmp_path / "rigs"
+    folder.mkdir()
+    (folder / "good.toml").write_text("[card]\npark_v = -0.7\n")
+    (folder / "wrong.toml").write_text("[card]\npark_v = 70\n")
     listed, wrong = devices.rigs()
     assert listed.level is Level.OK
     assert "simulated, good, wrong" in listed.what

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.card_output import CardSettings
 from napari_elsplus.hardware.protocols import Camera, Region, Scanner
-from napari_elsplus.hardware.rig_files import RigSettings, read_rig, write_rig
+from napari_elsplus.hardware.rig_files import read_rig
 from napari_elsplus.hardware.rigs import open_rig, rig_names
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
@@ -24,8 +25,13 @@ SMALL = Region(262, 0, 524, 1328)
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setenv("NAPARI_ELSPLUS_RIGS", str(tmp_path / "rigs"))
+    monkeypatch.setenv("ELSPLUS_CONFIG", str(tmp_path))
     return tmp_path / "rigs"
+
+
+def write(folder, text):
+    folder.mkdir()
+    (folder / "mine.toml").write_bytes(text.encode("latin-1"))
 
 
 def test_the_simulated_rig_is_first_and_keeps_the_protocols() -> None:
@@ -35,7 +41,6 @@ def test_the_simulated_rig_is_first_and_keeps_the_protocols() -> None:
         assert isinstance(rig.camera, Camera)
         assert isinstance(rig.scanner, Scanner)
         assert rig.strobe is StrobePhase.EXPOSURE
-        assert set(rig.presets) == {"120hz", "240hz"}
         assert rig.bench.card.last_volts == rig.park.volts
 
 
@@ -82,25 +87,26 @@ def test_in_real_time_a_closed_path_is_played_again_and_every_round_is_the_same(
 
 
 def test_a_users_own_rig_is_a_readable_file_that_comes_back_the_same(folder) -> None:
-    settings = RigSettings.parse(
-        {
-            "card": {"park_v": -0.8, "device": "cDAQ1", "strobe": "PFI1", "falling": False},
-            "camera": {"kind": "genicam", "serial": "14120", "strobe": "readout"},
-            "mirror": {"min_v": -1.0, "natural_hz": 800.0},
-        },
-        "mine",
-    )
-    path = write_rig("mine", settings)
-    assert path == folder / "mine.toml"
-    assert "park_v = -0.8" in path.read_text()
-    assert read_rig("mine") == settings
+    text = """
+        [card]
+        park_v = -0.8
+        device = "cDAQ1"
+        falling = false
+        [camera]
+        kind = "genicam"
+        serial = "14120"
+        strobe = "readout"
+        [mirror]
+        min_v = -1.0
+        natural_hz = 800.0
+    """
+    write(folder, text)
+    settings = read_rig("mine")
     assert rig_names() == ["simulated", "mine"]
     assert settings.limits().natural_hz == 800
-    assert settings.card_settings().device == "cDAQ1"
-    with pytest.raises(InputError, match="exists"):
-        write_rig("mine", settings)
-    write_rig("mine", settings, force=True)
-    assert [file.name for file in folder.iterdir()] == ["mine.toml"]
+    assert settings.limits().max_v == 2.0
+    assert settings.camera.strobe is StrobePhase.READOUT
+    assert settings.card_settings() == CardSettings(-0.8, device="cDAQ1", falling=False)
 
 
 @pytest.mark.parametrize(
@@ -117,8 +123,7 @@ def test_a_users_own_rig_is_a_readable_file_that_comes_back_the_same(folder) -> 
     ],
 )
 def test_a_wrong_file_says_which_key_and_which_value(folder, text, told) -> None:
-    folder.mkdir()
-    (folder / "mine.toml").write_bytes(text.encode("latin-1"))
+    write(folder, text)
     with pytest.raises(InputError, match=told):
         open_rig("mine")
 
@@ -126,12 +131,10 @@ def test_a_wrong_file_says_which_key_and_which_value(folder, text, told) -> None
 def test_an_unknown_rig_lists_the_known_ones() -> None:
     with pytest.raises(InputError, match="choose one of simulated"):
         open_rig("theirs")
-    with pytest.raises(InputError, match="called"):
-        write_rig("simulated", RigSettings.parse({"card": {"park_v": 0.5}}, "x"))
 
 
-def test_a_real_rig_without_devices_says_so(monkeypatch) -> None:
-    write_rig("mine", RigSettings.parse({"card": {"park_v": -0.7}}, "mine"))
+def test_a_real_rig_without_devices_says_so(folder, monkeypatch) -> None:
+    write(folder, "[card]\npark_v = -0.7\n")
     monkeypatch.setattr("usb.core.find", lambda **_: iter(()))
     with pytest.raises(DeviceError, match="no USB3 Vision camera"):
         open_rig("mine")

@@ -111,7 +111,7 @@ def test_noise_has_the_variance_of_shot_and_read_noise() -> None:
 def test_wider_slits_gather_more_light_and_gain_costs_electrons() -> None:
     instrument = Instrument.of("240hz")
     three, six = (
-        Renderer(instrument.with_slit_rows(rows), scene("uniform"), noise=False).core_values(0)[0].mean()
+        Renderer(replace(instrument, slit_rows=rows), scene("uniform"), noise=False).core_values(0)[0].mean()
         for rows in (3, 6)
     )
     assert 1.8 < six / three < 2

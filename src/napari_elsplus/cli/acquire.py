@@ -125,9 +125,8 @@ def _write(pipeline: Pipeline, engine: Engine, mosaic: Path | None, track: Path 
     if track is not None:
         write_track(track, pipeline.rows, force=force)
     if mosaic is not None:
-        um = None if calibration.optics is None else calibration.optics.um_per_px
-        scale = None if um is None else um * pipeline.camera_px_per_pixel
-        write_mosaic(mosaic, picture(list(pipeline.mosaics.values())), scale, calibration=calibration, force=force)
+        image = picture(list(pipeline.mosaics.values()))
+        write_mosaic(mosaic, image, pipeline.um_per_px, calibration=calibration, force=force)
 
 
 def summary(status: Status) -> str:

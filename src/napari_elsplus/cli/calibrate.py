@@ -141,8 +141,7 @@ def _offset(findings: Findings) -> Iterator[str]:
     offset = findings.offset
     if offset is None:
         return
-    optics = findings.calibration.optics
-    scale = optics.um_per_px if optics is not None else None
+    scale = findings.calibration.um_per_px
     in_um = f" ({offset.rows * scale:.2f} um)" if scale is not None else ""
     yield (
         f"slit offset: {offset.rows:.3f} +- {offset.uncertainty_rows:.3f} rows{in_um}, "

@@ -29,8 +29,7 @@ def command(raw: Path, calibration: Path, frame: int, output: Path, force: bool)
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
         comparison = compare(recording, record, frame)
-    um_per_px = None if record.optics is None else record.optics.um_per_px
-    save_figure(draw_comparison(comparison, um_per_px), output, force=force)
+    save_figure(draw_comparison(comparison, record.um_per_px), output, force=force)
     for mode, title in TITLES.items():
         levels = contrast(comparison.images[mode], comparison.inside)
         click.echo(f"{title:5} contrast {levels.michelson:.3f}, background {levels.background:.3f} of white")

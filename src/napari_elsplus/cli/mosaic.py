@@ -55,9 +55,8 @@ def command(
                 two_threads.add(confocal, frame, np.nan if times is None else float(times[frame]), residual)
         pipeline.finish(pairs, lambda frames: progress(frames, describe="Mosaic"))
     image = picture(list(pipeline.mosaics.values()))
-    um = None if record.optics is None else record.optics.um_per_px
-    scale = None if um is None else um * pipeline.camera_px_per_pixel
-    write_mosaic(output, image, scale, calibration=record, metadata={"method": method, "mode": mode}, force=force)
+    notes = {"method": method, "mode": mode}
+    write_mosaic(output, image, pipeline.um_per_px, calibration=record, metadata=notes, force=force)
     if track is not None:
         write_track(track, pipeline.rows, force=force)
     if said:

@@ -42,15 +42,11 @@ def command(raw: Path, calibration: Path, mode: str, cores: str, flat_field: boo
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
         images = Images(recording, record, mode, cores=cores, flat_field=flat_field)
-        optics = record.optics
-        frame_period_s = None
-        if optics is not None and optics.line_period_s is not None and optics.rows_per_frame is not None:
-            frame_period_s = optics.line_period_s * optics.rows_per_frame * (len(recording) // len(images))
+        frames_each, period_s = len(recording) // len(images), record.frame_period_s
         write_stack(
             output,
             progress(images, describe=mode, total=len(images)),
-            um_per_px=None if optics is None else optics.um_per_px,
-            frame_period_s=frame_period_s,
+            frame_period_s=None if period_s is None else period_s * frames_each,
             metadata={"mode": mode},
             calibration=record,
             force=force,

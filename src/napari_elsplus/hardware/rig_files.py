@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import tomllib
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tomli_w
-from platformdirs import user_config_path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.folders import config_folder
 from napari_elsplus.hardware.card_output import CardSettings
 from napari_elsplus.hardware.flea3 import Flea3
 from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase
@@ -20,6 +17,7 @@ from napari_elsplus.optics import LINE_RATE_HZ
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from napari_elsplus.hardware.u3v.camera import Features
     from napari_elsplus.hardware.u3v.control import Control
@@ -120,9 +118,8 @@ class RigSettings(_Table):
 
 
 def rig_folder() -> Path:
-    """Where the files are: ``$NAPARI_ELSPLUS_RIGS``, or the user's configuration folder."""
-    chosen = os.environ.get("NAPARI_ELSPLUS_RIGS")
-    return Path(chosen) if chosen else user_config_path("napari-elsplus", appauthor=False) / "rigs"
+    """Where the files are."""
+    return config_folder() / "rigs"
 
 
 def rig_files() -> dict[str, Path]:
@@ -147,23 +144,3 @@ def read_rig(name: str) -> RigSettings:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"rig {name}: {error}", f"correct {files[name]}") from error
     return RigSettings.parse(content, name)
-
-
-def write_rig(name: str, settings: RigSettings, *, force: bool = False) -> Path:
-    """Write a rig's file, and return where it is.
-
-    Raises
-    ------
-    InputError
-        If the name cannot be one, or the file exists and `force` is not given.
-    """
-    if name in RESERVED or not name.replace("-", "").replace("_", "").isalnum():
-        raise InputError(f"a rig cannot be called {name!r}", "use letters, digits, - and _")
-    path = rig_folder() / f"{name}.toml"
-    if path.exists() and not force:
-        raise InputError(f"{path} exists", "choose another name, or overwrite it with force")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(".part")
-    beside.write_text(tomli_w.dumps(settings.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
-    beside.replace(path)
-    return path

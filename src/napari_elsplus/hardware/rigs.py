@@ -15,7 +15,6 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq import DaqScanner
 from napari_elsplus.hardware.parking import park_order
 from napari_elsplus.hardware.rig_files import RigSettings, read_rig, rig_files
-from napari_elsplus.optics import PRESETS, Preset
 
 if TYPE_CHECKING:
     from napari_elsplus.hardware.parking import ParkOrder
@@ -47,8 +46,6 @@ class Rig:
         What has to be done if this process dies.
     bench : VirtualBench, optional
         The simulated rig's truth, and its switches for faults.
-    presets : dict
-        Ways to run the camera.
     """
 
     name: str
@@ -58,7 +55,6 @@ class Rig:
     strobe: StrobePhase
     park: ParkOrder
     bench: VirtualBench | None = None
-    presets: dict[str, Preset] = field(default_factory=lambda: dict(PRESETS))
     _held: ExitStack = field(default_factory=ExitStack, repr=False)
 
     def close(self) -> None:

@@ -171,9 +171,8 @@ class RecordingWriter:
     def _known(self) -> dict[str, Any]:
         times = np.array(self._times_s)
         period = float(np.median(np.diff(times))) if len(times) > 1 else None
-        optics = self._calibration.optics if self._calibration is not None else None
         return {
-            "um_per_px": optics.um_per_px if optics is not None else None,
+            "um_per_px": None if self._calibration is None else self._calibration.um_per_px,
             "frame_period_s": period if period and period > 0 else None,
             "times_s": self._times_s,
             "calibration": self._calibration,

@@ -78,11 +78,9 @@ def write_stack(
         first = head[0]
         if first.ndim != 2 or first.size == 0:
             raise InputError(f"the images have shape {first.shape}", "a stack of images (rows, cols) is expected")
-        if calibration is not None and calibration.optics is not None:
-            optics = calibration.optics
-            um_per_px = um_per_px or optics.um_per_px
-            if frame_period_s is None and optics.line_period_s and optics.rows_per_frame:
-                frame_period_s = optics.line_period_s * optics.rows_per_frame
+        if calibration is not None:
+            um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
+            frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
         length = len(images) if isinstance(images, Sized) else None
         big = length is None or length * first.nbytes > CLASSIC_LIMIT
         count = 0
@@ -145,8 +143,8 @@ def write_mosaic(
         image = np.ascontiguousarray(image)
         if image.ndim != 2 or image.size == 0:
             raise InputError(f"the mosaic has shape {image.shape}", "a mosaic (rows, cols) is expected")
-        if um_per_px is None and calibration is not None and calibration.optics is not None:
-            um_per_px = calibration.optics.um_per_px
+        if um_per_px is None and calibration is not None:
+            um_per_px = calibration.um_per_px
         words = ome.description(um_per_px=um_per_px, calibration=calibration, settings=metadata)
         levels = pyramid(image)
         with tifffile.TiffWriter(beside, bigtiff=image.nbytes > CLASSIC_LIMIT, ome=True) as writer:

@@ -127,8 +127,7 @@ def axial_profiles(
     """
     calibration.require("bundle", "optics")
     assert calibration.bundle is not None
-    assert calibration.optics is not None
-    um_per_px = calibration.optics.um_per_px
+    um_per_px = calibration.um_per_px
     if um_per_px is None:
         raise CalibrationError("the calibration does not know um_per_px", "give it with `calibrate --um-per-px`")
     if not len(frames):

@@ -219,10 +219,6 @@ class Instrument:
         rows, cols = self.left_centre
         return rows + self.offset_rows, cols + self.frame_shape[1] / 2 - 0.85
 
-    def with_slit_rows(self, slit_rows: float) -> Instrument:
-        """Return the instrument with another exposure."""
-        return replace(self, slit_rows=slit_rows)
-
     def with_gain_db(self, gain_db: float) -> Instrument:
         """Return the instrument with the camera's gain raised: more grey levels, fewer electrons in each."""
         factor = 10 ** (gain_db / 20)

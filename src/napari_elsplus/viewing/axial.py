@@ -143,7 +143,7 @@ def slit_um(calibration: Calibration) -> tuple[float | None, float | None]:
     >>> slit_um(Calibration.parse(known))
     (24.0, None)
     """
-    um_per_px = calibration.optics.um_per_px if calibration.optics is not None else None
+    um_per_px = calibration.um_per_px
     if um_per_px is None:
         return None, None
     offset, settings = calibration.offset, calibration.acquired_with

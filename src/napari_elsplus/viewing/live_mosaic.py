@@ -40,11 +40,10 @@ class LiveMosaics:
         self.board, self.calibration = state.board, calibration
         plan = state.plan
         self.plan = MosaicPlan((plan.mode,), plan.method, plan.insertion)
-        optics = None if calibration is None else calibration.optics
         diameter = 2 * state.radius_px / FIELD
         self.scale = MosaicScale(
             state.camera_px_per_pixel,
-            None if optics is None else optics.um_per_px,
+            None if calibration is None else calibration.um_per_px,
             state.radius_px,
             fastest_px_per_frame(diameter, state.camera_px_per_pixel, plan.method),
         )

@@ -180,10 +180,9 @@ class StackMosaics:
     def scale(self) -> MosaicScale:
         """How large things are."""
         grid, per_pixel = self._lead.grid, self._lead.camera_px_per_pixel
-        optics = self.calibration.optics
         return MosaicScale(
             per_pixel,
-            None if optics is None else optics.um_per_px,
+            self.calibration.um_per_px,
             0.5 * FIELD * grid.diameter,
             fastest_px_per_frame(grid.diameter, per_pixel, self.plan.method),
         )
@@ -258,10 +257,8 @@ class StackMosaics:
     def _time_s(self, frame: int) -> float:
         if self._times_s is not None:
             return float(self._times_s[frame])
-        optics = self.calibration.optics
-        if optics is None or not optics.line_period_s or not optics.rows_per_frame:
-            return nan
-        return frame * optics.line_period_s * optics.rows_per_frame
+        period_s = self.calibration.frame_period_s
+        return nan if period_s is None else frame * period_s
 
 
 def without_last_segment(

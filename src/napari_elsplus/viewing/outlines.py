@@ -54,8 +54,7 @@ def outline_layer(calibration: Calibration, name: str, path: Path | None = None)
     calibration.require("bundle")
     assert calibration.bundle is not None
     bundle = calibration.bundle
-    um_per_px = calibration.optics.um_per_px if calibration.optics is not None else None
-    attributes = space(um_per_px) | {"name": name}
+    attributes = space(calibration.um_per_px) | {"name": name}
     attributes |= {
         "shape_type": "ellipse",
         "edge_color": list(OUTLINE_COLOURS),

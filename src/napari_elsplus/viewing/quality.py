@@ -246,7 +246,7 @@ with open_recording({frames_file!r}) as recording:
     print(f"alignment error: {{100 * alignment.before:.2f}} %, filtered {{100 * alignment.after:.2f}} %")
     if BOXES_PX:
         image = image_planes(stack.planes, calibration, Mode.LS, cores={cores!r})[FRAME]
-        found = measure_resolution(image, BOXES_PX, calibration.optics.um_per_px)
+        found = measure_resolution(image, BOXES_PX, calibration.um_per_px)
         print(f"smallest resolved line pair: {{found.finest_um:.2f}} um")
     edge = measure_edge(stack, calibration)
     print(f"residual at the rim over that in the middle: {{edge.profile.min():.2f}}")

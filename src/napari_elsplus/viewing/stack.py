@@ -87,9 +87,7 @@ def space(um_per_px: float | None, origin_px: tuple[float, float] = (0.0, 0.0)) 
 def um_per_px_of(stack: Stack, calibration: Calibration | None) -> float | None:
     """Return the scale of a stack, from its file or else from its calibration; None if neither knows it."""
     known: float | None = stack.metadata.get("um_per_px")
-    if known is None and calibration is not None and calibration.optics is not None:
-        known = calibration.optics.um_per_px
-    return known
+    return calibration.um_per_px if known is None and calibration is not None else known
 
 
 def images_origin_px(calibration: Calibration) -> tuple[float, float]:
@@ -116,9 +114,8 @@ def _first_axis(stack: Stack, calibration: Calibration | None) -> dict[str, Any]
         first = float(stack.depth_um[0])
         return {"scale": float(steps[0]), "translate": first, "units": "um", "axis_labels": "depth"}
     period_s = stack.metadata.get("frame_period_s")
-    optics = calibration.optics if calibration is not None else None
-    if period_s is None and optics is not None and optics.line_period_s and optics.rows_per_frame:
-        period_s = optics.line_period_s * optics.rows_per_frame
+    if period_s is None and calibration is not None:
+        period_s = calibration.frame_period_s
     return {
         "scale": period_s or 1.0,
         "translate": 0.0,

@@ -61,7 +61,7 @@ class LiveLayers:
     ) -> None:
         """Show these kinds and hide the others; a layer is made only where there is none of that kind and size."""
         shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
-        um = calibration.optics.um_per_px if calibration is not None and calibration.optics is not None else None
+        um = None if calibration is None else calibration.um_per_px
         first = not self.images
         left_px = 0
         for kind in KINDS:

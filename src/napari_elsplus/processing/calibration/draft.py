@@ -158,7 +158,7 @@ class Draft:
     @property
     def um_per_px(self) -> float | None:
         """The scale, if it is known."""
-        return self.calibration.optics.um_per_px if self.calibration.optics is not None else None
+        return self.calibration.um_per_px
 
     def state(self, step: Step, setup: Setup | None = None) -> tuple[State, str]:
         """Say whether a step has to be done, and why; given a rig's setup, whether it still holds there."""
