@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from napari_elsplus import settings
+from napari_elsplus.folders import CONFIG_VARIABLE
 
 
 def test_sections_keep_to_themselves():
@@ -38,6 +39,6 @@ def test_a_broken_file_costs_the_memory_but_not_the_work():
 
 def test_a_folder_that_cannot_be_written_is_said(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
-    monkeypatch.setenv(settings.FOLDER_VARIABLE, str(tmp_path / "file" / "folder"))
+    monkeypatch.setenv(CONFIG_VARIABLE, str(tmp_path / "file" / "folder"))
     with pytest.warns(UserWarning, match="could not be kept"):
         settings.remember("rig", name="simulated")
