@@ -19,13 +19,14 @@ from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.evaluation.machine import machine
 from napari_elsplus.io import TrackPoint
+from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.grid import Grid
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.mosaic_files import save_mosaics
-from napari_elsplus.viewing.mosaicking import MosaicPlan, MosaicScale
+from napari_elsplus.viewing.mosaicking import MosaicScale
 from napari_elsplus.widgets.mosaic_layers import MosaicLayers
 
 STEP_PX = 40.0

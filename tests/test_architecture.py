@@ -28,6 +28,7 @@ ROOMS = (
     "io",
     "pipeline",
     "tracking_pipeline",
+    "mosaic_plan",
     "pipelined",
     "acquisition",
     "evaluation",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -14,6 +15,7 @@ from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.sectioning import Mode, Sectioner
 from napari_elsplus.processing.tracking.frontend import FrontEnd
+from napari_elsplus.processing.tracking.ladder import Rung
 from napari_elsplus.processing.tracking.paper import PaperTracker
 from napari_elsplus.processing.tracking.refinement import refine
 from napari_elsplus.processing.tracking.shutter_timing import RowsPerFrame, estimate_rows_per_frame
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.tiles import TileStore
     from napari_elsplus.processing.sectioning import Frames
     from napari_elsplus.processing.tracking.grid import Grid
-    from napari_elsplus.processing.tracking.registration import View
+    from napari_elsplus.processing.tracking.registration import Link, View
 
 
 _TIMING_FRAMES = 600
@@ -69,6 +71,14 @@ class _Tracking(Protocol):
     def forget_links(self) -> None:
         """Let go of what only :meth:`refine` needs."""
 
+    @property
+    def newest_link(self) -> tuple[int, int, Link] | None:
+        """The link by which a frame was tracked last, if it is kept."""
+
+    @property
+    def rung(self) -> Rung:
+        """What is modelled beside translations."""
+
 
 class _Ours:
     def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
@@ -102,6 +112,17 @@ class _Ours:
 
     def forget_links(self) -> None:
         self._tracker.links.clear()
+
+    @property
+    def newest_link(self) -> tuple[int, int, Link] | None:
+        if not self._tracker.links:
+            return None
+        earlier, later, _, link = self._tracker.links[-1]
+        return earlier, later, link
+
+    @property
+    def rung(self) -> Rung:
+        return self._tracker.rung
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         registrar = self._tracker.registrar
@@ -144,6 +165,14 @@ class _Papers:
 
     def forget_links(self) -> None:
         """Keep nothing: there is nothing to refine."""
+
+    @property
+    def newest_link(self) -> None:
+        """None: whole-pixel matches have no covariance."""
+
+    @property
+    def rung(self) -> Rung:
+        return Rung.TRANSLATION
 
 
 class Pipeline:
@@ -235,10 +264,13 @@ class Pipeline:
         raw_residual : numpy.ndarray, optional
             The frame that the residual is taken from (ELSA); the same one by default.
         """
-        pose, image = self._tracking.track(raw, raw if raw_residual is None else raw_residual)
-        self._note(pose, frame, time_s)
-        self._lay(image, pose)
+        pose, image = self.find(raw, raw_residual)
+        self.keep(image, pose, frame, time_s)
         return self.rows[-1]
+
+    def find(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> tuple[Pose, NDArray[np.float32]]:
+        """Do the first parts of :meth:`add`: find where a frame lies; its image, too, is good until the next call."""
+        return self._tracking.track(raw, raw if raw_residual is None else raw_residual)
 
     def track(
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
@@ -260,11 +292,40 @@ class Pipeline:
         """Do the last: put a frame into the track, and its image into the mosaic."""
         self._note(pose, frame, time_s)
         if lay:
-            self._lay(image, pose)
+            self.put(image, pose)
 
     def lay(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
         """Lay a raw frame down where another pipeline, of another mode, has found it to be."""
-        self._lay(self._tracking.image(raw, raw if raw_residual is None else raw_residual), pose)
+        self.put(self.image(raw, raw_residual), pose)
+
+    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> NDArray[np.float32]:
+        """Return a frame's image (side, side), which is good until the next call."""
+        return self._tracking.image(raw, raw if raw_residual is None else raw_residual)
+
+    def put(self, image: NDArray[np.float32], pose: Pose) -> Mosaic | None:
+        """Lay an image down where its frame was tracked; return the mosaic that it lies in then."""
+        if pose.state is not State.TRACKED:
+            return None
+        mosaic = self.mosaics.get(pose.segment)
+        if mosaic is None:
+            store = None if self._new_store is None else self._new_store(pose.segment)
+            mosaic = self.mosaics[pose.segment] = self.blank_mosaic(store)
+        mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
+        return mosaic
+
+    def blank_mosaic(self, store: TileStore | None = None) -> Mosaic:
+        """Make a mosaic like those that frames are laid into."""
+        return Mosaic(self.grid, self._insertion, weights=self._weights, store=store)
+
+    @property
+    def newest_link(self) -> tuple[int, int, Link] | None:
+        """The link by which a frame was tracked last: the earlier and the later one, by their order, and itself."""
+        return self._tracking.newest_link
+
+    @property
+    def rung(self) -> Rung:
+        """What is modelled beside translations."""
+        return self._tracking.rung
 
     def forget(self, segment: int) -> None:
         """Take a segment's mosaic away, and call its frames lost."""
@@ -274,6 +335,15 @@ class Pipeline:
                 lost = pose._replace(row=np.nan, col=np.nan, score=np.nan, sigma=np.nan, state=State.LOST)
                 self.poses[index] = lost
                 self.rows[index] = self._row(lost, self.rows[index].frame, self.rows[index].time_s)
+
+    def relocate(self, segment: NDArray[np.int64], row: NDArray[np.float64], col: NDArray[np.float64]) -> None:
+        """Say of every row of the track where its frame belongs: (n,) segments, and pixels of the mosaic."""
+        scale, um = self._scales
+        where = zip(segment.tolist(), (row * scale).tolist(), (col * scale).tolist(), strict=True)
+        self.rows = [
+            replace(point, segment=into, row_px=down, col_px=across, row_um=down * um, col_um=across * um)
+            for point, (into, down, across) in zip(self.rows, where, strict=True)
+        ]
 
     def forget_the_past(self) -> None:
         """Keep of track and links only the newest row: for streams without end whose track is kept elsewhere.
@@ -302,24 +372,19 @@ class Pipeline:
         self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
         self.mosaics = {}
         for index in watch([k for k, pose in enumerate(self.poses) if pose.state is State.TRACKED]):
-            self._lay(self._tracking.image(*raw_pair(index)), self.poses[index])
+            self.put(self.image(*raw_pair(index)), self.poses[index])
 
     def _note(self, pose: Pose, frame: int, time_s: float) -> None:
         self.poses.append(pose)
         self.rows.append(self._row(pose, frame, time_s))
 
-    def _lay(self, image: NDArray[np.float32], pose: Pose) -> None:
-        if pose.state is not State.TRACKED:
-            return
-        mosaic = self.mosaics.get(pose.segment)
-        if mosaic is None:
-            store = None if self._new_store is None else self._new_store(pose.segment)
-            mosaic = Mosaic(self.grid, self._insertion, weights=self._weights, store=store)
-            self.mosaics[pose.segment] = mosaic
-        mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
+    @property
+    def _scales(self) -> tuple[float, float]:
+        """Camera pixels per pixel of the mosaic, and micrometres per camera pixel."""
+        return self._tracking.scale, np.nan if self._camera_um_per_px is None else self._camera_um_per_px
 
     def _row(self, pose: Pose, frame: int, time_s: float) -> TrackPoint:
-        scale, um = self._tracking.scale, np.nan if self._camera_um_per_px is None else self._camera_um_per_px
+        scale, um = self._scales
         row, col = pose.row * scale, pose.col * scale
         return TrackPoint(
             frame, time_s, pose.segment, row, col, row * um, col * um, pose.score, pose.sigma * scale, pose.state.value

@@ -22,7 +22,7 @@ import sys
 from napari_elsplus.acquisition.mosaic_board import MosaicFeed
 feed = MosaicFeed(sys.argv[1])
 feed.update()
-print(len(feed.rows), float(feed.canvases[0].read()[0].max()))
+print(len(feed.rows), float(feed.canvases[0][0].read()[0].max()))
 feed.close()
 """
 
@@ -67,9 +67,9 @@ def scribe(request: pytest.FixtureRequest) -> Iterator[Scribe]:
 
 
 def same(feed: MosaicFeed, scribe: Scribe) -> None:
-    assert set(feed.canvases) == set(scribe.mosaics)
+    assert set(feed.canvases.get(0, {})) == set(scribe.mosaics)
     for segment, mosaic in scribe.mosaics.items():
-        mirror = feed.canvases[segment]
+        mirror = feed.canvases[0][segment]
         for theirs, ours in zip(mosaic.read(), mirror.read(mosaic.extent), strict=True):
             np.testing.assert_array_equal(theirs, ours)
 
@@ -86,14 +86,14 @@ def test_who_looks_has_the_same_mosaic_and_copies_only_what_changed(scribe: Scri
                 same(feed, scribe)
         feed.update()
         assert not feed.update()
-        for canvas in feed.canvases.values():
+        for canvas in feed.canvases[0].values():
             canvas.take_dirty()
         scribe.draw(0.0, 0.0, 1)
         feed.update()
-        dirty = feed.canvases[1].take_dirty()
+        dirty = feed.canvases[0][1].take_dirty()
         assert dirty is not None
         assert max(dirty.shape) < 120
-        assert feed.canvases[0].take_dirty() is None
+        assert feed.canvases[0][0].take_dirty() is None
         same(feed, scribe)
         assert feed.rows == [point(k, 0 if k < 25 else 1) for k in range(41)]
     finally:
@@ -155,7 +155,7 @@ def test_what_was_copied_outlives_the_board_and_another_process_sees_it(scribe: 
     extent = scribe.mosaics[0].extent
     feed.close()
     scribe.mosaics.clear()
-    np.testing.assert_array_equal(feed.canvases[0].read(extent)[0], image)
+    np.testing.assert_array_equal(feed.canvases[0][0].read(extent)[0], image)
 
 
 @pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="what is left is known on Linux only")

@@ -16,11 +16,11 @@ from napari_elsplus.acquisition.live_images import View
 from napari_elsplus.acquisition.mosaic_board import MosaicFeed
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings
-from napari_elsplus.acquisition.tracking import TrackPlan
 from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
 from napari_elsplus.hardware.virtual.card_process import start_card
 from napari_elsplus.io import open_recording
+from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.sectioning import Mode
 
 SLOW = Settings("240hz", frame_rate_hz=100.0)
@@ -132,11 +132,11 @@ def test_errors_come_back_as_they_were_raised(client: EngineClient, calibration:
 
 def test_the_mosaic_crosses_the_processes(client: EngineClient, calibration: Calibration) -> None:
     with pytest.raises(CalibrationError, match="no calibration to track by"):
-        client.track(TrackPlan()).result(60)
+        client.track(MosaicPlan()).result(60)
     client.use(calibration).result(60)
     with pytest.raises(InputError, match="ELSA"):
-        client.track(TrackPlan(Mode.ELSA)).result(60)
-    client.track(TrackPlan(Mode.LS)).result(60)
+        client.track(MosaicPlan((Mode.ELSA,))).result(60)
+    client.track(MosaicPlan((Mode.LS,))).result(60)
     client.start().result(60)
     until(lambda: client.status.track is not None and client.status.track.counts.get("tracked", 0) > 20)
     track = client.status.track
@@ -147,7 +147,7 @@ def test_the_mosaic_crosses_the_processes(client: EngineClient, calibration: Cal
     try:
         until(lambda: feed.update() and len(feed.rows) > 30)
         assert [row.frame for row in feed.rows] == list(range(len(feed.rows)))
-        image, weight = feed.canvases[0].read()
+        image, weight = feed.canvases[0][0].read()
         assert np.ptp(image[weight > 0]) > 50  # the camera's waves
         client.track(None).result(60)
         client.stop().result(60)
@@ -173,7 +173,7 @@ def test_the_mosaic_crosses_the_processes(client: EngineClient, calibration: Cal
 def test_of_the_mosaic_nothing_is_left(client: EngineClient, calibration: Calibration, killed: bool) -> None:
     client.use(calibration).result(60)
     client.start().result(60)
-    client.track(TrackPlan(Mode.LS)).result(60)
+    client.track(MosaicPlan((Mode.LS,))).result(60)
     until(lambda: client.status.track is not None and client.status.track.counts.get("tracked", 0) > 5)
     feed = MosaicFeed(client.status.track.board)  # type: ignore[union-attr]
     feed.update()
@@ -184,7 +184,7 @@ def test_of_the_mosaic_nothing_is_left(client: EngineClient, calibration: Calibr
         feed.update()  # what is mapped can still be read
     else:
         client.close()
-    assert feed.canvases[0].read()[0].any()
+    assert feed.canvases[0][0].read()[0].any()
     feed.close()
     until(lambda: segments(pid) == [])
 

@@ -8,7 +8,8 @@ import pytest
 from napari_elsplus.acquisition import tracking
 from napari_elsplus.acquisition.mosaic_board import MosaicBoard, MosaicFeed
 from napari_elsplus.acquisition.ring import Stamp
-from napari_elsplus.acquisition.tracking import LiveTrack, TrackPlan
+from napari_elsplus.acquisition.tracking import LiveTrack
+from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.tracking_pipeline import Pipeline
 from recordings import Truth, record, smooth_path, texture
 
@@ -41,7 +42,7 @@ def test_a_stream_without_end_is_tracked_alike_in_bounded_memory(monkeypatch: py
             (row.frame, row.row_px, row.state) for row in alone.rows
         ]
         extent = alone.mosaics[0].extent
-        np.testing.assert_array_equal(feed.canvases[0].read(extent)[0], alone.mosaics[0].read()[0])
+        np.testing.assert_array_equal(feed.canvases[0][0].read(extent)[0], alone.mosaics[0].read()[0])
         assert live.state.counts == {"tracked": FRAMES}
         assert live.state.newest == feed.rows[-1]
         assert live.undo()
@@ -55,7 +56,7 @@ def test_a_stream_without_end_is_tracked_alike_in_bounded_memory(monkeypatch: py
 
 def test_a_stream_that_starts_again_goes_on_counting() -> None:
     frames, calibration = truth().frames, truth().calibration
-    live = LiveTrack(calibration, frames.shape[1:], TrackPlan())
+    live = LiveTrack(calibration, frames.shape[1:], MosaicPlan())
     for k in range(4):
         live.add(frames[k], stamp(k))
     for k in range(3):

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs
-from napari_elsplus.viewing.mosaicking import MosaicPlan, StackMosaics, images_as_they_are
+from napari_elsplus.viewing.mosaicking import StackMosaics, images_as_they_are
 from recordings import Truth, record, smooth_path, texture
 
 FRAMES = 24

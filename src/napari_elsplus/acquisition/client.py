@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.recorder import RecordingPlan
     from napari_elsplus.acquisition.status import Settings
     from napari_elsplus.acquisition.tally import Latencies
-    from napari_elsplus.acquisition.tracking import TrackPlan
     from napari_elsplus.acquisition.usage import Usage
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.errors import MeasurementError
+    from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.calibration.calibrate import Background, Findings, Pair, SlitOffset
     from napari_elsplus.processing.calibration.draft import Flat, LitPair, Setup
     from napari_elsplus.processing.calibration.galvo import GalvoMap
@@ -121,7 +121,7 @@ class EngineClient:
         """Record raw frames."""
         return self._ask("record", plan)
 
-    def track(self, plan: TrackPlan | None) -> Future[None]:
+    def track(self, plan: MosaicPlan | None) -> Future[None]:
         """Lay every frame into a mosaic from now on, a new one; None lets the one there is rest."""
         return self._ask("track", plan)
 

@@ -7,12 +7,12 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 from napari_elsplus.acquisition.mosaic_board import MosaicBoard
-from napari_elsplus.acquisition.tracking import LiveTrack, TrackPlan, TrackState
-from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.acquisition.tracking import LiveTrack, TrackState
+from napari_elsplus.errors import CalibrationError
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine import Engine
+    from napari_elsplus.mosaic_plan import MosaicPlan
 
 
 class LiveMosaic:
@@ -36,15 +36,15 @@ class LiveMosaic:
         track = self._track
         return None if track is None else replace(track.state, running=self._runs)
 
-    def track(self, plan: TrackPlan | None) -> None:
-        """Begin a new mosaic; None lets the one there is rest.
+    def track(self, plan: MosaicPlan | None) -> None:
+        """Begin a new mosaic; None lets the one there is rest, all loops closed.
 
         Raises
         ------
         CalibrationError
             If the bundle was not located.
         InputError
-            If the mode cannot be made live.
+            If the images cannot be made live.
         DeviceError
             If there is no shared memory left.
         """
@@ -52,9 +52,9 @@ class LiveMosaic:
             if plan is None:
                 self._engine.track(None)
                 self._runs = False
+                if self._track is not None:
+                    self._track.settle()
                 return
-            if plan.mode is Mode.ELSA:
-                raise InputError("ELSA takes two frames for each image", "choose LS or ELS+ for the live mosaic")
             calibration = self._engine.calibration
             if calibration is None:
                 raise CalibrationError("there is no calibration to track by", "calibrate, or load a calibration")

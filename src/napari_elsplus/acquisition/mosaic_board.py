@@ -6,7 +6,7 @@ late. Tiles and rows lie in further segments that are added as the mosaic grows;
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import astuple
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,7 +18,7 @@ from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, 
 from napari_elsplus.processing.tracking.tracker import State
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from multiprocessing.shared_memory import SharedMemory
 
     from numpy.typing import NDArray
@@ -30,10 +30,12 @@ CHANGES: Final = 1 << 12
 TILES_TOGETHER: Final = 8
 ROWS_TOGETHER: Final = 1 << 14
 _FREE: Final = -1
-_HEAD: Final = np.dtype([("generation", "<i8"), ("tiles", "<i8"), ("rows", "<i8"), ("changes", "<i8")])
-_TILE: Final = np.dtype([("segment", "<i4"), ("row", "<i4"), ("col", "<i4")])
+_HEAD: Final = np.dtype(
+    [("generation", "<i8"), ("tiles", "<i8"), ("rows", "<i8"), ("changes", "<i8"), ("relocations", "<i8")]
+)  # fmt: skip
+_TILE: Final = np.dtype([("image", "<i4"), ("segment", "<i4"), ("row", "<i4"), ("col", "<i4")])
 _CHANGE: Final = np.dtype(
-    [("segment", "<i4"), ("top", "<i4"), ("left", "<i4"), ("bottom", "<i4"), ("right", "<i4")]
+    [("image", "<i4"), ("segment", "<i4"), ("top", "<i4"), ("left", "<i4"), ("bottom", "<i4"), ("right", "<i4")]
 )  # fmt: skip
 _ROW: Final = np.dtype(
     [
@@ -117,9 +119,9 @@ class MosaicBoard:
         """By which a :class:`MosaicFeed` finds it."""
         return self._tables.name
 
-    def new_store(self, segment: int) -> BoardTiles:
-        """Make the store of a segment's tiles."""
-        return BoardTiles(self, segment)
+    def new_store(self, segment: int, image: int = 0) -> BoardTiles:
+        """Make the store of the tiles of a segment, for one of several images that are laid along one track."""
+        return BoardTiles(self, segment, image)
 
     def append(self, point: TrackPoint) -> None:
         """Add a row to the track."""
@@ -130,40 +132,78 @@ class MosaicBoard:
         rows[within] = (*values, _STATES.index(state))
         head["rows"] = count + 1
 
-    def changed(self, segment: int, part: Rectangle) -> None:
+    def changed(self, segment: int, part: Rectangle, image: int = 0) -> None:
         """Tell that a part of a segment was drawn on."""
         head = self._tables.head
         count = int(head["changes"][0])
-        self._tables.changes[count % CHANGES] = (segment, *part)
+        self._tables.changes[count % CHANGES] = (image, segment, *part)
         head["changes"] = count + 1
 
     def drop(self, segment: int) -> None:
-        """Forget a segment: its tiles are free again, its frames lost."""
-        tables = self._tables
-        head = tables.head
-        head["generation"] += 1  # odd: under repair
-        for index in np.flatnonzero(tables.tiles["segment"][: int(head["tiles"][0])] == segment).tolist():
-            tables.tiles[index] = (_FREE, 0, 0)
-            tile = tables.pixels(index)
-            tile.value[:] = 0
-            tile.weight[:] = 0
-            self._free.append(index)
-        for first in range(0, int(head["rows"][0]), ROWS_TOGETHER):
-            rows, _ = tables.rows(first)
-            gone = rows[rows["segment"] == segment]
-            for name in ("row_px", "col_px", "row_um", "col_um", "score", "sigma_px"):
-                gone[name] = np.nan
-            gone["state"] = _STATES.index(State.LOST.value)
-            rows[rows["segment"] == segment] = gone
-        head["generation"] += 1
+        """Forget a segment in all images: its tiles are free again, its frames lost."""
+        with self._repair():
+            self._free_tiles(segment)
+            for rows in self._chunks():
+                gone = rows[rows["segment"] == segment]
+                for name in ("row_px", "col_px", "row_um", "col_um", "score", "sigma_px"):
+                    gone[name] = np.nan
+                gone["state"] = _STATES.index(State.LOST.value)
+                rows[rows["segment"] == segment] = gone
 
-    def new_tile(self, segment: int, row: int, col: int) -> Tile:
+    def release(self, segment: int) -> None:
+        """Give the tiles of a segment back, whose frames were found to belong to another one."""
+        with self._repair():
+            self._free_tiles(segment)
+
+    def relocate(
+        self, segment: NDArray[np.int64], row_px: NDArray[np.float64], col_px: NDArray[np.float64], um_per_px: float
+    ) -> None:
+        """Say of the first frames of the track where they belong, camera pixels.
+
+        Parameters
+        ----------
+        segment, row_px, col_px : numpy.ndarray
+            (n,) one for each frame.
+        um_per_px : float
+            Of a camera pixel; NaN if unknown.
+        """
+        self._tables.head["relocations"] += 1  # odd: under repair
+        for first, rows in zip(range(0, len(segment), ROWS_TOGETHER), self._chunks(), strict=False):
+            part = slice(first, min(first + ROWS_TOGETHER, len(segment)))
+            here = rows[: part.stop - first]
+            here["segment"] = segment[part]
+            for name, values in (("row", row_px[part]), ("col", col_px[part])):
+                here[f"{name}_px"], here[f"{name}_um"] = values, values * um_per_px
+        self._tables.head["relocations"] += 1
+
+    @contextmanager
+    def _repair(self) -> Iterator[None]:
+        """Let nobody look meanwhile, and everybody look at everything afterwards."""
+        self._tables.head["generation"] += 1  # odd: under repair
+        yield
+        self._tables.head["generation"] += 1
+
+    def _free_tiles(self, segment: int) -> None:
+        tables = self._tables
+        count = int(tables.head["tiles"][0])
+        for index in np.flatnonzero(tables.tiles["segment"][:count] == segment).tolist():
+            tables.tiles[index] = (0, _FREE, 0, 0)
+            self._free.append(index)
+
+    def _chunks(self) -> Iterator[Any]:
+        """Go through the rows of the track as they lie together."""
+        for first in range(0, int(self._tables.head["rows"][0]), ROWS_TOGETHER):
+            yield self._tables.rows(first)[0]
+
+    def new_tile(self, segment: int, row: int, col: int, image: int = 0) -> Tile:
         """Give a segment a blank tile."""
         tables = self._tables
         count = int(tables.head["tiles"][0])
         index = self._free.pop() if self._free else count
         tile = tables.pixels(index)
-        tables.tiles[index] = (segment, row, col)
+        if index < count:
+            tile.value[:] = tile.weight[:] = 0
+        tables.tiles[index] = (image, segment, row, col)
         tables.head["tiles"] = max(count, index + 1)
         return tile
 
@@ -181,17 +221,19 @@ class BoardTiles:
         Where they are kept.
     segment : int
         Its number.
+    image : int
+        Of those that are laid along the track.
     """
 
-    def __init__(self, board: MosaicBoard, segment: int) -> None:
-        self._board, self._segment = board, segment
+    def __init__(self, board: MosaicBoard, segment: int, image: int = 0) -> None:
+        self._board, self._segment, self._image = board, segment, image
         self._tiles: dict[tuple[int, int], Tile] = {}
 
     def tile(self, row: int, col: int) -> Tile:
         """Return a tile, blank if it was never drawn on."""
         found = self._tiles.get((row, col))
         if found is None:
-            found = self._tiles[row, col] = self._board.new_tile(self._segment, row, col)
+            found = self._tiles[row, col] = self._board.new_tile(self._segment, row, col, self._image)
         return found
 
     def keys(self) -> list[tuple[int, int]]:
@@ -199,9 +241,9 @@ class BoardTiles:
         return list(self._tiles)
 
     def clear(self) -> None:
-        """Forget all tiles."""
+        """Forget all tiles, and those of the segment's other images."""
         self._tiles.clear()
-        self._board.drop(self._segment)
+        self._board.release(self._segment)
 
 
 class Mirror(TiledCanvas):
@@ -233,8 +275,8 @@ class MosaicFeed:
     ----------
     rows : list of TrackPoint
         The track, as far as it was copied.
-    canvases : dict of int to Mirror
-        The segments, as far as they were copied.
+    canvases : dict of int to dict of int to Mirror
+        Of each image the segments, as far as they were copied.
     revision : int
         Changes when what was copied before does not hold any more.
 
@@ -248,21 +290,28 @@ class MosaicFeed:
         self._tables = _Tables(shared.attach(name), owned=False)
         self._blended = blended
         self.rows: list[TrackPoint] = []
-        self.canvases: dict[int, Mirror] = {}
-        self.revision = 0
+        self.canvases: dict[int, dict[int, Mirror]] = {}
+        self._generation = self._relocations = 0
         self._changes_seen = 0
-        self._known = np.full(MOST_TILES, np.array((_FREE, 0, 0), _TILE))
-        self._tiles: dict[int, dict[tuple[int, int], Tile]] = {}
+        self._known = np.full(MOST_TILES, np.array((0, _FREE, 0, 0), _TILE))
+        self._tiles: dict[tuple[int, int], dict[tuple[int, int], Tile]] = {}
+
+    @property
+    def revision(self) -> int:
+        """Another number once what was copied before has changed."""
+        return self._generation + self._relocations
 
     def update(self) -> bool:
         """Copy what is new; whether there was anything."""
         head = self._tables.head[0].copy()
-        generation = int(head["generation"])
-        if generation % 2:
+        generation, relocations = int(head["generation"]), int(head["relocations"])
+        if generation % 2 or relocations % 2:
             return False
-        if generation != self.revision:
+        if generation != self._generation:
             self._forget()
-            self.revision = generation
+            self._generation = generation
+        if relocations != self._relocations:
+            self.rows, self._relocations = [], relocations
         count = int(head["changes"])
         behind = count - self._changes_seen
         if behind == 0 and int(head["rows"]) == len(self.rows):
@@ -272,16 +321,20 @@ class MosaicFeed:
             parts = self._changed(range(self._changes_seen, count))
         else:
             parts = {
-                segment: whole
-                for segment, tiles in self._tiles.items()
-                if (whole := around_all(tile_rectangle(*key) for key in tiles)) is not None
+                key: whole
+                for key, tiles in self._tiles.items()
+                if (whole := around_all(tile_rectangle(*place) for place in tiles)) is not None
             }
         self._copy_rows(int(head["rows"]))
-        for segment, part in parts.items():
-            mirror = self.canvases.get(segment) or Mirror(blended=self._blended)
-            mirror.copy(part, self._tiles.get(segment, {}))
-            self.canvases[segment] = mirror
-        if int(self._tables.head["generation"][0]) != generation:  # dropped meanwhile: what was copied may be mixed
+        for (image, segment), part in parts.items():
+            mirrors = self.canvases.setdefault(image, {})
+            mirror = mirrors.get(segment) or Mirror(blended=self._blended)
+            mirror.copy(part, self._tiles.get((image, segment), {}))
+            mirrors[segment] = mirror
+        now = self._tables.head[0].copy()
+        if int(now["relocations"]) != relocations:  # some rows may be from before, and some from after
+            self.rows, self._relocations = [], relocations - 1
+        if int(now["generation"]) != generation:  # dropped meanwhile: what was copied may be mixed
             self._forget()
             return False
         self._changes_seen = count
@@ -300,17 +353,17 @@ class MosaicFeed:
     def _learn_tiles(self, count: int) -> None:
         table, known = self._tables.tiles[:count], self._known[:count]
         for index in np.flatnonzero(table != known).tolist():
-            segment, row, col = table[index].tolist()
+            image, segment, row, col = table[index].tolist()
             if segment != _FREE:
-                self._tiles.setdefault(segment, {})[row, col] = self._tables.pixels(index)
+                self._tiles.setdefault((image, segment), {})[row, col] = self._tables.pixels(index)
         known[:] = table
 
-    def _changed(self, numbers: Sequence[int]) -> dict[int, Rectangle]:
-        parts: dict[int, Rectangle] = {}
+    def _changed(self, numbers: Sequence[int]) -> dict[tuple[int, int], Rectangle]:
+        parts: dict[tuple[int, int], Rectangle] = {}
         for number in numbers:
-            segment, *edges = self._tables.changes[number % CHANGES].tolist()
-            part = Rectangle(*edges)
-            parts[segment] = part if segment not in parts else parts[segment].around(part)
+            image, segment, *edges = self._tables.changes[number % CHANGES].tolist()
+            key, part = (image, segment), Rectangle(*edges)
+            parts[key] = part if key not in parts else parts[key].around(part)
         return parts
 
     def _copy_rows(self, count: int) -> None:

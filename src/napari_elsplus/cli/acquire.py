@@ -79,6 +79,7 @@ def command(
         tracker = None
         if mosaic is not None or track is not None:
             tracker = LiveTrack(engine.calibration, engine.setup.frame_shape)
+            held.callback(tracker.close)
             engine.track(tracker)
         try:
             _stream(
@@ -91,6 +92,7 @@ def command(
             with replacing(report, force=force) as unfinished:
                 unfinished.write_text(json.dumps(status.report(), indent=1) + "\n", encoding="utf-8")
         if tracker is not None:
+            tracker.settle()
             _write(tracker.pipeline, engine, mosaic, track, force)
     click.echo(summary(status))
     if status.faults:

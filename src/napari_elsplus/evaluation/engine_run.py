@@ -125,8 +125,8 @@ class Here:
         engine.configure(Settings(name))
         calibration = _calibration(name)
         engine.use(calibration)
-        if track:
-            engine.track(LiveTrack(calibration, engine.setup.frame_shape))
+        self._track = LiveTrack(calibration, engine.setup.frame_shape) if track else None
+        engine.track(self._track)
 
     def begin(self, record: RecordingPlan | None) -> None:
         """Stream."""
@@ -156,6 +156,8 @@ class Here:
 
     def __exit__(self, *reason: object) -> Any:
         self._engine.close()
+        if self._track is not None:
+            self._track.close()
 
 
 class Apart:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from napari_elsplus.acquisition.mosaic_board import MosaicFeed
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.grid import FIELD
-from napari_elsplus.viewing.mosaicking import MosaicPlan, MosaicScale, without_last_segment
+from napari_elsplus.viewing.mosaicking import MosaicScale, without_last_segment
 from napari_elsplus.viewing.track import fastest_px_per_frame
 
 if TYPE_CHECKING:
@@ -38,8 +38,7 @@ class LiveMosaics:
 
     def __init__(self, state: TrackState, calibration: Calibration | None) -> None:
         self.board, self.calibration = state.board, calibration
-        plan = state.plan
-        self.plan = MosaicPlan((plan.mode,), plan.method, plan.insertion)
+        self.plan = plan = state.plan
         diameter = 2 * state.radius_px / FIELD
         self.scale = MosaicScale(
             state.camera_px_per_pixel,
@@ -49,7 +48,7 @@ class LiveMosaics:
         )
         self._feed: MosaicFeed | None = MosaicFeed(state.board, blended=plan.insertion is Insertion.FEATHERED)
         self._rows: Sequence[TrackPoint] = self._feed.rows
-        self._canvases: Mapping[Mode, Mapping[int, Canvas]] = {plan.mode: {}}
+        self._canvases: Mapping[Mode, Mapping[int, Canvas]] = {mode: {} for mode in plan.modes}
         self.revision = 0
 
     @property
@@ -72,7 +71,8 @@ class LiveMosaics:
         feed = self._feed
         if feed is None or not feed.update():
             return False
-        self._rows, self._canvases = feed.rows, {self.plan.tracked: dict(feed.canvases)}
+        self._rows = feed.rows
+        self._canvases = {mode: dict(feed.canvases.get(image, {})) for image, mode in enumerate(self.plan.modes)}
         self.revision = feed.revision
         return True
 

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.calibration import Calibration
-    from napari_elsplus.viewing.mosaicking import MosaicPlan, Mosaics
+    from napari_elsplus.mosaic_plan import MosaicPlan
+    from napari_elsplus.viewing.mosaicking import Mosaics
     from napari_elsplus.viewing.stack import Stack
 
 ENDINGS: Final = (".ome.tif", ".ome.tiff", ".tif", ".tiff")
@@ -102,7 +103,8 @@ from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.tracking_pipeline import Method
 from napari_elsplus.viewing.mosaic_files import save_mosaics
-from napari_elsplus.viewing.mosaicking import MosaicPlan, StackMosaics
+from napari_elsplus.mosaic_plan import MosaicPlan
+from napari_elsplus.viewing.mosaicking import StackMosaics
 
 plan = MosaicPlan(({modes},), Method.{plan.method.name}, Insertion.{plan.insertion.name})
 calibration = read_calibration({str(calibration_file)!r})

@@ -10,7 +10,6 @@ import numpy as np
 
 from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.tracker import State
@@ -23,48 +22,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.io import TrackPoint
+    from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.processing.sectioning import Frames
     from napari_elsplus.processing.tracking.tracker import Pose
 
     Watch = Callable[[Iterable[int]], Iterable[int]]
 
-TRACKED_FIRST: Final = (Mode.ELS, Mode.LS, Mode.RESIDUAL, Mode.ELSA)
-"""Of the modes that are asked for, the first of these is tracked; the others are laid along its track."""
 _RIM_PX: Final = 4
-
-
-@dataclass(frozen=True)
-class MosaicPlan:
-    """What is made of a stack.
-
-    Parameters
-    ----------
-    modes : tuple of Mode
-        At least one.
-    method : Method
-        How the probe is tracked.
-    insertion : Insertion
-        How frames are laid over one another.
-    """
-
-    modes: tuple[Mode, ...] = (Mode.ELS,)
-    method: Method = Method.ELSPLUS
-    insertion: Insertion = Insertion.DEAD_LEAF
-
-    @property
-    def tracked(self) -> Mode:
-        """The mode that is tracked.
-
-        Raises
-        ------
-        InputError
-            If none is asked for.
-        """
-        found = next((mode for mode in TRACKED_FIRST if mode in self.modes), None)
-        if found is None:
-            raise InputError("no image is chosen", "tick LS, ELSA or ELS+")
-        return found
 
 
 class Mosaics(Protocol):

@@ -13,10 +13,10 @@ from qtpy.QtCore import QTimer
 from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
 from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
-from napari_elsplus.acquisition.tracking import TrackPlan
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import read_calibration
+from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.settings import recall, remember
@@ -24,7 +24,7 @@ from napari_elsplus.tracking_pipeline import Method
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.viewing.live_mosaic import LiveMosaics
 from napari_elsplus.viewing.mosaic_files import mosaic_script, save_mosaics
-from napari_elsplus.viewing.mosaicking import MosaicPlan, StackMosaics
+from napari_elsplus.viewing.mosaicking import StackMosaics
 from napari_elsplus.viewing.track import speed_of
 from napari_elsplus.widgets.choosing import chosen_image, renew_choices
 from napari_elsplus.widgets.engine_panel import EnginePanel
@@ -266,7 +266,7 @@ class MosaicPanel(EnginePanel):
         with told():
             plan = self.plan
             self._remember()
-            self.asking.ask(client.track(TrackPlan(plan.tracked, plan.method, plan.insertion)), then)
+            self.asking.ask(client.track(plan), then)
 
     def _follow_live(self) -> None:
         """Look at the engine's mosaic where there is a new one; at none where the engine is gone."""

@@ -11,7 +11,7 @@ from napari.layers import Image
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.viewing.layers import TITLES
-from napari_elsplus.viewing.mosaicking import MosaicPlan, images_as_they_are
+from napari_elsplus.viewing.mosaicking import images_as_they_are
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.calibration import Calibration
+    from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.sectioning import Frames
 
 

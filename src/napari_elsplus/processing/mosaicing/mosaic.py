@@ -14,7 +14,7 @@ import numpy as np
 
 from napari_elsplus.compiled import lean_kernel
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, exposure, overlap_sums
-from napari_elsplus.processing.mosaicing.tiles import Rectangle, TiledCanvas, TileStore, tile_rectangle
+from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.ladder import turned_by, unsheared, upright
 from napari_elsplus.processing.tracking.lucas_kanade import between, bilinear, neighbours
@@ -82,6 +82,11 @@ class Mosaic(TiledCanvas):
         (side, side) float32 weight of each pixel of a frame; :func:`rim_weights` by default.
     store : TileStore, optional
         Where the tiles are kept; the heap by default.
+
+    Attributes
+    ----------
+    exposure : float
+        What the last frame's grey levels were multiplied by.
     """
 
     def __init__(
@@ -97,6 +102,7 @@ class Mosaic(TiledCanvas):
         super().__init__(store, blended=self.insertion is Insertion.FEATHERED)
         self._weights = rim_weights(grid) if weights is None else weights
         self._spans = grid.spans()
+        self.exposure = 1.0
         self._turned = np.zeros((grid.side, grid.side), np.float32)
         self._exposed_image = np.zeros_like(self._turned)
         columns = np.arange(grid.side)
@@ -132,16 +138,14 @@ class Mosaic(TiledCanvas):
         Rectangle
             The part of the canvas that may have changed.
         """
-        r = self.grid.shutter.rows_per_frame
-        if angle != 0 or scale != 1:
-            matrix = turned_by(angle, scale) @ unsheared(velocity, r)
-            image, velocity = upright(image, self._turned, self.grid.centre, matrix), STILL
-        stretch, shear = 1 + velocity.row / r, velocity.col / r
-        touched = self._reach(row, col, stretch, shear)
+        touched = self.reach(row, col, velocity, angle, scale)
+        image, stretch, shear = self._seated(image, velocity, angle, scale)
         blend = self.insertion is Insertion.FEATHERED
         with self._lock:
             if blend:
-                image = self._exposed(image, touched, row, col, stretch, shear)
+                self.exposure = self._exposure(image, touched, row, col, stretch, shear)
+                if self.exposure != 1:
+                    image = np.multiply(image, np.float32(self.exposure), out=self._exposed_image)
             for key in touched.tiles():
                 tile, at = self._store.tile(*key), tile_rectangle(*key)
                 insert_rows(
@@ -151,21 +155,11 @@ class Mosaic(TiledCanvas):
             self._touched(touched)
         return touched
 
-    def _exposed(
-        self, image: NDArray[np.float32], touched: Rectangle, row: float, col: float, stretch: float, shear: float
-    ) -> NDArray[np.float32]:
-        """Bring a frame to the brightness of what lies where it will lie."""
-        sums = np.zeros(3)
-        for key in touched.tiles():
-            tile, at = self._store.tile(*key), tile_rectangle(*key)
-            sums += overlap_sums(
-                tile.value, tile.weight, at.top, at.left, image, self._weights, *self._spans,
-                *self.grid.centre, row, col, stretch, shear,
-            )  # fmt: skip
-        factor = exposure(Overlap(*sums.tolist()), self._whole_weight)
-        return image if factor == 1 else np.multiply(image, np.float32(factor), out=self._exposed_image)
-
-    def _reach(self, row: float, col: float, stretch: float, shear: float) -> Rectangle:
+    def reach(
+        self, row: float, col: float, velocity: Velocity = STILL, angle: float = 0.0, scale: float = 1.0
+    ) -> Rectangle:
+        """Return the part of the canvas that :meth:`insert` may change."""
+        stretch, shear = self._form(velocity, angle, scale)
         radius = 0.5 * FIELD * self.grid.diameter
         down, across = radius * stretch, radius * (1 + abs(shear))
         return Rectangle(
@@ -174,6 +168,64 @@ class Mosaic(TiledCanvas):
             int(np.ceil(row + down)) + 1,
             int(np.ceil(col + across)) + 1,
         )
+
+    def draw(
+        self,
+        tile: Tile,
+        key: tuple[int, int],
+        image: NDArray[np.float32],
+        row: float,
+        col: float,
+        velocity: Velocity = STILL,
+        angle: float = 0.0,
+        scale: float = 1.0,
+    ) -> None:
+        """Do on a tile that is not on the canvas what :meth:`insert` does there; the brightness is left as it is."""
+        image, stretch, shear = self._seated(image, velocity, angle, scale)
+        at = tile_rectangle(*key)
+        insert_rows(
+            tile.value, tile.weight, at.top, at.left, image, self._weights, *self._spans,
+            *self.grid.centre, row, col, stretch, shear, self.insertion is Insertion.FEATHERED,
+        )  # fmt: skip
+
+    def replace(self, key: tuple[int, int], tile: Tile, drawn: Rectangle | None) -> None:
+        """Put another tile's content, of which some part was drawn on, in the place of the canvas's own."""
+        with self._lock:
+            own = self._store.tile(*key)
+            own.value[:], own.weight[:] = tile
+            if drawn is not None:
+                self._touched(drawn)
+            if self.extent is not None:
+                changed = tile_rectangle(*key).within(self.extent)
+                self._dirty = changed if self._dirty is None else self._dirty.around(changed)
+
+    def _form(self, velocity: Velocity, angle: float, scale: float) -> tuple[float, float]:
+        """Stretch and shear that are undone row by row; a turned frame is freed of its own before."""
+        r = self.grid.shutter.rows_per_frame
+        upright_before = angle != 0 or scale != 1
+        return (1.0, 0.0) if upright_before else (1 + velocity.row / r, velocity.col / r)
+
+    def _seated(
+        self, image: NDArray[np.float32], velocity: Velocity, angle: float, scale: float
+    ) -> tuple[NDArray[np.float32], float, float]:
+        """Turn a frame upright where it is turned; return it with its stretch and shear."""
+        if angle != 0 or scale != 1:
+            matrix = turned_by(angle, scale) @ unsheared(velocity, self.grid.shutter.rows_per_frame)
+            image = upright(image, self._turned, self.grid.centre, matrix)
+        return (image, *self._form(velocity, angle, scale))
+
+    def _exposure(
+        self, image: NDArray[np.float32], touched: Rectangle, row: float, col: float, stretch: float, shear: float
+    ) -> float:
+        """Return what brings a frame to the brightness of what lies where it will lie."""
+        sums = np.zeros(3)
+        for key in touched.tiles():
+            tile, at = self._store.tile(*key), tile_rectangle(*key)
+            sums += overlap_sums(
+                tile.value, tile.weight, at.top, at.left, image, self._weights, *self._spans,
+                *self.grid.centre, row, col, stretch, shear,
+            )  # fmt: skip
+        return exposure(Overlap(*sums.tolist()), self._whole_weight)
 
 
 @lean_kernel

@@ -134,7 +134,8 @@ def least_squares_positions(edges: Sequence[Edge], fixed: int = 0) -> dict[int, 
         np.array([number[frame] for frame in ends]) for ends in zip(*((e[0], e[1]) for e in edges), strict=True)
     )
     measured = np.array([edge.displacement for edge in edges])
-    root = np.stack([np.linalg.cholesky(np.linalg.inv(edge.covariance)).T for edge in edges])
+    information = np.linalg.inv(np.stack([edge.covariance for edge in edges]))
+    root = np.linalg.cholesky(information).transpose(0, 2, 1).astype(np.float64, copy=False)
     free = [k for k in range(2 * len(number)) if k // 2 != number[fixed]]
     weight = np.where(_closing(edges), _UNPROVEN, 1.0)
     places = np.zeros((len(number), 2))

@@ -75,7 +75,7 @@ class LoopCloser:
         poses: Sequence[Pose],
         rung: Rung = Rung.TRANSLATION,
     ) -> None:
-        self._rung = rung
+        self.rung = rung
         self._scratch = registrar.view()
         self._registrar = registrar
         self._view = view
@@ -100,7 +100,7 @@ class LoopCloser:
             for distance, earlier, gone in sorted(near)[:LINKS_PER_KEY]:
                 if distance > REACH * diameter:
                     break
-                edge = self._revisit(earlier, later, gone)
+                edge = self.revisit(earlier, later, gone)
                 if edge is not None:
                     edges.append(edge)
         return edges
@@ -112,33 +112,30 @@ class LoopCloser:
             key_frames([p if p.segment == s else p._replace(state=State.LOST) for p in self._poses], spacing)
             for s in (earlier_segment, later_segment)
         )
-        found: list[tuple[tuple[float, float, float], Edge]] = []
+        bridge = Bridge()
         for later in after:
             for earlier in before:
-                edge = self._recognise(earlier, later, before[-1], after[0])
-                if edge is None:
-                    continue
-                offset = self._offset(edge)
-                partners = [e for o, e in found if _agree(o, offset)]
-                if any(e.later != later and e.earlier != earlier for e in partners):
-                    return [*partners, edge]
-                found.append((offset, edge))
+                edge = self.recognise(earlier, later, before[-1], after[0])
+                agreed = [] if edge is None else bridge.add(self.offset(edge), edge)
+                if agreed:
+                    return agreed
         return []
 
-    def _offset(self, edge: Edge) -> tuple[float, float, float]:
+    def offset(self, edge: Edge) -> tuple[float, float, float]:
         """Where the later segment's origin lies in the earlier segment, and how it is turned there."""
         a, b = self._poses[edge.earlier], self._poses[edge.later]
-        if self._rung is Rung.TRANSLATION:
+        if self.rung is Rung.TRANSLATION:
             return a.row + edge.displacement[0] - b.row, a.col + edge.displacement[1] - b.col, 0.0
         angle, scale = a.angle + edge.turn, a.scale * edge.zoom
         row, col = turned_by(angle, scale) @ edge.displacement
         down, across = turned_by(angle - b.angle, scale / b.scale) @ (b.row, b.col)
         return a.row + float(row - down), a.col + float(col - across), angle - b.angle
 
-    def _revisit(self, earlier: int, later: int, path_px: float) -> Edge | None:
+    def revisit(self, earlier: int, later: int, path_px: float) -> Edge | None:
+        """Link two frames of a segment, that much path apart, where they are thought to lie; None if they are not."""
         a, b = self._poses[earlier], self._poses[later]
         expected = Displacement(b.row - a.row, b.col - a.col)
-        if self._rung is not Rung.TRANSLATION:
+        if self.rung is not Rung.TRANSLATION:
             expected = Displacement(*(turned_by(-b.angle, 1 / b.scale) @ expected).tolist())
             edge = self._edge(earlier, later, self._turned(a, b, earlier, later, expected, b.angle - a.angle, None))
         else:
@@ -151,12 +148,12 @@ class LoopCloser:
         miss = hypot(edge.displacement[0] - expected.row, edge.displacement[1] - expected.col)
         return edge if miss < _AGREEMENT_PX + _DRIFT * path_px else None
 
-    def _recognise(self, earlier: int, later: int, before: int, after: int) -> Edge | None:
+    def recognise(self, earlier: int, later: int, before: int, after: int) -> Edge | None:
         """Compare two frames over all shifts; `before` and `after` are the frames around the gap, turned alike."""
         a, b = self._poses[earlier], self._poses[later]
         reach = REACH * self._registrar.grid.diameter
         link: Link | None
-        if self._rung is not Rung.TRANSLATION:
+        if self.rung is not Rung.TRANSLATION:
             turn = b.angle - self._poses[after].angle + self._poses[before].angle - a.angle
             link = self._turned(a, b, earlier, later, Displacement(0.0, 0.0), turn, reach)
         else:
@@ -169,7 +166,7 @@ class LoopCloser:
     ) -> Link | None:
         return self._registrar.turned_link(
             self._view(earlier), self._view(later), (*expected, turn, b.scale / a.scale), (a.velocity, b.velocity),
-            self._spread, self._rung, self._scratch, reach,
+            self._spread, self.rung, self._scratch, reach,
         )  # fmt: skip
 
     def _edge(self, earlier: int, later: int, link: Link | None) -> Edge | None:
@@ -185,6 +182,20 @@ class LoopCloser:
     @property
     def _spread(self) -> tuple[float, float]:
         return (_VELOCITY_SIGMA / self._registrar.grid.shutter.rows_per_frame + 1e-9,) * 2
+
+
+class Bridge:
+    """Pairs of frames that each say how two segments lie; the segments are joined once two of them agree."""
+
+    def __init__(self) -> None:
+        self._found: list[tuple[tuple[float, float, float], Edge]] = []
+
+    def add(self, offset: tuple[float, float, float], edge: Edge) -> list[Edge]:
+        """Take in a link between the segments; return those that agree once two have no frame in common, else none."""
+        partners = [e for o, e in self._found if _agree(o, offset)]
+        self._found.append((offset, edge))
+        independent = any(e.later != edge.later and e.earlier != edge.earlier for e in partners)
+        return [*partners, edge] if independent else []
 
 
 def _agree(one: tuple[float, float, float], other: tuple[float, float, float]) -> bool:

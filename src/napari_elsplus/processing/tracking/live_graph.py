@@ -1,0 +1,229 @@
+"""Loops closed while the probe moves: where frames belong by all links so far, and what that does to the newest.
+
+The tracker goes on from frame to frame as if it were alone. Nodes are taken from it
+(:mod:`napari_elsplus.processing.tracking.trail`) and compared with earlier ones that show the same place; what all
+links say together moves the nodes, and the correction of the newest is that of the frames to come.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.processing.tracking.correction import Correction, Corrections
+from napari_elsplus.processing.tracking.graph import Edge, Place, least_squares_places, least_squares_positions
+from napari_elsplus.processing.tracking.ladder import Rung, turned_by
+from napari_elsplus.processing.tracking.loops import AWAY, LINKS_PER_KEY, REACH, Bridge, LoopCloser
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from napari_elsplus.processing.tracking.registration import Registrar, View
+    from napari_elsplus.processing.tracking.tracker import Pose
+    from napari_elsplus.processing.tracking.trail import Node
+
+RECALLED: Final = 6
+"""Nodes of other segments with which a node is compared: the newest of them, and as many others in turn."""
+_RENEWED: Final = 1.25
+_NOWHERE: Final = -1
+
+
+class LiveGraph:
+    """All nodes, the links between them, and where they belong; used by one thread.
+
+    Parameters
+    ----------
+    registrar : Registrar
+        Of the tracking grid; of this thread's own.
+    view : callable
+        Returns the prepared view of a node by its number, or None if it is kept no more.
+
+    Attributes
+    ----------
+    nodes : list of Node
+        In the order in which they were added.
+    places : list of Pose
+        Where each belongs, by all links so far.
+    closed : int
+        Links that close a loop, or join segments.
+    """
+
+    def __init__(self, registrar: Registrar, view: Callable[[int], View | None]) -> None:
+        self._registrar, self._view = registrar, view
+        self._diameter = registrar.grid.diameter
+        self.nodes: list[Node] = []
+        self.places: list[Pose] = []
+        self._rung = Rung.TRANSLATION
+        self._closer: LoopCloser | None = None
+        self._closer_knows = 0
+        self._where = np.zeros((256, 3))
+        self._group = np.zeros(256, np.int64)
+        self._chain: list[Edge] = []
+        self._loops: list[Edge] = []
+        self._newest: dict[int, int] = {}
+        self._bridges: dict[tuple[int, int], Bridge] = {}
+        self._recalled = 0
+        self._unsolved: set[int] = set()
+
+    @property
+    def closed(self) -> int:
+        """Links that close a loop, or join segments."""
+        return len(self._loops)
+
+    def add(self, node: Node, rung: Rung = Rung.TRANSLATION, *, everywhere: bool = True) -> bool:
+        """Take in a node; whether it showed a place again, so that :meth:`solve` has something to say.
+
+        Parameters
+        ----------
+        node : Node
+            Compared with others if its view is at hand.
+        rung : Rung
+            What is modelled beside translations.
+        everywhere : bool
+            Whether it is also looked for in other segments, which takes the longest.
+        """
+        number, segment = len(self.nodes), node.pose.segment
+        before = self._newest.get(segment)
+        place = self.correction(segment).of(node.pose)
+        self._rung = rung
+        self.nodes.append(node)
+        self.places.append(place)
+        self._newest[segment] = number
+        if number == len(self._where):
+            self._where = np.concatenate([self._where, np.zeros_like(self._where)])
+            self._group = np.concatenate([self._group, np.zeros_like(self._group)])
+        gone = AWAY * self._diameter if before is None else node.gone_px
+        path = gone + (self._where[number - 1, 2] if number else 0.0)
+        self._where[number], self._group[number] = (place.row, place.col, path), place.segment
+        if before is not None:
+            self._chain.append(self._along(before, number))
+        seen = self._view(number) is not None
+        found = self._revisits(number) if seen else []
+        if seen and everywhere and not found:
+            found = self._recognised(number)
+        self._loops += found
+        self._unsolved |= {self.places[edge.earlier].segment for edge in found}
+        return bool(found)
+
+    def solve(self) -> bool:
+        """Find where nodes belong, after something was recognised; whether there was anything to solve for."""
+        groups, self._unsolved = self._unsolved, set()
+        for group in groups:
+            members = np.flatnonzero(self._group[: len(self.nodes)] == group)
+            edges = [e for e in (*self._chain, *self._loops) if self._group[e.earlier] == group]
+            if not edges or not len(members):
+                continue
+            first = self.places[int(members[0])]
+            base = Correction(group, first.row, first.col, first.angle, first.scale)
+            for number, place in self._solved(edges, int(members[0])).items():
+                self.places[number] = base.of(self.places[number]._replace(**place._asdict()))
+            self._where[members, :2] = [(self.places[k].row, self.places[k].col) for k in members.tolist()]
+        return bool(groups)
+
+    def correction(self, segment: int) -> Correction:
+        """Return what takes the newest frames of one of the tracker's segments to where they belong."""
+        newest = self._newest.get(segment)
+        if newest is None:
+            return Correction(segment)
+        return Correction.between(self.nodes[newest].pose, self.places[newest])
+
+    @property
+    def corrections(self) -> Corrections:
+        """Those along the whole track."""
+        known: dict[int, list[tuple[int, Correction]]] = {}
+        for node, place in zip(self.nodes, self.places, strict=True):
+            if place.segment != _NOWHERE:
+                known.setdefault(node.pose.segment, []).append((node.frame, Correction.between(node.pose, place)))
+        return Corrections(known)
+
+    def forget(self, group: int) -> None:
+        """Let go of all that lies in one segment."""
+        gone = self._group[: len(self.nodes)] == group
+        self._group[: len(self.nodes)][gone] = _NOWHERE
+        for number in np.flatnonzero(gone).tolist():
+            self.places[number] = self.places[number]._replace(segment=_NOWHERE)
+        self._chain = [edge for edge in self._chain if not gone[edge.earlier]]
+        self._loops = [edge for edge in self._loops if not gone[edge.earlier]]
+        self._newest = {segment: number for segment, number in self._newest.items() if not gone[number]}
+        self._unsolved.discard(group)
+
+    # inside
+
+    def _along(self, earlier: int, later: int) -> Edge:
+        """Return what the tracker says of two successive nodes."""
+        a, node = self.nodes[earlier].pose, self.nodes[later]
+        b = node.pose
+        row, col = b.row - a.row, b.col - a.col
+        if b.angle != 0 or b.scale != 1:
+            row, col = (turned_by(-b.angle, 1 / b.scale) @ (row, col)).tolist()
+        return Edge(earlier, later, (row, col), node.covariance, b.angle - a.angle, b.scale / a.scale, node.turn_sigma)
+
+    def _solved(self, edges: list[Edge], first: int) -> dict[int, Place]:
+        if self._rung is not Rung.TRANSLATION:
+            return least_squares_places(edges, first)
+        return {number: Place(*where) for number, where in least_squares_positions(edges, first).items()}
+
+    def _revisits(self, number: int) -> list[Edge]:
+        """Links with nodes of the same segment that lie beside this one but far back along the path."""
+        row, col, path = self._where[number]
+        where, group = self._where[:number], self._group[:number]
+        distance = np.hypot(where[:, 0] - row, where[:, 1] - col)
+        near = (group == self._group[number]) & (path - where[:, 2] > AWAY * self._diameter)
+        near &= distance <= REACH * self._diameter
+        edges: list[Edge] = []
+        nearest = np.flatnonzero(near)[np.argsort(distance[near])]
+        for earlier in islice(self._seen(nearest.tolist()), 2 * LINKS_PER_KEY):
+            edge = self._closing().revisit(earlier, number, float(path - where[earlier, 2]))
+            edges += [] if edge is None else [edge]
+            if len(edges) == LINKS_PER_KEY:
+                break
+        return edges
+
+    def _recognised(self, number: int) -> list[Edge]:
+        """Links with other segments, once two pairs of nodes agree on how this one lies in one of them."""
+        groups, group = self._group[:number], int(self._group[number])
+        others = np.flatnonzero((groups != group) & (groups != _NOWHERE))
+        if not len(others):
+            return []
+        own = np.flatnonzero(groups == group)
+        first = int(own[0]) if len(own) else number
+        rest = others[:-RECALLED]
+        turn = np.roll(rest, -self._recalled)[:RECALLED]
+        self._recalled = (self._recalled + RECALLED) % max(len(rest), 1)
+        for earlier in self._seen([*others[: -RECALLED - 1 : -1].tolist(), *turn.tolist()]):
+            edge = self._closing().recognise(earlier, number, int(others[-1]), first)
+            if edge is None:
+                continue
+            there = int(groups[earlier])
+            agreed = self._bridges.setdefault((there, group), Bridge()).add(self._closing().offset(edge), edge)
+            if agreed:
+                self._join(*sorted((there, group)))
+                return agreed
+        return []
+
+    def _join(self, into: int, group: int) -> None:
+        members = np.flatnonzero(self._group[: len(self.nodes)] == group)
+        self._group[members] = into
+        for number in members.tolist():
+            self.places[number] = self.places[number]._replace(segment=into)
+        if group in self._unsolved:
+            self._unsolved = (self._unsolved - {group}) | {into}
+
+    def _seen(self, numbers: Iterable[int]) -> Iterable[int]:
+        """Those of the nodes whose views are still kept."""
+        return (number for number in numbers if self._view(number) is not None)
+
+    def _closing(self) -> LoopCloser:
+        """Return what links nodes; it learns now and then how well frames agree here."""
+        closer = self._closer
+        if closer is None or closer.rung is not self._rung or len(self.places) > _RENEWED * self._closer_knows:
+            self._closer_knows = len(self.places)
+            self._closer = closer = LoopCloser(self._registrar, self._prepared, self.places, self._rung)
+        return closer
+
+    def _prepared(self, number: int) -> View:
+        view = self._view(number)
+        assert view is not None, f"node {number} is not kept any more"
+        return view

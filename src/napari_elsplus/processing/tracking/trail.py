@@ -1,0 +1,106 @@
+"""Nodes along the track: the few frames by which it is remembered while the probe moves on."""
+
+from __future__ import annotations
+
+from math import hypot
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.processing.tracking.loops import KEY_SPACING, edge_covariance
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.grid import Grid
+    from napari_elsplus.processing.tracking.registration import Link
+    from napari_elsplus.processing.tracking.tracker import Pose
+
+_STRETCH_PX: Final = 0.2
+"""What the velocity of the later frame of a link is trusted to, pixels per frame period."""
+_DRIFT: Final = 0.002
+"""Part of the path by which links may be off in one direction; rows per frame wrong by 5 % make it 0.0014."""
+
+
+class Node(NamedTuple):
+    """A frame that is kept in mind.
+
+    Parameters
+    ----------
+    frame : int
+        Its number.
+    pose : Pose
+        Where the tracker has it.
+    gone_px : float
+        Path since the node before, pixels of the tracking grid.
+    covariance : numpy.ndarray
+        (2, 2) of its displacement from the node before, pixels squared.
+    turn_sigma : float
+        Of its angle against the node before; 1 where no rotation was asked for.
+    """
+
+    frame: int
+    pose: Pose
+    gone_px: float
+    covariance: NDArray[np.float64]
+    turn_sigma: float
+
+
+class Trail:
+    """Finds nodes, a quarter of a bundle diameter apart; costs next to nothing for the frames between them.
+
+    Parameters
+    ----------
+    grid : Grid
+        On which frames are tracked.
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self._spacing_px = KEY_SPACING * grid.diameter
+        self._stretch = _STRETCH_PX / grid.shutter.rows_per_frame
+        self._before: Pose | None = None
+        self._newest: tuple[int, int, Link] | None = None
+        self._node: tuple[int, int, Link] | None = None
+        self._gone = 0.0
+        self._since: list[Link] = []
+
+    def add(self, frame: int, pose: Pose, link: tuple[int, int, Link] | None) -> Node | None:
+        """Take in a tracked frame; return it as a node if it is one.
+
+        Parameters
+        ----------
+        frame : int
+            Its number.
+        pose : Pose
+            Where the tracker has it.
+        link : tuple, optional
+            How the tracker came to that: the earlier and the later frame, by its own count, and the link between them.
+        """
+        before, self._before = self._before, pose
+        if before is None or before.segment != pose.segment:
+            self._newest = self._node = link
+            self._gone, self._since = 0.0, []
+            return Node(frame, pose, 0.0, np.eye(2), 1.0)
+        self._gone += hypot(pose.row - before.row, pose.col - before.col)
+        newest, self._newest = self._newest, link
+        if link is not None and newest is not None and link[0] != newest[0]:
+            self._since.append(newest[2])  # frames hang from a newer one now, which hangs by that
+        if self._gone < self._spacing_px:
+            return None
+        node = Node(frame, pose, self._gone, *self._spread())
+        self._node, self._gone, self._since = link, 0.0, []
+        return node
+
+    def _spread(self) -> tuple[NDArray[np.float64], float]:
+        """How far the newest frame may be off, seen from the node before: over the links between them."""
+        links = [] if self._newest is None else [*self._since, self._newest[2]]
+        if self._node is not None and links:
+            if links[0] is not self._node[2]:  # both hang from the same frame
+                links.append(self._node[2])
+            elif len(links) > 1:
+                links = links[1:]
+        if not links:
+            return np.eye(2), 1.0
+        covariance = np.sum([edge_covariance(link, self._stretch) for link in links], axis=0)
+        covariance += (_DRIFT * self._gone) ** 2 * np.eye(2)
+        return covariance, min(1.0, hypot(*(link.turn_sigma for link in links)))
