@@ -46,3 +46,17 @@ class MeasurementError(ElsPlusError):
 
 class DeviceError(ElsPlusError):
     """A camera, card or rig that is absent, busy, or has failed."""
+
+
+def explained(error: ElsPlusError | OSError) -> str:
+    """Say in one line what is wrong and what to do, also where it was the system that refused.
+
+    Examples
+    --------
+    >>> explained(PermissionError(13, "Permission denied", "els.ome.tif"))
+    'els.ome.tif: Permission denied: check the path, its permissions and the free space'
+    """
+    if isinstance(error, ElsPlusError):
+        return str(error)
+    where = f"{error.filename}: " if error.filename else ""
+    return f"{where}{error.strerror or error}: check the path, its permissions and the free space"

@@ -27,6 +27,7 @@ def test_a_recording_with_its_calibration_gives_five_layers(tmp_path):
     for name, mode in (("scan LS", "ls"), ("scan residual", "residual"), ("scan ELS+", "els"), ("scan ELSA", "elsa")):
         np.testing.assert_array_equal(layers[name][0], images(frames(), calibration(), mode))
     assert [name for name, (_, attributes) in layers.items() if attributes["visible"]] == ["scan ELS+"]
+    assert [name for name, (_, attributes) in layers.items() if "interpolation2d" not in attributes] == ["scan raw"]
 
 
 def test_layers_know_their_scale_and_lie_where_they_are_in_the_frame(tmp_path):

@@ -36,25 +36,31 @@ def state(viewer):
     return [(layer.name, layer.visible) for layer in viewer.layers], tuple(camera.center), camera.zoom
 
 
+def press(panel, qtbot):
+    """Press the button that begins or ends, and wait until what it began is there."""
+    panel.start.native.click()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+
+
 def names(viewer):
     return [layer.name for layer in viewer.layers if layer.name.startswith("compare")]
 
 
-def test_three_images_appear_and_everything_is_as_before_at_the_end(viewer, panel):
+def test_three_images_appear_and_everything_is_as_before_at_the_end(viewer, panel, qtbot):
     viewer.layers["scan LS"].visible = True
     viewer.scene.camera.zoom = 3.21
     before = state(viewer)
-    panel.start.native.click()
+    press(panel, qtbot)
     assert names(viewer) == OURS
     assert not any(layer.visible for layer in viewer.layers if layer.name.startswith("scan"))
     lefts = [layer.translate[2] for layer in panel.stage.images]
     assert np.all(np.diff(lefts) > 2.0 * panel.stage.images[0].data.shape[2])
-    panel.start.native.click()
+    press(panel, qtbot)
     assert state(viewer) == before
 
 
 def test_one_slider_moves_all_and_the_numbers_follow(viewer, panel, qtbot):
-    panel.start.native.click()
+    press(panel, qtbot)
     sectioner = Sectioner(calibration(), (64, 128))
     for step in (2, 4):
         viewer.dims.set_current_step(0, step)
@@ -70,18 +76,19 @@ def profile(panel, image):
 
 
 def test_a_line_drawn_on_any_image_is_laid_across_all(viewer, panel, qtbot):
-    panel.start.native.click()
+    press(panel, qtbot)
     line = viewer.layers["compare line"]
     side = panel.stage.images[0].data.shape[2]
     third = 2 * (side + 20)
     line.add_lines(np.array([[10, third + 12], [40, third + 30]]))
     assert panel.stage.line == ((10, 12), (40, 30))
+    assert len(set(line.edge_width)) == 1
     assert [np.asarray(one)[0].tolist() for one in line.data] == [[10, 12], [10, side + 32], [10, third + 12]]
     qtbot.waitUntil(lambda: len(panel.plot.curves[0].x) == 36)
 
 
-def test_scaling_filter_and_view_change_while_comparing(viewer, panel):
-    panel.start.native.click()
+def test_scaling_filter_and_view_change_while_comparing(viewer, panel, qtbot):
+    press(panel, qtbot)
     ls, elsa, els = panel.stage.images
     assert elsa.contrast_limits == els.contrast_limits
     panel.scaling.value = "shared"
@@ -92,12 +99,15 @@ def test_scaling_filter_and_view_change_while_comparing(viewer, panel):
     viewer.dims.set_current_step(0, 3)
     before = np.asarray(els.data[3])
     panel.cores.value = "median"
+    qtbot.waitUntil(lambda: not panel.work.busy)
     assert viewer.dims.current_step[0] == 3
     assert names(viewer) == OURS
     assert not np.array_equal(np.asarray(panel.stage.images[2].data[3]), before)
 
     panel.cores.value = "none"
+    qtbot.waitUntil(lambda: not panel.work.busy)
     panel.view.value = DIFFERENCE
+    qtbot.waitUntil(lambda: not panel.work.busy)
     removed, moved = panel.stage.images
     sectioner, raw = Sectioner(calibration(), (64, 128)), frames()
     np.testing.assert_allclose(np.asarray(removed.data[1]), sectioner.residual(raw[1]), atol=1e-4)
@@ -108,7 +118,7 @@ def test_scaling_filter_and_view_change_while_comparing(viewer, panel):
 
 def test_blinking_shows_one_after_the_other_in_one_place(panel, qtbot):
     panel.view.value = BLINK
-    panel.start.native.click()
+    press(panel, qtbot)
     seen = set()
 
     def all_seen():
@@ -121,10 +131,10 @@ def test_blinking_shows_one_after_the_other_in_one_place(panel, qtbot):
     assert len({tuple(layer.translate) for layer in panel.stage.images}) == 1
 
 
-def test_a_filter_that_needs_a_flat_field_is_one_notification_and_no_half_made_layers(viewer, panel, said):
+def test_a_filter_that_needs_a_flat_field_is_one_notification_and_no_half_made_layers(viewer, panel, said, qtbot):
     before = state(viewer)
     panel.cores.value = "interpolate"
-    panel.start.native.click()
+    press(panel, qtbot)
     assert state(viewer) == before
     ((severity, message),) = said()
     assert severity == "error"
@@ -132,13 +142,35 @@ def test_a_filter_that_needs_a_flat_field_is_one_notification_and_no_half_made_l
     assert not panel.comparing
 
 
-def test_taking_one_of_its_layers_away_ends_it(viewer, panel):
+def test_a_comparison_that_is_cancelled_changes_nothing(viewer, panel, qtbot):
     before = state(viewer)
     panel.start.native.click()
+    assert not panel.start.enabled
+    assert "first images" in panel.numbers.text()
+    panel.work.cancel()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    assert not panel.comparing
+    assert state(viewer) == before
+    assert panel.start.enabled
+    assert "Choose a recording" in panel.numbers.text()
+
+
+def test_a_plot_that_cannot_be_written_is_one_notification(panel, qtbot, said, tmp_path, monkeypatch):
+    press(panel, qtbot)
+    monkeypatch.setattr("qtpy.QtWidgets.QFileDialog.getSaveFileName", lambda *_: (str(tmp_path / "no" / "p.csv"), ""))
+    panel.save.native.click()
+    ((severity, message),) = said()
+    assert severity == "error"
+    assert "there is no folder" in message
+
+
+def test_taking_one_of_its_layers_away_ends_it(viewer, panel, qtbot):
+    before = state(viewer)
+    press(panel, qtbot)
     viewer.layers.remove("compare LS")
     assert not panel.comparing
     assert state(viewer) == before
-    panel.start.native.click()
+    press(panel, qtbot)
     viewer.layers.remove("scan raw")
     assert not panel.comparing
     assert names(viewer) == []
@@ -155,13 +187,13 @@ def test_only_recordings_with_a_calibration_are_offered(viewer, panel, tmp_path)
     assert "Open Sample" in panel.start.tooltip
 
 
-def test_scripts_plots_and_themes(viewer, panel, tmp_path):
+def test_scripts_plots_and_themes(viewer, panel, tmp_path, qtbot):
     panel.script.native.click()
     text = QApplication.clipboard().text()
     assert str(tmp_path / "scan.tif") in text
     compile(text, "script", "exec")
 
-    panel.start.native.click()
+    press(panel, qtbot)
     panel.plot.save(tmp_path / "p.png")
     panel.plot.save(tmp_path / "p.csv")
     assert (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
@@ -173,14 +205,16 @@ def test_scripts_plots_and_themes(viewer, panel, tmp_path):
         viewer.theme = theme
         assert panel.plot.ink("blue") == ink
         assert ink in panel.numbers.text()
+        blue = np.array([int(ink[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+        np.testing.assert_allclose(viewer.layers["compare titles"].text.color.array[0][:3], blue, atol=1e-6)
 
 
-def test_closing_the_dock_ends_the_comparison_and_leaves_nothing(viewer, tmp_path):
+def test_closing_the_dock_ends_the_comparison_and_leaves_nothing(viewer, tmp_path, qtbot):
     viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
     before = state(viewer)
     dock, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Compare")
     assert isinstance(panel, Compare)
-    panel.start.native.click()
+    press(panel, qtbot)
     gone = weakref.ref(panel)
     viewer.window.remove_dock_widget(panel)
     assert state(viewer) == before

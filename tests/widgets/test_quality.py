@@ -26,6 +26,11 @@ def panel(viewer, tmp_path):
     return widget
 
 
+def mark(panel, qtbot):
+    panel.mark.native.click()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+
+
 def test_alignment_is_told_of_the_frame_that_is_shown(viewer, panel):
     told = []
     for step in (0, 4):
@@ -36,8 +41,8 @@ def test_alignment_is_told_of_the_frame_that_is_shown(viewer, panel):
     assert told[0] != told[1]
 
 
-def test_elements_are_measured_as_they_are_drawn(viewer, panel):
-    panel.mark.native.click()
+def test_elements_are_measured_as_they_are_drawn(viewer, panel, qtbot):
+    mark(panel, qtbot)
     boxes = viewer.layers["quality elements"]
     assert boxes.mode == "add_rectangle"
     boxes.add_rectangles(np.array([[10, 10], [30, 30]]))
@@ -51,7 +56,7 @@ def test_elements_are_measured_as_they_are_drawn(viewer, panel):
     boxes.remove_selected()
     assert panel.resolution is None
     viewer.layers.remove(boxes)
-    panel.mark.native.click()
+    mark(panel, qtbot)
     assert "quality elements" in viewer.layers
 
 
@@ -78,10 +83,10 @@ def test_what_cannot_be_done_is_one_notification(viewer, panel, said):
     assert not any(button.enabled for button in (panel.align, panel.mark, panel.average, panel.script))
 
 
-def test_the_script_names_the_files_and_closing_leaves_nothing(viewer, tmp_path):
+def test_the_script_names_the_files_and_closing_leaves_nothing(viewer, tmp_path, qtbot):
     viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
     dock, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Quality")
-    panel.mark.native.click()
+    mark(panel, qtbot)
     viewer.layers["quality elements"].add_rectangles(np.array([[10, 10], [30, 30]]))
     panel.script.native.click()
     text = QApplication.clipboard().text()

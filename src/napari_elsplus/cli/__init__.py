@@ -11,7 +11,7 @@ from importlib import import_module
 import click
 
 from napari_elsplus import __version__
-from napari_elsplus.errors import ElsPlusError
+from napari_elsplus.errors import ElsPlusError, explained
 
 COMMANDS: tuple[str, ...] = (
     "demo",
@@ -57,14 +57,11 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0 on success, 2 and one line for bad input, 130 when interrupted."""
     try:
         elsplus.main(arguments, prog_name="napari-elsplus", standalone_mode=False)
-    except ElsPlusError as error:
-        _leave(str(error), EXIT_BAD_INPUT)
+    except (ElsPlusError, OSError) as error:
+        _leave(explained(error), EXIT_BAD_INPUT)
     except click.ClickException as error:
         error.show()
         sys.exit(EXIT_BAD_INPUT)
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        _leave(f"{where}{error.strerror or error}: check the path, its permissions and the free space", EXIT_BAD_INPUT)
     except (click.Abort, KeyboardInterrupt):
         _leave("interrupted", EXIT_INTERRUPTED)
 

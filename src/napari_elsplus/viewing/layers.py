@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
     Layer = tuple[Any, dict[str, Any], str]
 
+SMOOTH: Final = "linear"
+"""How images are drawn between their pixels: where several fall on one of the screen, "nearest" makes the honeycomb
+beat with it. Raw frames keep "nearest": their pixels are what is looked at."""
 TITLES: Final = {Mode.LS: "LS", Mode.RESIDUAL: "residual", Mode.ELS: "ELS+", Mode.ELSA: "ELSA"}
 """Names that microscopists know the modes by."""
 
@@ -128,6 +131,7 @@ def image_layers(stack: Stack, calibration: Calibration, source: Path | None = N
         if mode is Mode.ELSA:  # made of two frames each
             words["scale"] = (2 * words["scale"][0], *words["scale"][1:])
         words["visible"] = mode is Mode.ELS
+        words["interpolation2d"] = SMOOTH
         words["contrast_limits"] = _white(images)
         words["metadata"] = provenance(stack, mode.value, calibration, source)
         layers.append((images.dask(), words, "image"))
@@ -165,6 +169,7 @@ def finished_layer(stack: Stack) -> Layer:
     title = next((title for known, title in TITLES.items() if known.value == mode), "images")
     words = attributes(stack, title, None)
     words["contrast_limits"] = _white(stack.planes)
+    words["interpolation2d"] = SMOOTH
     words["metadata"] = provenance(stack, str(mode or "images"), stack.own_calibration(), None)
     return stack.planes.dask(), words, "image"
 

@@ -28,7 +28,9 @@ from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.choosing import calibrated_recordings, chosen_image, renew_choices, shown_index
 from napari_elsplus.widgets.panel import Panel, button_row, copy_as_script, told
 from napari_elsplus.widgets.plots import Curve, ThemedPlot
+from napari_elsplus.widgets.shapes import prepare_shapes
 from napari_elsplus.widgets.stage import Exhibit, Stage
+from napari_elsplus.widgets.work import Work
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -41,6 +43,7 @@ DIFFERENCES: Final = ((Mode.LS, Mode.ELS), (Mode.ELSA, Mode.ELS))
 """What the subtraction takes away; what moved between ELSA's two frames."""
 REFRESH_MS: Final = 100
 BLINK_MS: Final = 600
+PREPARING: Final = "Making the first images; on a new installation this takes some seconds, once."
 HINT: Final = "Choose a recording and press Compare; then draw a line on any of the images."
 
 
@@ -58,6 +61,7 @@ class Compare(Panel):
         self._comparison: Comparison | None = None
         self._source: Image | None = None
         self.stage = Stage(viewer, self._soon)
+        self.work = Work(self._work_ended)
         self._build()
         self._refresh = _timer(self, REFRESH_MS, self.show_numbers, once=True)
         self._blink = _timer(self, BLINK_MS, self.stage.show_next)
@@ -88,19 +92,18 @@ class Compare(Panel):
             self.begin()
 
     def begin(self) -> None:
-        """Hide the user's layers and show LS, ELSA and ELS+ of the chosen recording."""
+        """Make LS, ELSA and ELS+ of the chosen recording, in a thread of its own, and show them."""
         with told():
             source = self._chosen()
-            known = source.metadata["elsplus"]
-            comparison = compare_stack(known["stack"], known["calibration"], self.cores.value)
-            exhibits = self._exhibits(comparison)  # what can fail comes before the viewer is touched
-            apart = self.view.value != BLINK
-            self.stage.begin(exhibits, known["stack"], known["calibration"], apart=apart)
-            self._comparison, self._source = comparison, source
-            self.take_white_levels()
-            if not apart:
-                self.stage.show_next()
-                self._blink.start()
+            known, cores, index = source.metadata["elsplus"], self.cores.value, self._index()
+
+            def made() -> Comparison:
+                comparison = compare_stack(known["stack"], known["calibration"], cores)
+                comparison.at(index)
+                prepare_shapes()
+                return comparison
+
+            self.work.begin(0, made, lambda comparison: self._show(comparison, source))
         self._layers_changed()
         self.show_numbers()
 
@@ -115,6 +118,7 @@ class Compare(Panel):
 
     def cleanup(self) -> None:
         """End the comparison and let go of the viewer."""
+        self.work.cancel()
         self._refresh.stop()
         if self.comparing:
             self.end()
@@ -137,7 +141,7 @@ class Compare(Panel):
     def show_numbers(self) -> None:
         """Put contrast, background and profiles of the frame that is shown beside the images."""
         if self._comparison is None:
-            self.numbers.setText(HINT)
+            self.numbers.setText(PREPARING if self.work.busy else HINT)
             return
         images = self._comparison.at(self._index())
         self.numbers.setText(_table(figures(images, self._comparison.inside), self.plot))
@@ -188,6 +192,7 @@ class Compare(Panel):
         layout.setContentsMargins(6, 6, 6, 6)
         layout.addWidget(form.native)
         layout.addLayout(button_row(self.start, self.rescale))
+        layout.addWidget(self.work)
         layout.addWidget(self.numbers)
         layout.addWidget(self.plot, 1)
         layout.addLayout(button_row(self.script, self.save))
@@ -195,16 +200,43 @@ class Compare(Panel):
     def _chosen(self) -> Image:
         return chosen_image(self.viewer, self.recording, "recording with a calibration")
 
+    def _show(self, comparison: Comparison, source: Image) -> None:
+        """Hide the user's layers and show the images; those of a comparison before go."""
+        if source not in self.viewer.layers:
+            return
+        step = self.viewer.dims.current_step
+        with told():
+            exhibits = self._exhibits(comparison)  # what can fail comes before the viewer is touched
+            if self.comparing:
+                self.end()
+            known, apart = source.metadata["elsplus"], self.view.value != BLINK
+            self.stage.begin(exhibits, known["stack"], known["calibration"], apart=apart)
+            self.viewer.dims.current_step = step
+            self._comparison, self._source = comparison, source
+            self.take_white_levels()
+            if not apart:
+                self.stage.show_next()
+                self._blink.start()
+        self._layers_changed()
+        self.show_numbers()
+
     def _exhibits(self, comparison: Comparison) -> list[Exhibit]:
+        inks = self._inks(comparison)
         if self.view.value == DIFFERENCE:
-            ink = self.plot.ink("grey")
+            pairs = [(a, b) for a, b in DIFFERENCES if a in comparison.images]
             return [
                 Exhibit(f"{TITLES[a]} - {TITLES[b]}", difference_planes(comparison, a, b), ink, signed=True)
-                for a, b in DIFFERENCES
-                if a in comparison.images
+                for (a, b), ink in zip(pairs, inks, strict=False)
             ]
-        inks = {mode: self.plot.ink(COLOURS[mode]) for mode in comparison.images}
-        return [Exhibit(TITLES[mode], planes, inks[mode]) for mode, planes in comparison.images.items()]
+        return [
+            Exhibit(TITLES[mode], planes, ink)
+            for (mode, planes), ink in zip(comparison.images.items(), inks, strict=True)
+        ]
+
+    def _inks(self, comparison: Comparison) -> list[str]:
+        """Colours of the titles on the present ground."""
+        plain = self.view.value == DIFFERENCE
+        return [self.plot.ink("grey" if plain else COLOURS[mode]) for mode in comparison.images]
 
     def _index(self) -> int:
         layer = self.stage.images[0] if self.stage.images else self._chosen()
@@ -212,10 +244,7 @@ class Compare(Panel):
 
     def _again(self) -> None:
         if self.comparing:
-            step = self.viewer.dims.current_step
-            self.end()
             self.begin()
-            self.viewer.dims.current_step = step
 
     def _soon(self) -> None:
         if self.comparing and not self._refresh.isActive():
@@ -226,8 +255,11 @@ class Compare(Panel):
             self.end()  # the user took one of them away
             return
         renew_choices(self.recording)
-        able = bool(self.recording.choices)
-        self.start.enabled = self.script.enabled = able
+        able, idle = bool(self.recording.choices), not self.work.busy
+        self.script.enabled = able
+        self.start.enabled = able and idle
+        for choice in (self.recording, self.cores, self.view):
+            choice.enabled = idle
         self.rescale.enabled = self.save.enabled = self.comparing
         self.start.text = "End comparison" if self.comparing else "Compare"
         self.start.tooltip = (
@@ -236,8 +268,14 @@ class Compare(Panel):
             else "First open a recording with a calibration, or a sample: File > Open Sample > ELS+ endomicroscopy"
         )
 
+    def _work_ended(self) -> None:
+        self._layers_changed()
+        self.show_numbers()
+
     def _theme_changed(self) -> None:
         self.plot.follow(self.viewer.theme)
+        if self._comparison is not None:
+            self.stage.ink_titles(self._inks(self._comparison)[: len(self.stage.images)])
         self.show_numbers()
 
     def _ask_where_to_save(self) -> None:

@@ -11,7 +11,7 @@ from napari_elsplus import __version__
 from napari_elsplus.acquisition.live_images import RAW
 from napari_elsplus.processing.quality import white_level
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.viewing.layers import TITLES
+from napari_elsplus.viewing.layers import SMOOTH, TITLES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,6 +142,7 @@ class LiveLayers:
     def _add(self, kind: str, shape: tuple[int, ...], dtype: str, place: dict[str, Any]) -> Image:
         buffer: NDArray[Any] = np.zeros(shape, dtype)
         words = {"name": f"{LIVE} {KINDS[kind]}", "colormap": "gray", "contrast_limits": (0, 255), "cache": False}
+        words["interpolation2d"] = "nearest" if kind == RAW else SMOOTH
         layer = Image(buffer, **words, **place)
         self._layers[kind] = layer
         self._fresh.add(kind)

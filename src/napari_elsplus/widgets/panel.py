@@ -9,7 +9,7 @@ from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QEvent
 from qtpy.QtWidgets import QApplication, QHBoxLayout, QWidget
 
-from napari_elsplus.errors import ElsPlusError
+from napari_elsplus.errors import ElsPlusError, explained
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -55,8 +55,8 @@ def told() -> Iterator[None]:
     """Show an error that the user can mend as one notification, its remedy in it."""
     try:
         yield
-    except ElsPlusError as error:
-        show_error(str(error))
+    except (ElsPlusError, OSError) as error:
+        show_error(explained(error))
 
 
 def copy_as_script(text: str) -> None:

@@ -29,6 +29,7 @@ from napari_elsplus.viewing.stack import images_origin_px, space, um_per_px_of
 from napari_elsplus.widgets.choosing import calibrated_recordings, chosen_image, renew_choices, shown_index
 from napari_elsplus.widgets.panel import Panel, button_row, copy_as_script, told
 from napari_elsplus.widgets.plots import Curve, ThemedPlot
+from napari_elsplus.widgets.shapes import prepare_shapes
 from napari_elsplus.widgets.work import Work
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ BOXES: Final = "quality elements"
 EDGE: Final = "quality edge"
 BOX_COLOUR: Final = "#f0e442"
 PAPER_ALIGNMENT: Final = (0.055, 0.0074)
+NOT_ALIGNMENT: Final = 0.1
+"""Filtered error above which the two views cannot show the same scene: where the laser is on, they never do."""
 HINT: Final = (
     "<b>Alignment</b>: show a frame lit from the far end. <b>Mark elements</b>: show a USAF 1951 target, and draw "
     "a box closely around the three bars of each element. <b>Edge map</b>: take a recording of a moving probe."
@@ -88,17 +91,9 @@ class Quality(Panel):
         """Add a layer in which boxes are drawn around the elements of a target; each is measured as it is drawn."""
         with told():
             stack, calibration, _ = self._chosen()
-            _scale(stack, calibration)
-            if self._boxes is None:
-                place = space(um_per_px_of(stack, calibration), images_origin_px(calibration))
-                self._boxes = Shapes(
-                    name=BOXES, ndim=2, face_color="transparent", edge_color=BOX_COLOUR, edge_width=1, **place
-                )
-                self._boxes.events.data.connect(self.measure_resolution)
-                self.viewer.layers.append(self._boxes)
-            self.viewer.layers.selection.active = self._boxes
-            self._boxes.mode = "add_rectangle"
-            self.show_numbers()
+            place = space(_scale(stack, calibration), images_origin_px(calibration))
+            self.work.begin(0, prepare_shapes, lambda _: self._draw_boxes(place))
+        self._layers_changed()
 
     def measure_resolution(self) -> None:
         """Measure the marked elements in the LS image of the frame that is shown."""
@@ -140,6 +135,8 @@ class Quality(Panel):
             parts.append(
                 f"<b>Alignment error</b> {100 * before:.2f} %, filtered {100 * after:.2f} % (the paper: {papers})"
             )
+            if after > NOT_ALIGNMENT:
+                parts.append("So much is more than misalignment: is the bundle lit from its far end, the laser off?")
         if self.resolution is not None:
             parts.append(_table(self.resolution))
         if self.edge is not None:
@@ -197,6 +194,17 @@ class Quality(Panel):
         known = layer.metadata["elsplus"]
         return known["stack"], known["calibration"], shown_index(self.viewer, layer)
 
+    def _draw_boxes(self, place: dict[str, Any]) -> None:
+        if self._boxes is None:
+            self._boxes = Shapes(
+                name=BOXES, ndim=2, face_color="transparent", edge_color=BOX_COLOUR, edge_width=1, **place
+            )
+            self._boxes.events.data.connect(self.measure_resolution)
+            self.viewer.layers.append(self._boxes)
+        self.viewer.layers.selection.active = self._boxes
+        self._boxes.mode = "add_rectangle"
+        self.show_numbers()
+
     def _edge_measured(self, edge: EdgeMap, place: dict[str, Any]) -> None:
         self.edge = edge
         curve = Curve("residual", edge.position_um, edge.profile, "green")
@@ -220,8 +228,8 @@ class Quality(Panel):
             self.show_numbers()
         renew_choices(self.recording)
         able = bool(self.recording.choices)
-        self.align.enabled = self.mark.enabled = self.script.enabled = able
-        self.average.enabled = able and not self.work.busy
+        self.align.enabled = self.script.enabled = able
+        self.mark.enabled = self.average.enabled = able and not self.work.busy
 
     def _theme_changed(self) -> None:
         self.plot.follow(self.viewer.theme)

@@ -9,6 +9,7 @@ import numpy as np
 from napari.layers import Image, Points, Shapes
 from napari.utils import Colormap
 
+from napari_elsplus.viewing.layers import SMOOTH
 from napari_elsplus.viewing.stack import attributes
 
 if TYPE_CHECKING:
@@ -76,6 +77,11 @@ class Stage:
         self.images: list[Image] = []
 
     @property
+    def _line_px(self) -> float:
+        """Width of the line in pixels of the images: to be seen where they are small on the screen, too."""
+        return max(1.0, self._side / 100)
+
+    @property
     def intact(self) -> bool:
         """Whether all of its layers are still in the viewer."""
         return all(layer in self._viewer.layers for layer in self._layers())
@@ -99,7 +105,10 @@ class Stage:
         for exhibit, offset in zip(exhibits, self._offsets_px, strict=True):
             words = attributes(stack, exhibit.title, calibration, origin_px=(0, offset))
             words["name"] = f"{PREFIX} {exhibit.title}"
-            image = Image(exhibit.planes.dask(), cache=False, colormap=SIGNED if exhibit.signed else "gray", **words)
+            image = Image(
+                exhibit.planes.dask(), cache=False, colormap=SIGNED if exhibit.signed else "gray",
+                interpolation2d=SMOOTH, **words,
+            )  # fmt: skip
             self.images.append(image)
             self._viewer.layers.append(image)
         place = {key: words[key][1:] for key in ("scale", "units", "axis_labels")}
@@ -110,9 +119,8 @@ class Stage:
     def end(self) -> None:
         """Take the images and the line away, and show the user's layers as they were."""
         ours, self.images, self._line, self._titles = self._layers(), [], None, None
-        for layer in ours:
-            if layer in self._viewer.layers:
-                self._viewer.layers.remove(layer)
+        self._viewer.layers.selection = {layer for layer in ours if layer in self._viewer.layers}
+        self._viewer.layers.remove_selected()  # at once: napari collects garbage after each removal
         for layer, visible in self._hidden.items():
             layer.visible = visible
         if self._hidden:
@@ -130,6 +138,7 @@ class Stage:
         self._folding = True
         try:
             self._line.data = [(own + np.array([0, offset]), "line") for offset in dict.fromkeys(self._offsets_px)]
+            self._line.edge_width = [self._line_px] * len(self._line.data)  # napari makes new ones 1 wide
             self._line.mode = mode
         finally:
             self._folding = False
@@ -143,6 +152,11 @@ class Stage:
         if self._titles is not None:
             self._titles.shown = np.arange(len(self.images)) == chosen
 
+    def ink_titles(self, inks: Sequence[str]) -> None:
+        """Write the titles in other colours, one for each image."""
+        if self._titles is not None:
+            self._titles.text.color = list(inks)
+
     def _layers(self) -> list[Image | Shapes | Points]:
         marks = (self._titles, self._line)
         return [*self.images, *(mark for mark in marks if mark is not None)]
@@ -152,7 +166,7 @@ class Stage:
         text = {"string": [one.title for one in exhibits], "color": [one.ink for one in exhibits], "size": 12}
         self._titles = Points(
             corners, name=f"{PREFIX} titles", size=1, face_color="transparent", border_color="transparent",
-            text={**text, "anchor": "lower_left"}, **place,
+            text={**text, "anchor": "upper_left"}, **place,
         )  # fmt: skip
         self._titles.editable = False
         self._viewer.layers.append(self._titles)
@@ -169,8 +183,8 @@ class Stage:
         middle = (self._side - 1) / 2
         start, end = ((middle, share * self._side) for share in _LINE_SHARE)
         self._line = Shapes(
-            [np.array([start, end])], shape_type="line", name=f"{PREFIX} line", edge_width=3, edge_color=LINE_COLOUR,
-            **place,
+            [np.array([start, end])], shape_type="line", name=f"{PREFIX} line", edge_width=self._line_px,
+            edge_color=LINE_COLOUR, **place,
         )  # fmt: skip
         self._viewer.layers.append(self._line)
         self._line.events.data.connect(self._line_changed)

@@ -10,7 +10,7 @@ from napari.utils.notifications import show_error
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
 
-from napari_elsplus.errors import ElsPlusError
+from napari_elsplus.errors import ElsPlusError, explained
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -82,7 +82,7 @@ class Work(QWidget):
         def guarded() -> tuple[Any, Exception | None]:
             try:
                 return once.pop()(), None
-            except (ElsPlusError, Cancelled) as error:
+            except (ElsPlusError, OSError, Cancelled) as error:
                 return None, error
 
         self._worker = create_worker(guarded, _connect={"returned": self._take}, _start_thread=False)
@@ -125,8 +125,8 @@ class Work(QWidget):
 
     def _take(self, outcome: tuple[Any, Exception | None]) -> None:
         result, error = outcome
-        if isinstance(error, ElsPlusError):
-            show_error(str(error))
+        if isinstance(error, (ElsPlusError, OSError)):
+            show_error(explained(error))
         elif error is None and not self._cancelled.is_set():
             self._finished(result)
 
