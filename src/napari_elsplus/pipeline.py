@@ -156,4 +156,8 @@ def images(
     numpy.ndarray
         (T, n, n) float32, signed grey levels, the bundle's centre at (n - 1) / 2.
     """
-    return np.stack(list(Images(raw, calibration, mode, cores=cores, flat_field=flat_field)))
+    lazy = Images(raw, calibration, mode, cores=cores, flat_field=flat_field)
+    made = np.empty(lazy.shape, np.float32)
+    for index, image in enumerate(lazy):
+        made[index] = image
+    return made

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import subprocess
 import sys
@@ -216,3 +217,22 @@ def test_a_full_disk_is_said_once_and_keeps_what_was_written(tmp_path):
         assert len(recording) == count == 14
         assert recording[:].max(axis=(1, 2)).tolist() == list(range(14))
     assert len(tifffile.imread(path, key=slice(None))) == 14
+
+
+def test_a_disk_that_fails_while_it_is_flushed_is_said_at_the_next_frame(tmp_path, monkeypatch):
+    """The flush runs beside; what it meets must not end in a thread that nobody hears."""
+
+    def failing(_):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("napari_elsplus.io.recorder.FLUSH_PERIOD_S", 0.01)
+    writer = RecordingWriter(tmp_path / "r.ome.tif", (30, 47), np.uint8)
+    writer.append(frame(0), 0.0, 0)
+    monkeypatch.setattr("os.fsync", failing)
+    writer._flusher.join(timeout=10)
+    assert not writer._flusher.is_alive()
+    with pytest.raises(OSError, match="ended after 1 frames"):
+        writer.append(frame(1), 0.1, 1)
+    assert writer.closed
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        np.testing.assert_array_equal(recording[:], [frame(0)])

@@ -91,6 +91,7 @@ class RecordingWriter:
         self._layout = PageLayout(self.frame_shape, self.dtype)
         self._file: io.FileIO | None = self.path.open("xb", buffering=0)
         _write(self._file, self._layout.file_header)
+        self._flush_failed: OSError | None = None
         self._stop = Event()
         self._flusher = Thread(target=self._flush_each_second, name="recording-flush", daemon=True)
         self._flusher.start()
@@ -131,6 +132,8 @@ class RecordingWriter:
             )
         index = len(self)
         try:
+            if self._flush_failed is not None:
+                raise self._flush_failed
             _write(self._file, self._layout.head(index, time_s, frame_number))
             _write(self._file, np.ascontiguousarray(frame).data)
             _write(self._file, self._layout.padding)
@@ -195,7 +198,11 @@ class RecordingWriter:
     def _flush_each_second(self) -> None:
         due = time.monotonic() + FLUSH_PERIOD_S
         while not self._stop.wait(max(0.0, due - time.monotonic())):
-            self._flush()
+            try:
+                self._flush()
+            except OSError as error:  # raised by whoever appends next
+                self._flush_failed = error
+                return
             due = time.monotonic() + FLUSH_PERIOD_S
 
     def _flush(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
 from weakref import finalize
@@ -157,7 +158,8 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     <Recording dark.npy: 5 frames of 40 x 60, uint8>
     """
     path = Path(path)
-    with decoding(path):
+    with decoding(path), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # whatever a reader remarks of a file that it opens is told, or is no matter
         return Recording(_source(path))
 
 

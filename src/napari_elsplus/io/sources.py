@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from contextlib import contextmanager
 from math import isfinite
@@ -109,9 +108,7 @@ def decoding(path: Path, what: str = "it") -> Iterator[None]:
     Decoders meet untrusted bytes and may raise anything at all, so this seam catches everything that is an error.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
+        yield
     except ElsPlusError:
         raise
     except FileNotFoundError:
