@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.registration import Link, View
 
 
+UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
+"""What to say of a track of which less than two frames are tracked."""
 _TIMING_FRAMES = 600
 _KEPT_VIEWS = 300
 """Views of frames that are kept while a track is finished; others are made anew when they are needed."""

@@ -87,3 +87,14 @@ def test_rows_per_frame_are_estimated_where_they_are_unknown(
     found = np.array([(row.row_px, row.col_px) for row in read_track(track)])
     assert np.abs(found - (truth.positions - truth.positions[0])).max() < 0.5
     assert all(np.isnan(row.row_um) for row in read_track(track))
+
+
+def test_frames_that_show_nothing_are_said_to_fit_nowhere(
+    elsplus: Callable[..., Any], recording: tuple[Path, Any], tmp_path: Path
+) -> None:
+    folder, _ = recording
+    shape = tifffile.imread(folder / "moving.tif", key=0).shape
+    np.save(tmp_path / "dark.npy", np.zeros((3, *shape), np.uint8))
+    run = elsplus("mosaic", tmp_path / "dark.npy", "-c", folder / "cal.json", "-o", tmp_path / "m.tif")
+    assert run.code == 0, run.err
+    assert "note: no two frames fit together" in run.out

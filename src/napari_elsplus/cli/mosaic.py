@@ -12,7 +12,8 @@ from napari_elsplus.io import open_recording, read_calibration, write_mosaic, wr
 from napari_elsplus.pipelined import Pipelined
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs, picture, with_timing
+from napari_elsplus.processing.tracking.tracker import State
+from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline, RawPairs, picture, with_timing
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,6 +63,8 @@ def command(
     if said:
         click.echo(said)
     click.echo(_summary(pipeline))
+    if sum(row.state == State.TRACKED for row in pipeline.rows) < 2:
+        click.echo(f"note: {UNLINKED}")
 
 
 def _summary(pipeline: Pipeline) -> str:

@@ -13,7 +13,7 @@ from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.tracker import State
-from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs, with_timing
+from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline, RawPairs, with_timing
 from napari_elsplus.viewing.track import fastest_px_per_frame
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ class StackMosaics:
             self._follow(self._followers, self._lead.poses[-1], frame)
         self._refine(watch)
         if sum(row.state == State.TRACKED.value for row in self.rows) < 2:
-            self.notes.append("no two frames fit together: was the probe on tissue, and slow enough to overlap?")
+            self.notes.append(UNLINKED)
 
     def _refine(self, watch: Watch) -> None:
         self._shown, self._rows = self.canvases, list(self._lead.rows)  # stay on screen meanwhile
