@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import hypot
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, 
 from napari_elsplus.processing.tracking.tracker import State
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable
+    from collections.abc import Container, Iterable, Sequence
     from contextlib import AbstractContextManager
     from typing import Any
 
@@ -136,11 +135,14 @@ class Laying:
             return False
         with lock:
             frames, forgotten = self.kept.frames[:], self._forgotten
+            laid = [self._laid[one.frame] for one in frames]
+        moved = self._off(frames, laid, corrections, limit_px)
+        if not moved:
+            return False
         places = [corrections.of(one.frame, one.pose) for one in frames]
-        moved = [k for k, place in enumerate(places) if self._is_off(frames[k], place, limit_px)]
         tiles: set[Where] = set()
         for k in moved:
-            for place in (self._laid[frames[k].frame], places[k]):
+            for place in (laid[k], places[k]):
                 tiles |= {(place.segment, key) for key in self._reach(place).tiles()}
         reaches = np.array([(place.segment, *self._reach(place)) for place in places])
         for segment, key in sorted(tiles):
@@ -156,7 +158,7 @@ class Laying:
         with lock:
             if self._forgotten == forgotten:
                 self._laid |= {frames[k].frame: places[k] for k in moved}
-        return bool(tiles)
+        return True
 
     def forget(self, group: int, segments: Container[int]) -> None:
         """Forget a mosaic, and the kept frames of those of the tracker's segments that lie in it."""
@@ -168,12 +170,19 @@ class Laying:
 
     # inside
 
-    def _is_off(self, one: Kept, place: Pose, limit_px: float) -> bool:
-        laid = self._laid[one.frame]
-        if laid.segment != place.segment:
-            return True
-        turned_px = abs(laid.angle - place.angle) * self.pipeline.grid.diameter / 2
-        return hypot(laid.row - place.row, laid.col - place.col) + turned_px > limit_px
+    def _off(
+        self, frames: Sequence[Kept], laid: Sequence[Pose], corrections: Corrections, limit_px: float
+    ) -> list[int]:
+        """Return which frames do not lie where they belong."""
+        if not frames:
+            return []
+        poses = np.array([one.pose[:3] for one in frames])
+        lies = np.array([(*place[:3], place.angle - one.pose.angle) for one, place in zip(frames, laid, strict=True)])
+        numbers = np.array([one.frame for one in frames])
+        segment, row, col, angle = corrections.of_frames(numbers, poses[:, 0].astype(np.int64), *poses[:, 1:].T)
+        turned_px = np.abs(angle - lies[:, 3]) * self.pipeline.grid.diameter / 2
+        off = (segment != lies[:, 0]) | (np.hypot(row - lies[:, 1], col - lies[:, 2]) + turned_px > limit_px)
+        return [int(k) for k in np.flatnonzero(off)]
 
     def _reach(self, place: Pose) -> Rectangle:
         return self._brush.reach(place.row, place.col, place.velocity, place.angle, place.scale)

@@ -8,8 +8,9 @@ from contextlib import suppress
 from typing import Final
 
 _LEAST_REAL_TIME: Final = 1
-_SWITCH_INTERVAL_S: Final = 5e-4
-"""Threads that compute in Python hand over after so long; the interpreter's default is ten times that."""
+_SWITCH_INTERVAL_S: Final = 5e-5
+"""Threads that compute in Python hand over after so long, a hundredth of the interpreter's default: the one that tracks
+asks for the interpreter's lock after each of its ten or so kernels."""
 
 
 def keep_pace() -> bool:

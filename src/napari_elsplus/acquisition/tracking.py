@@ -264,7 +264,8 @@ class LiveTrack:
 
     def _places(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """Segments, rows and columns of all frames, where they belong."""
-        return self._corrections.of_rows(self._path.segment, self._path.row, self._path.col)
+        path = self._path
+        return self._corrections.of_frames(np.arange(len(path)), path.segment, path.row, path.col)[:3]
 
     def _leave_what_was_joined(self) -> None:
         """Forget the mosaics of segments whose frames belong to others now."""

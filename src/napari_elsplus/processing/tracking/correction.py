@@ -110,19 +110,29 @@ class Corrections:
         values = self._between(segment, np.array([frame]))[:, 0].tolist()
         return Correction(self._newest[segment].segment, *values).of(pose)
 
-    def of_rows(
-        self, segment: NDArray[np.int64], row: NDArray[np.float64], col: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return segments, rows and columns at which the frames of a whole track belong; what is NaN stays NaN."""
-        into, down, across = segment.copy(), row.copy(), col.copy()
+    def of_frames(
+        self,
+        frame: NDArray[np.int64],
+        segment: NDArray[np.int64],
+        row: NDArray[np.float64],
+        col: NDArray[np.float64],
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return segments, rows and columns at which frames belong, and by how much each is turned; NaN stays NaN.
+
+        Parameters
+        ----------
+        frame, segment, row, col : numpy.ndarray
+            (n,) each: which frames, and where the tracker has them.
+        """
+        into, down, across, turned = segment.copy(), row.copy(), col.copy(), np.zeros(len(frame))
         for number in self._frames:
-            frames = np.flatnonzero(segment == number)
-            top, left, angle, scale = self._between(number, frames)
+            those = np.flatnonzero(segment == number)
+            top, left, angle, scale = self._between(number, frame[those])
             cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
-            into[frames] = self._newest[number].segment
-            down[frames] = cosine * row[frames] - sine * col[frames] + top
-            across[frames] = sine * row[frames] + cosine * col[frames] + left
-        return into, down, across
+            into[those], turned[those] = self._newest[number].segment, angle
+            down[those] = cosine * row[those] - sine * col[those] + top
+            across[those] = sine * row[those] + cosine * col[those] + left
+        return into, down, across, turned
 
     def _between(self, segment: int, frames: NDArray[np.int64]) -> NDArray[np.float64]:
         known, values = self._frames[segment], self._values[segment]
@@ -153,6 +163,9 @@ class Path:
         self._segment[index], self._where[index] = segment, (row, col)
         self._count += 1
         return index
+
+    def __len__(self) -> int:
+        return self._count
 
     def forget(self, segments: Iterable[int]) -> None:
         """Call the frames of some segments lost."""
