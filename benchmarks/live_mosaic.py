@@ -33,14 +33,17 @@ def go_on(until, seconds):
 @click.command()
 @click.option("--seconds", default=60.0)
 @click.option("--live", is_flag=True, help="The Live panel beside it.")
+@click.option("--mode", "modes", multiple=True, default=("els",), help="Images that are laid; again for more.")
 @click.option("--picture", type=click.Path(), help="Save the window as it is at the end.")
-def main(seconds: float, live: bool, picture: str | None) -> None:
+def main(seconds: float, live: bool, modes: tuple[str, ...], picture: str | None) -> None:
     """Lay a mosaic live."""
     viewer = napari.Viewer()
     viewer.window.resize(1280, 900)
     if live:
         viewer.window.add_plugin_dock_widget(PLUGIN, "Live", tabify=True)
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic", tabify=True)
+    for mode, box in panel.modes.items():
+        box.value = mode.value in modes
     shown = []
     update = panel.layers.update
 
@@ -72,7 +75,8 @@ def main(seconds: float, live: bool, picture: str | None) -> None:
         f"faults: {'; '.join(map(str, status.faults)) or 'none'}\n"
         f"camera to track: median {latency.p50:.1f} ms, 99 % {latency.p99:.1f} ms, longest {latency.max:.1f} ms\n"
         f"shown {len(shown) / took:.1f} times a second, 99 % of the gaps below {1e3 * np.quantile(gaps, 0.99):.0f} ms\n"
-        f"{', '.join(f'{counts.get(state.value, 0)} {state.value}' for state in State)}"
+        f"{', '.join(f'{counts.get(state.value, 0)} {state.value}' for state in State)}; "
+        f"{status.track.loops} links to earlier visits"
     )
     viewer.close()
     QApplication.processEvents()
