@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
+from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -24,6 +25,7 @@ from napari_elsplus.settings import recall, remember
 from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.drawing import Drawing
 from napari_elsplus.widgets.engine_panel import EnginePanel
+from napari_elsplus.widgets.layer_list import LayerList
 from napari_elsplus.widgets.live_layers import KINDS, LiveLayers
 from napari_elsplus.widgets.panel import copy_as_script, told
 from napari_elsplus.widgets.rig import remembered_rig, remembered_settings
@@ -55,7 +57,7 @@ class Live(EnginePanel):
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
         self.layers = LiveLayers(viewer)
-        self.drawing = Drawing(self)
+        self.drawing, self.layer_list = Drawing(self), LayerList(self)
         self._faults_told: set[str] = set()
         self._arranged: object = None
         self._shown_at_s: list[float] = []
@@ -199,7 +201,9 @@ class Live(EnginePanel):
             )
             self._arranged = wanted
         whole = now_s - self._whole_at_s > WHOLE_S
-        if self.layers.update(ring, whole=whole) is None:
+        with nullcontext() if whole else self.layer_list.undisturbed():
+            shown = self.layers.update(ring, whole=whole)
+        if shown is None:
             return
         self.drawing.ask()
         self._shown_at_s = [*self._shown_at_s[-60:], now_s]

@@ -28,6 +28,7 @@ from napari_elsplus.viewing.mosaicking import StackMosaics
 from napari_elsplus.viewing.track import speed_of
 from napari_elsplus.widgets.choosing import chosen_image, renew_choices
 from napari_elsplus.widgets.engine_panel import EnginePanel
+from napari_elsplus.widgets.layer_list import LayerList
 from napari_elsplus.widgets.mosaic_layers import MosaicLayers
 from napari_elsplus.widgets.mosaic_sources import Source, source_names, source_of
 from napari_elsplus.widgets.panel import copy_as_script, told
@@ -68,7 +69,7 @@ class MosaicPanel(EnginePanel):
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
-        self.layers = MosaicLayers(viewer)
+        self.layers = MosaicLayers(viewer, LayerList(self).undisturbed)
         self.work = Work(self._ended)
         self._stack: StackMosaics | None = None
         self._shown: StackMosaics | LiveMosaics | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,7 +16,8 @@ from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.viewing.track import BEGINS, LOST, PREDICTED, TrackDrawing, placed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+    from contextlib import AbstractContextManager
 
     import napari.viewer
     from napari.layers import Layer
@@ -44,6 +46,8 @@ class MosaicLayers:
     ----------
     viewer : napari.Viewer
         The viewer. Layers that are there from before are used again, with the user's colours.
+    quietly : callable
+        Makes a context in which the viewer's list of layers hears of no change.
 
     Attributes
     ----------
@@ -51,8 +55,10 @@ class MosaicLayers:
         What is known of the track that is shown.
     """
 
-    def __init__(self, viewer: napari.viewer.Viewer) -> None:
-        self._viewer = viewer
+    def __init__(
+        self, viewer: napari.viewer.Viewer, quietly: Callable[[], AbstractContextManager[Any]] = nullcontext
+    ) -> None:
+        self._viewer, self._quietly = viewer, quietly
         self._mosaics: Mosaics | None = None
         self.drawing: TrackDrawing | None = None
 
@@ -155,7 +161,8 @@ class MosaicLayers:
             elif changes[mode].frame:
                 layer.data = image.levels
             elif changes[mode].pixels and layer.visible:
-                layer.refresh(thumbnail=whole, extent=False, highlight=False)
+                with nullcontext() if whole else self._quietly():
+                    layer.refresh(thumbnail=whole, extent=False, highlight=False)
             if reframed:
                 row, col = self._origin
                 aside = left_px if mode is not self._lead else self._lead_left_px()
