@@ -82,7 +82,7 @@ class Renderer:
         self._receive(None)
         self._values = np.empty((2, len(self._cores.rows_um)), np.float32)
         self._places = np.empty((2, len(self._cores.rows_um)))
-        self._unshifted = np.zeros(len(self._cores.rows_um), np.float32)
+        self._down = np.empty((2, len(self._cores.rows_um)))
         self._row_signal = np.empty(self.frame_shape[1], np.float32)
 
     def render(
@@ -149,14 +149,11 @@ class Renderer:
         for view, light, values in zip(self._views, self._light, self._values, strict=True):
             values[:] = light.steady
             places, camera_rows, rows_um, cols_um = self._places, view.rows_px, self._cores.rows_um, self._cores.cols_um
-            if self._layers and turn is None:
-                place_cores(places, camera_rows, rows_um, cols_um, positions_um)
+            down = None if turn is None else self._down
+            if self._layers:
+                place_cores(places, down, camera_rows, rows_um, cols_um, positions_um, turn)
             for layer, scale, shift_um in zip(self._layers, light.scale, light.shift_um, strict=True):
-                if turn is None:
-                    gather(values, layer.window, 1 / layer.step_um, places, shift_um, scale)
-                else:
-                    place_turned_cores(places, camera_rows, rows_um, cols_um, shift_um, positions_um, turn)
-                    gather(values, layer.window, 1 / layer.step_um, places, self._unshifted, scale)
+                gather(values, layer.window, 1 / layer.step_um, places, down, shift_um, scale)
         return self._values
 
     def row_positions_um(self, frame_index: int) -> NDArray[np.float64]:
@@ -243,40 +240,31 @@ def _noise_key(seed: int, frame_index: int) -> int:
 @kernel
 def place_cores(
     places: NDArray[np.float64],
+    down: NDArray[np.float64] | None,
     camera_rows: NDArray[np.float64],
     rows_um: NDArray[np.float64],
     cols_um: NDArray[np.float64],
     positions_um: NDArray[np.float64],
+    turns: NDArray[np.float64] | None,
 ) -> None:
-    """Where each core looks in the scene, (2, cores), when its own camera row is read."""
+    """Where each core looks in the scene when its own camera row is read, and which way the bundle's rows then go down.
+
+    Both (2, cores), row and column. `turns` (rows, 2) are cosine and sine of the probe's angle; where it does not turn,
+    `turns` and `down` are None, and a kernel without them is compiled.
+    """
     last = len(positions_um) - 2
     for n in range(len(camera_rows)):
         r = min(last, max(0, int(camera_rows[n])))
         f = camera_rows[n] - r
-        places[0, n] = rows_um[n] + positions_um[r, 0] + f * (positions_um[r + 1, 0] - positions_um[r, 0])
-        places[1, n] = cols_um[n] + positions_um[r, 1] + f * (positions_um[r + 1, 1] - positions_um[r, 1])
-
-
-@kernel
-def place_turned_cores(
-    places: NDArray[np.float64],
-    camera_rows: NDArray[np.float64],
-    rows_um: NDArray[np.float64],
-    cols_um: NDArray[np.float64],
-    shift_um: NDArray[np.float32],
-    positions_um: NDArray[np.float64],
-    turns: NDArray[np.float64],
-) -> None:
-    """Where each core looks, (2, cores), when the probe turns: its view, shifted along the bundle's rows, is turned."""
-    last = len(positions_um) - 2
-    for n in range(len(camera_rows)):
-        r = min(last, max(0, int(camera_rows[n])))
-        f = camera_rows[n] - r
-        c = turns[r, 0] + f * (turns[r + 1, 0] - turns[r, 0])
-        s = turns[r, 1] + f * (turns[r + 1, 1] - turns[r, 1])
-        y, x = rows_um[n] + shift_um[n], cols_um[n]
-        places[0, n] = c * y - s * x + positions_um[r, 0] + f * (positions_um[r + 1, 0] - positions_um[r, 0])
-        places[1, n] = s * y + c * x + positions_um[r, 1] + f * (positions_um[r + 1, 1] - positions_um[r, 1])
+        y, x = rows_um[n], cols_um[n]
+        if turns is not None and down is not None:
+            c = turns[r, 0] + f * (turns[r + 1, 0] - turns[r, 0])
+            s = turns[r, 1] + f * (turns[r + 1, 1] - turns[r, 1])
+            y, x = c * y - s * x, s * y + c * x
+            down[0, n] = c
+            down[1, n] = s
+        places[0, n] = y + positions_um[r, 0] + f * (positions_um[r + 1, 0] - positions_um[r, 0])
+        places[1, n] = x + positions_um[r, 1] + f * (positions_um[r + 1, 1] - positions_um[r, 1])
 
 
 @kernel
@@ -285,14 +273,20 @@ def gather(
     window: NDArray[np.float32],
     per_um: float,
     places: NDArray[np.float64],
+    down: NDArray[np.float64] | None,
     shift_um: NDArray[np.float32],
     scale: NDArray[np.float32],
 ) -> None:
-    """Add to each core what it sees in a layer: bilinear, in a window that wraps around."""
+    """Add to each core what it sees in a layer, shifted down the bundle's rows: bilinear; the window wraps around."""
     mask = window.shape[0] - 1
     for n in range(len(values)):
-        y = (places[0, n] + shift_um[n]) * per_um
-        x = places[1, n] * per_um
+        y, x = places[0, n], places[1, n]
+        if down is None:
+            y += shift_um[n]
+        else:
+            y += shift_um[n] * down[0, n]
+            x += shift_um[n] * down[1, n]
+        y, x = y * per_um, x * per_um
         fy, fx = np.floor(y), np.floor(x)
         i, j = int(fy) & mask, int(fx) & mask
         k, m = (i + 1) & mask, (j + 1) & mask
