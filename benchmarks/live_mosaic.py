@@ -42,7 +42,7 @@ def main(seconds: float, live: bool, modes: tuple[str, ...], picture: str | None
     if live:
         viewer.window.add_plugin_dock_widget(PLUGIN, "Live", tabify=True)
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic", tabify=True)
-    for mode, box in panel.modes.items():
+    for mode, box in panel.form.modes.items():
         box.value = mode.value in modes
     shown = []
     update = panel.layers.update
@@ -54,7 +54,7 @@ def main(seconds: float, live: bool, modes: tuple[str, ...], picture: str | None
         return fresh
 
     panel.layers.update = counted
-    panel.going_live.native.click()
+    panel.form.going_live.native.click()
     if not go_on(lambda: panel.live and len(shown) > 3, START_S):
         raise SystemExit("the live mosaic did not begin")
     go_on(lambda: False, SETTLE_S)

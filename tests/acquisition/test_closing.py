@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from napari_elsplus.acquisition import closing
 from napari_elsplus.acquisition import tracking as live_tracking
 from napari_elsplus.acquisition.mosaic_board import MosaicBoard, MosaicFeed
 from napari_elsplus.acquisition.ring import Stamp
 from napari_elsplus.acquisition.tracking import LiveTrack
+from napari_elsplus.errors import DeviceError
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
@@ -194,3 +196,15 @@ def test_memory_is_bounded_and_where_it_does_not_do_that_is_said(
     finally:
         look.feed.close()
         look.live.close()
+
+
+def test_what_goes_wrong_in_closing_is_said_with_the_next_frame(looks: Look, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise DeviceError("2 MB of shared memory are left", "clear the mosaic")
+
+    monkeypatch.setattr(Mosaic, "replace", full)
+    monkeypatch.setattr(closing, "OFF_AT_REST_PX", 0.0)
+    looks.add(truth().frames[: ROUND + AGAIN])
+    looks.live.settle()
+    with pytest.raises(DeviceError, match="shared memory"):
+        looks.add(truth().frames[ROUND + AGAIN :])

@@ -28,14 +28,16 @@ def panel(viewer, qtbot):
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic")
     client = panel.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
     client.use(runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()).result(60)
-    for mode, box in panel.modes.items():
+    for mode, box in panel.form.modes.items():
         box.value = mode == "ls"
     return panel
 
 
 def go_live(viewer, panel, qtbot, frames=20):
-    qtbot.waitUntil(lambda: panel.going_live.enabled and panel.going_live.text == "Live mosaic", timeout=30_000)
-    panel.going_live.native.click()
+    qtbot.waitUntil(
+        lambda: panel.form.going_live.enabled and panel.form.going_live.text == "Live mosaic", timeout=30_000
+    )
+    panel.form.going_live.native.click()
     drawing = lambda: panel.layers.drawing  # noqa: E731
     qtbot.waitUntil(
         lambda: "mosaic LS" in viewer.layers and drawing() is not None and drawing().counts["tracked"] > frames,
@@ -49,20 +51,20 @@ def test_the_live_mosaic_grows_rests_is_undone_saved_and_cleared(viewer, panel, 
     qtbot.waitUntil(lambda: np.asarray(layer.data[0]).max() > 50, timeout=10_000)
     assert layer.scale == pytest.approx([2.66, 2.66])
     assert panel.live
-    qtbot.waitUntil(lambda: "mm/s of at most" in panel.speed.text, timeout=10_000)
-    qtbot.waitUntil(lambda: panel.going_live.text == "Rest" and panel.going_live.enabled, timeout=10_000)
+    qtbot.waitUntil(lambda: "mm/s of at most" in panel.form.speed.text, timeout=10_000)
+    qtbot.waitUntil(lambda: panel.form.going_live.text == "Rest" and panel.form.going_live.enabled, timeout=10_000)
     panel.save(tmp_path / "live.ome.tif")
-    qtbot.waitUntil(lambda: not panel.work.busy and panel.going_live.enabled, timeout=30_000)
+    qtbot.waitUntil(lambda: not panel.work.busy and panel.form.going_live.enabled, timeout=30_000)
     rows = read_track(tmp_path / "live.track.csv")
     assert [row.frame for row in rows] == list(range(len(rows)))
     assert (tmp_path / "live.png").exists()
 
-    panel.going_live.native.click()
+    panel.form.going_live.native.click()
     qtbot.waitUntil(lambda: not panel.live, timeout=30_000)
     assert panel.connection.client.status.live
     panel.undo()
     qtbot.waitUntil(lambda: not np.asarray(layer.data[0]).any(), timeout=30_000)
-    panel.clearing.native.click()
+    panel.form.clearing.native.click()
     qtbot.waitUntil(lambda: panel.connection.client.status.track is None, timeout=30_000)
     assert not [one.name for one in viewer.layers if one.name.startswith("mosaic")]
     go_live(viewer, panel, qtbot)
@@ -90,9 +92,9 @@ def test_it_lies_beside_the_live_images_and_a_stack_is_not_disturbed_by_it(viewe
     assert viewer.layers["mosaic LS"].extent.world[0, 1] > 600
     scene = np.random.default_rng(0).random((300, 300))
     viewer.add_image(np.stack([scene[k:][:200, :200] for k in range(6)]), name="mine", contrast_limits=(0, 1))
-    panel.recording.value = "mine"
+    panel.form.recording.value = "mine"
     panel.begin()
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     qtbot.wait(300)
     assert panel._source.finished
-    assert "of 6 frames" in panel.status.text()
+    assert "of 6 frames" in panel.form.status.text()

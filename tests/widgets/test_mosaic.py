@@ -51,7 +51,7 @@ def panel(viewer, scan):
 
 
 def make(panel, qtbot):
-    panel.start.native.click()
+    panel.form.start.native.click()
     assert panel.work.busy
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
 
@@ -61,7 +61,7 @@ def mosaics(viewer):
 
 
 def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, monkeypatch):
-    for box in panel.modes.values():
+    for box in panel.form.modes.values():
         box.value = True
     watch = panel.work.watch
 
@@ -71,7 +71,7 @@ def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, 
             yield step
 
     monkeypatch.setattr(panel.work, "watch", slowly)
-    panel.start.native.click()
+    panel.form.start.native.click()
     grown = set()
 
     def ended():
@@ -99,8 +99,8 @@ def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, 
     way = track.data[:, 1].sum(axis=0)
     expected = truth().positions[-1] - truth().positions[0]
     np.testing.assert_allclose(way, expected, atol=0.5)
-    assert f"<b>{FRAMES}</b> of {FRAMES} frames tracked" in panel.status.text()
-    assert "mm/s of at most" in panel.speed.text
+    assert f"<b>{FRAMES}</b> of {FRAMES} frames tracked" in panel.form.status.text()
+    assert "mm/s of at most" in panel.form.speed.text
 
 
 def test_maps_are_filled_when_they_are_looked_at(viewer, panel, qtbot):
@@ -128,11 +128,11 @@ def test_layers_keep_the_users_colours_and_are_used_again(viewer, panel, qtbot):
 
 
 def test_stopping_keeps_what_was_laid(viewer, panel, qtbot):
-    panel.start.native.click()
+    panel.form.start.native.click()
     qtbot.waitUntil(lambda: "mosaic ELS+" in viewer.layers, timeout=60_000)
-    panel.start.native.click()
+    panel.form.start.native.click()
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
-    assert panel.start.text == "Mosaic"
+    assert panel.form.start.text == "Mosaic"
     assert viewer.layers["mosaic ELS+"].data[-1].any()
 
 
@@ -153,7 +153,7 @@ def test_undo_save_clear_and_their_keys(viewer, panel, qtbot, tmp_path, said):
     keys = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier
     QTest.keyClick(panel, Qt.Key.Key_U, keys)
     assert not viewer.layers["mosaic ELS+"].data[-1].any()
-    assert f"<b>0</b> of {FRAMES}" in panel.status.text()
+    assert f"<b>0</b> of {FRAMES}" in panel.form.status.text()
     panel.save(tmp_path / "nothing.ome.tif")
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert any("no mosaic to save" in words for _, words in said())
@@ -164,19 +164,19 @@ def test_undo_save_clear_and_their_keys(viewer, panel, qtbot, tmp_path, said):
 
 def test_bad_input_is_one_clear_line(viewer, panel, qtbot, said, tmp_path):
     def told(words):
-        panel.start.native.click()
+        panel.form.start.native.click()
         qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
         assert any(words in message for _, message in said()), said()
         assert mosaics(viewer) == set()
 
-    for box in panel.modes.values():
+    for box in panel.form.modes.values():
         box.value = False
     told("no image is chosen")
-    panel.modes["els"].value = True
+    panel.form.modes["els"].value = True
     (tmp_path / "bare").mkdir()
     tifffile.imwrite(tmp_path / "bare" / "bare.tif", truth().frames[:5])
     viewer.open(str(tmp_path / "bare" / "bare.tif"), plugin=PLUGIN)
-    panel.recording.value = "bare raw"
+    panel.form.recording.value = "bare raw"
     told("bare raw has no calibration: choose a calibration file above")
     for name, frames, words in (
         ("single", np.ones((1, 60, 60)), "the stack has 1 frame"),
@@ -184,9 +184,9 @@ def test_bad_input_is_one_clear_line(viewer, panel, qtbot, said, tmp_path):
         ("broken", np.full((4, 60, 60), np.nan), "NaN"),
     ):
         viewer.add_image(frames, name=name, contrast_limits=(0, 1))
-        panel.recording.value = name
+        panel.form.recording.value = name
         told(words)
-    panel.calibration.value = tmp_path / "scan.calibration.json"
+    panel.form.calibration.value = tmp_path / "scan.calibration.json"
     told("is for frames of 236 x 480 pixels, broken has 60 x 60")
 
 
@@ -194,27 +194,27 @@ def test_a_calibration_file_serves_a_recording_without_one(viewer, panel, qtbot,
     (tmp_path / "bare").mkdir()
     tifffile.imwrite(tmp_path / "bare" / "bare.tif", truth().frames[:8])
     viewer.open(str(tmp_path / "bare" / "bare.tif"), plugin=PLUGIN)
-    panel.recording.value = "bare raw"
-    panel.calibration.value = tmp_path / "scan.calibration.json"
+    panel.form.recording.value = "bare raw"
+    panel.form.calibration.value = tmp_path / "scan.calibration.json"
     make(panel, qtbot)
-    assert "<b>8</b> of 8" in panel.status.text()
+    assert "<b>8</b> of 8" in panel.form.status.text()
 
 
 def test_finished_images_are_laid_as_they_are(viewer, panel, qtbot):
     scene = 100 * texture(500, 3)
     images = np.stack([scene[100 + 4 * k :][:200, 50 + 7 * k :][:, :200] for k in range(10)])
     viewer.add_layer(Image(images, name="my images", scale=(1, 2, 2), units=("s", "um", "um")))
-    panel.recording.value = "my images"
+    panel.form.recording.value = "my images"
     make(panel, qtbot)
     layer = viewer.layers["mosaic my images"]
     assert layer.scale == pytest.approx([2, 2])
-    assert "<b>10</b> of 10" in panel.status.text()
+    assert "<b>10</b> of 10" in panel.form.status.text()
 
 
 def test_scripts_settings_and_themes(viewer, panel, qtbot, scan):
-    panel.method.value = "paper"
-    panel.insertion.value = "feathered"
-    panel.script.native.click()
+    panel.form.method.value = "paper"
+    panel.form.insertion.value = "feathered"
+    panel.form.script.native.click()
     text = QApplication.clipboard().text()
     compile(text, "script", "exec")
     assert str(scan) in text
@@ -223,7 +223,7 @@ def test_scripts_settings_and_themes(viewer, panel, qtbot, scan):
     assert recall("mosaic") == {"method": "paper", "insertion": "feathered", "modes": ["els"]}
     for theme in ("light", "dark"):
         viewer.theme = theme
-        assert panel.speed.text
+        assert panel.form.speed.text
 
 
 def test_the_layers_stay_when_the_panel_goes_and_the_next_one_uses_them(viewer, scan, qtbot):

@@ -13,6 +13,7 @@ from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
+from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.processing.tracking.live_graph import LiveGraph
 from napari_elsplus.processing.tracking.registration import Registrar, View
 
@@ -87,6 +88,8 @@ class Closing(Thread):
     ----------
     closed : int
         Links that close a loop or join segments, so far.
+    failed : ElsPlusError or None
+        Why it ended, if not because it was told to.
     """
 
     def __init__(self, grid: Grid, track: Correctable) -> None:
@@ -101,7 +104,9 @@ class Closing(Thread):
         self._news = False
         self._settled = True
         self._forgotten = 0
+        self._stopped = False
         self.closed = 0
+        self.failed: ElsPlusError | None = None
 
     def add(self, seen: Seen) -> None:
         """Hand over a node."""
@@ -120,20 +125,25 @@ class Closing(Thread):
 
     def stop(self) -> None:
         """End with what is being done."""
+        self._stopped = True
         self._todo.put(None)
         if self.is_alive():
             self.join()
 
     def run(self) -> None:
-        """Work until told to stop."""
-        while True:
+        """Work until told to stop, or until something fails."""
+        try:
+            self._work()
+        except ElsPlusError as error:
+            self.failed = error
+
+    def _work(self) -> None:
+        while not self._stopped:
             try:
                 item = self._todo.get(timeout=RESTING_S)
             except Empty:
                 self._correct(OFF_AT_REST_PX)
                 continue
-            if item is None:
-                return
             if isinstance(item, Event):
                 self._correct(OFF_AT_REST_PX)
                 item.set()
@@ -141,7 +151,7 @@ class Closing(Thread):
                 self._graph.forget(item)
                 self._forgotten += 1
                 self._news = True
-            else:
+            elif item is not None:
                 self._take(item)
             if self._news and time.perf_counter() >= self._due_s:
                 self._correct(OFF_PX)

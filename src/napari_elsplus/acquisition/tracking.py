@@ -137,6 +137,8 @@ class LiveTrack:
         with self._lock:
             if self._closed:
                 return
+            if self._closing is not None and self._closing.failed is not None:
+                raise self._closing.failed
             number, time_s = self._since_the_first(stamp)
             pose, image = self.pipeline.find(raw)
             place = self._corrections.newest(pose.segment).of(pose)

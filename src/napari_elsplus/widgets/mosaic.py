@@ -6,22 +6,13 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from magicgui.types import FileDialogMode
-from magicgui.widgets import CheckBox, ComboBox, Container, FileEdit, PushButton
 from napari.utils.notifications import show_info, show_warning
 from qtpy.QtCore import QTimer
-from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
-from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
+from qtpy.QtWidgets import QFileDialog
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import read_calibration
-from napari_elsplus.mosaic_plan import MosaicPlan
-from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.settings import recall, remember
-from napari_elsplus.tracking_pipeline import Method
-from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.viewing.live_mosaic import LiveMosaics
 from napari_elsplus.viewing.mosaic_files import mosaic_script, save_mosaics
 from napari_elsplus.viewing.mosaicking import StackMosaics
@@ -29,11 +20,11 @@ from napari_elsplus.viewing.track import speed_of
 from napari_elsplus.widgets.choosing import chosen_image, renew_choices
 from napari_elsplus.widgets.engine_panel import EnginePanel
 from napari_elsplus.widgets.layer_list import LayerList
+from napari_elsplus.widgets.mosaic_form import MosaicForm
 from napari_elsplus.widgets.mosaic_layers import MosaicLayers
-from napari_elsplus.widgets.mosaic_sources import Source, source_names, source_of
+from napari_elsplus.widgets.mosaic_sources import Source, source_of
 from napari_elsplus.widgets.panel import copy_as_script, told
 from napari_elsplus.widgets.rig import remembered_rig, remembered_settings
-from napari_elsplus.widgets.speed_bar import SpeedBar
 from napari_elsplus.widgets.work import Work
 
 if TYPE_CHECKING:
@@ -44,18 +35,9 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.client import EngineClient
 
-SECTION: Final = "mosaic"
 TICK_MS: Final = 40
 WHOLE_TICKS: Final = 25
 """The track, the maps and what else costs more is drawn every so many ticks."""
-KEYS: Final = {
-    "start": "Ctrl+Shift+M",
-    "live": "Ctrl+Shift+L",
-    "clear": "Ctrl+Shift+K",
-    "undo": "Ctrl+Shift+U",
-    "save": "Ctrl+Shift+E",
-}
-MODES: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
 
 
 class MosaicPanel(EnginePanel):
@@ -78,7 +60,17 @@ class MosaicPanel(EnginePanel):
         self._ticks = 0
         self._stale = False
         self._goes_live, self._cleared = True, ""
-        self._build()
+        self.form = MosaicForm(self, self.work, viewer)
+        self.form.connect(
+            {
+                "start": self.toggle,
+                "live": self.toggle_live,
+                "clear": self.clear,
+                "undo": self.undo,
+                "save": self._ask_where_to_save,
+            },
+            {"open": self._ask_for_file, "script": self.copy_script},
+        )
         self._timer = QTimer(self)
         self._timer.setInterval(TICK_MS)
         self._timer.timeout.connect(self.tick)
@@ -87,12 +79,6 @@ class MosaicPanel(EnginePanel):
         self.listen(viewer.layers.events.removed, self._layers_changed)
         self.listen(viewer.events.theme, self._theme_changed)
         self._layers_changed()
-
-    @property
-    def plan(self) -> MosaicPlan:
-        """What the form asks for."""
-        modes = tuple(mode for mode, box in self.modes.items() if box.value)
-        return MosaicPlan(modes, Method(self.method.value), Insertion(self.insertion.value))
 
     def toggle(self) -> None:
         """Make mosaics of the chosen stack; or stop that."""
@@ -105,13 +91,13 @@ class MosaicPanel(EnginePanel):
     def begin(self) -> None:
         """Make mosaics of the chosen stack, in a thread."""
         with told():
-            plan, chosen = self.plan, self._chosen()
+            plan, chosen = self.form.plan, self._chosen()
             _ = plan.tracked
-            calibration = self.calibration.value
+            calibration = self.form.calibration.value
             path = calibration if isinstance(calibration, Path) and calibration.is_file() else None
             source = source_of(chosen, None if path is None else read_calibration(path), path)
             plan = source.plan(plan)
-            self._remember()
+            self.form.remember()
 
             def made() -> StackMosaics:
                 self._stack = mosaics = StackMosaics(source.frames, source.calibration, plan, source.times_s)
@@ -179,7 +165,7 @@ class MosaicPanel(EnginePanel):
             if layer in self.viewer.layers:
                 layer.visible = True
         self._hidden = []
-        self.speed.show_speed(None)
+        self.form.speed.show_speed(None)
         self.refresh()
 
     def undo(self) -> None:
@@ -213,37 +199,23 @@ class MosaicPanel(EnginePanel):
     def copy_script(self) -> None:
         """Copy Python that makes and saves these mosaics to the clipboard."""
         with told():
-            path = self.calibration.value
+            path = self.form.calibration.value
             given = path if isinstance(path, Path) and path.is_file() else None
             facts = self._chosen().metadata.get("elsplus", {})
             if facts.get("kind") != "raw":
                 raise InputError("these images are no raw recording", "a script can be had for raw recordings")
-            copy_as_script(mosaic_script(facts["stack"], given or facts.get("calibration_path"), self.plan))
+            copy_as_script(mosaic_script(facts["stack"], given or facts.get("calibration_path"), self.form.plan))
 
     def refresh(self) -> None:
         """Say how it goes, and what can be done."""
         busy, there = self.work.busy, self._shown is not None
         client = self.connection.client
         calibrating = client is not None and client.status.progress is not None
-        self.going_live.text = "Cancel calibration" if calibrating else "Rest" if self.live else "Live mosaic"
-        self.going_live.enabled = calibrating or not (busy or self.asking.busy)
-        self.start.text = "Stop" if busy else "Mosaic"
-        self.start.enabled = busy or bool(self.recording.choices)
-        self.start.tooltip = (
-            f"Make mosaics of the chosen stack, or stop that ({KEYS['start']})"
-            if self.recording.choices
-            else "First open a recording, or a sample: File > Open Sample > ELS+ endomicroscopy"
-        )
-        why = "" if there else "; make a mosaic first"
-        self.clearing.enabled, self.clearing.tooltip = there, f"Take the mosaics away ({KEYS['clear']}){why}"
-        self.undoing.enabled = self.saving.enabled = there and not busy
-        why = "; wait for the end, or stop" if busy else why
-        self.undoing.tooltip = f"Take the last segment away ({KEYS['undo']}){why}"
-        self.saving.tooltip = f"Save OME-TIFF, PNG with scale bar, and track ({KEYS['save']}){why}"
-        self.status.setText(self._said())
+        self.form.allow(busy=busy, asking=self.asking.busy, there=there, live=self.live, calibrating=calibrating)
+        self.form.status.setText(self._said())
         if self._shown is not None:
             scale = self._shown.scale
-            self.speed.show_speed(speed_of(self._shown.rows, scale.fastest_px, scale.camera_um_per_px))
+            self.form.speed.show_speed(speed_of(self._shown.rows, scale.fastest_px, scale.camera_um_per_px))
 
     def cleanup(self) -> None:
         """Let go of the viewer; the layers stay."""
@@ -265,8 +237,8 @@ class MosaicPanel(EnginePanel):
 
     def _track(self, client: EngineClient, then: Callable[[None], None] = lambda _: None) -> None:
         with told():
-            plan = self.plan
-            self._remember()
+            plan = self.form.plan
+            self.form.remember()
             self.asking.ask(client.track(plan), then)
 
     def _follow_live(self) -> None:
@@ -320,10 +292,16 @@ class MosaicPanel(EnginePanel):
         words += "".join(f", {counts[state]} {state}" for state in ("predicted", "lost") if counts[state])
         um = self._shown.scale.um_per_px
         area_mm2 = self.layers.covered_px * (um or float("nan")) ** 2 * 1e-6
-        return words + (f"; {area_mm2:.2g} mm\N{SUPERSCRIPT TWO}." if isfinite(area_mm2) else ".")
+        words += f"; {area_mm2:.2g} mm\N{SUPERSCRIPT TWO}." if isfinite(area_mm2) else "."
+        track = None if client is None or not isinstance(self._shown, LiveMosaics) else client.status.track
+        if track is not None and track.loops:
+            words += f" Places recognised {track.loops} times."
+        if track is not None and not track.lays_anew:
+            words += " There is no memory left to lay it anew: where loops close it stays as it is."
+        return words
 
     def _chosen(self) -> Image:
-        return chosen_image(self.viewer, self.recording, "stack")
+        return chosen_image(self.viewer, self.form.recording, "stack")
 
     def _hide_others(self) -> None:
         ours = set(self.layers.ours.values())
@@ -333,11 +311,11 @@ class MosaicPanel(EnginePanel):
                 self._hidden.append(layer)
 
     def _layers_changed(self) -> None:
-        renew_choices(self.recording)
+        renew_choices(self.form.recording)
         self.refresh()
 
     def _theme_changed(self) -> None:
-        self.speed.follow(self.viewer.theme)
+        self.form.speed.follow(self.viewer.theme)
         self.refresh()
 
     def _ask_for_file(self) -> None:
@@ -346,95 +324,13 @@ class MosaicPanel(EnginePanel):
             self.viewer.open(path, plugin="napari-elsplus")
 
     def _ask_where_to_save(self) -> None:
-        if not self.saving.enabled:
+        if not self.form.saving.enabled:
             return
         path, _ = QFileDialog.getSaveFileName(self, "Save mosaics", "mosaic.ome.tif", "OME-TIFF (*.ome.tif)")
         if path:
             self.save(Path(path))
 
-    def _remember(self) -> None:
-        remember(
-            SECTION, method=self.method.value, insertion=self.insertion.value,
-            modes=[mode.value for mode, box in self.modes.items() if box.value],
-        )  # fmt: skip
-
-    def _build(self) -> None:
-        known = recall(SECTION)
-        wanted = known.get("modes", [Mode.ELS.value])
-        self.recording = ComboBox(
-            label="stack",
-            choices=lambda _: source_names(self.viewer),
-            tooltip="A raw recording, or any stack of images of a moving probe",
-        )
-        self.opening = PushButton(text="Open file...", tooltip="Open a recording as layers")
-        self.calibration = FileEdit(
-            label="calibration", mode=FileDialogMode.EXISTING_FILE, filter="*.json", nullable=True,
-            tooltip="A calibration file; empty: the recording's own",
-        )  # fmt: skip
-        self.modes = {
-            mode: CheckBox(value=mode.value in wanted, text=TITLES[mode], tooltip=_TIPS[mode]) for mode in MODES
-        }
-        methods, insertions = [m.value for m in Method], [i.value for i in Insertion]
-        self.method = ComboBox(
-            choices=methods, value=_known(known.get("method"), methods), label="method",
-            tooltip="elsplus: sub-pixel, rolling shutter undone, gated; paper: the paper's template matching",
-        )  # fmt: skip
-        self.insertion = ComboBox(
-            choices=insertions, value=_known(known.get("insertion"), insertions), label="insertion",
-            tooltip="dead-leaf: the newest frame on top; feathered: the mean of all",
-        )  # fmt: skip
-        self.start = PushButton(text="Mosaic")
-        self.going_live = PushButton(text="Live mosaic")
-        self.going_live.tooltip = (
-            f"Lay the frames of the connected rig into a mosaic, one image only; or let it rest ({KEYS['live']})"
-        )
-        self.clearing, self.undoing = PushButton(text="Clear"), PushButton(text="Undo segment")
-        self.saving = PushButton(text="Save...")
-        self.script = PushButton(text="Copy as script", tooltip="Copy Python that makes and saves these mosaics")
-        self.speed = SpeedBar(self.viewer.theme)
-        self.status = QLabel()
-        self.status.setWordWrap(True)
-        layout = QVBoxLayout(self)
-        form = Container(widgets=[self.recording, self.calibration], labels=True)
-        choices = Container(widgets=[self.method, self.insertion], labels=True)
-        boxes = Container(widgets=list(self.modes.values()), layout="horizontal", labels=False)
-        for part in (form, boxes, choices):
-            layout.addWidget(part.native)
-        for buttons in (
-            [self.start, self.going_live],
-            [self.clearing, self.undoing],
-            [self.saving, self.script],
-            [self.opening],
-        ):
-            layout.addWidget(Container(widgets=list(buttons), layout="horizontal", labels=False).native)
-        for widget in (self.work, self.speed, self.status):
-            layout.addWidget(widget)
-        layout.addStretch(1)
-        pressed = {
-            "start": (self.start, self.toggle),
-            "live": (self.going_live, self.toggle_live),
-            "clear": (self.clearing, self.clear),
-            "undo": (self.undoing, self.undo),
-            "save": (self.saving, self._ask_where_to_save),
-        }
-        for name, (button, slot) in pressed.items():
-            button.clicked.connect(slot)
-            QShortcut(QKeySequence(KEYS[name]), self).activated.connect(slot)
-        self.opening.clicked.connect(self._ask_for_file)
-        self.script.clicked.connect(self.copy_script)
-
 
 def _tell_if_none(undone: bool) -> None:
     if not undone:
         show_info("there is no segment left")
-
-
-def _known(value: Any, choices: list[str]) -> str:
-    return value if value in choices else choices[0]
-
-
-_TIPS: Final = {
-    Mode.LS: "Confocal view: line-scan confocal",
-    Mode.ELSA: "Confocal of one frame minus residual of the next, for comparison",
-    Mode.ELS: "Confocal minus residual of one frame: ELS+; tracked where it is ticked",
-}

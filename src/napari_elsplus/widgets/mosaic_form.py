@@ -1,0 +1,180 @@
+"""The Mosaic panel's fields and buttons; what they do is the panel's."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from magicgui.types import FileDialogMode
+from magicgui.widgets import CheckBox, ComboBox, Container, FileEdit, PushButton
+from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
+from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
+
+from napari_elsplus.mosaic_plan import MosaicPlan
+from napari_elsplus.processing.mosaicing.mosaic import Insertion
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.settings import recall, remember
+from napari_elsplus.tracking_pipeline import Method
+from napari_elsplus.viewing.layers import TITLES
+from napari_elsplus.widgets.mosaic_sources import source_names
+from napari_elsplus.widgets.speed_bar import SpeedBar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    import napari.viewer
+
+SECTION: Final = "mosaic"
+KEYS: Final = {
+    "start": "Ctrl+Shift+M",
+    "live": "Ctrl+Shift+L",
+    "clear": "Ctrl+Shift+K",
+    "undo": "Ctrl+Shift+U",
+    "save": "Ctrl+Shift+E",
+}
+MODES: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
+
+
+class MosaicForm:
+    """Fields and buttons, laid out in a panel; what was chosen last time is chosen.
+
+    Parameters
+    ----------
+    panel : QWidget
+        What it fills.
+    work : QWidget
+        The progress bar.
+    viewer : napari.Viewer
+        Whose layers can be chosen.
+    """
+
+    def __init__(self, panel: QWidget, work: QWidget, viewer: napari.viewer.Viewer) -> None:
+        known = recall(SECTION)
+        wanted = known.get("modes", [Mode.ELS.value])
+        self.recording = ComboBox(
+            label="stack",
+            choices=lambda _: source_names(viewer),
+            tooltip="A raw recording, or any stack of images of a moving probe",
+        )
+        self.calibration = FileEdit(
+            label="calibration", mode=FileDialogMode.EXISTING_FILE, filter="*.json", nullable=True,
+            tooltip="A calibration file; empty: the recording's own",
+        )  # fmt: skip
+        self.modes = {
+            mode: CheckBox(value=mode.value in wanted, text=TITLES[mode], tooltip=_TIPS[mode]) for mode in MODES
+        }
+        methods, insertions = [m.value for m in Method], [i.value for i in Insertion]
+        self.method = ComboBox(
+            choices=methods, value=_known(known.get("method"), methods), label="method",
+            tooltip="elsplus: sub-pixel, rolling shutter undone, gated; paper: the paper's template matching",
+        )  # fmt: skip
+        self.insertion = ComboBox(
+            choices=insertions, value=_known(known.get("insertion"), insertions), label="insertion",
+            tooltip="dead-leaf: the newest frame on top; feathered: the mean of all",
+        )  # fmt: skip
+        self.start, self.going_live = PushButton(text="Mosaic"), PushButton(text="Live mosaic")
+        self.clearing, self.undoing = PushButton(text="Clear"), PushButton(text="Undo segment")
+        self.saving = PushButton(text="Save...")
+        self.script = PushButton(text="Copy as script", tooltip="Copy Python that makes and saves these mosaics")
+        self.opening = PushButton(text="Open file...", tooltip="Open a recording as layers")
+        self.speed = SpeedBar(viewer.theme)
+        self.status = QLabel()
+        self.status.setWordWrap(True)
+        self._panel = panel
+        self._lay_out(work)
+
+    @property
+    def plan(self) -> MosaicPlan:
+        """What the form asks for."""
+        modes = tuple(mode for mode, box in self.modes.items() if box.value)
+        return MosaicPlan(modes, Method(self.method.value), Insertion(self.insertion.value))
+
+    def remember(self) -> None:
+        """Choose the same next time."""
+        plan = self.plan
+        remember(
+            SECTION, method=plan.method.value, insertion=plan.insertion.value, modes=[mode.value for mode in plan.modes]
+        )
+
+    def connect(self, slots: Mapping[str, Callable[[], Any]], plain: Mapping[str, Callable[[], Any]]) -> None:
+        """Say what the buttons do.
+
+        Parameters
+        ----------
+        slots : mapping of str to callable
+            One for each of the shortcuts' names.
+        plain : mapping of str to callable
+            ``open`` and ``script``.
+        """
+        buttons = {
+            "start": self.start, "live": self.going_live, "clear": self.clearing, "undo": self.undoing,
+            "save": self.saving,
+        }  # fmt: skip
+        for name, slot in slots.items():
+            buttons[name].clicked.connect(slot)
+            QShortcut(QKeySequence(KEYS[name]), self._panel).activated.connect(slot)
+        self.opening.clicked.connect(plain["open"])
+        self.script.clicked.connect(plain["script"])
+
+    def allow(self, *, busy: bool, asking: bool, there: bool, live: bool, calibrating: bool) -> None:
+        """Enable what can be done; what cannot says why.
+
+        Parameters
+        ----------
+        busy : bool
+            Whether mosaics of a stack are made, or saved.
+        asking : bool
+            Whether the engine has yet to answer.
+        there : bool
+            Whether there is a mosaic.
+        live, calibrating : bool
+            Whether the engine lays one, or calibrates.
+        """
+        self.going_live.text = "Cancel calibration" if calibrating else "Rest" if live else "Live mosaic"
+        self.going_live.enabled = calibrating or not (busy or asking)
+        self.going_live.tooltip = (
+            f"Close the last loops and let the live mosaic rest ({KEYS['live']})"
+            if live
+            else f"Lay the frames of the connected rig into mosaics of the images that are ticked ({KEYS['live']})"
+        )
+        self.start.text = "Stop" if busy else "Mosaic"
+        self.start.enabled = busy or bool(self.recording.choices)
+        self.start.tooltip = (
+            f"Make mosaics of the chosen stack, or stop that ({KEYS['start']})"
+            if self.recording.choices
+            else "First open a recording, or a sample: File > Open Sample > ELS+ endomicroscopy"
+        )
+        why = "" if there else "; make a mosaic first"
+        self.clearing.enabled, self.clearing.tooltip = there, f"Take the mosaics away ({KEYS['clear']}){why}"
+        self.undoing.enabled = self.saving.enabled = there and not busy
+        why = "; wait for the end, or stop" if busy else why
+        self.undoing.tooltip = f"Take the last segment away ({KEYS['undo']}){why}"
+        self.saving.tooltip = f"Save OME-TIFF, PNG with scale bar, and track ({KEYS['save']}){why}"
+
+    def _lay_out(self, work: QWidget) -> None:
+        layout = QVBoxLayout(self._panel)
+        form = Container(widgets=[self.recording, self.calibration], labels=True)
+        choices = Container(widgets=[self.method, self.insertion], labels=True)
+        boxes = Container(widgets=list(self.modes.values()), layout="horizontal", labels=False)
+        for part in (form, boxes, choices):
+            layout.addWidget(part.native)
+        for buttons in (
+            [self.start, self.going_live],
+            [self.clearing, self.undoing],
+            [self.saving, self.script],
+            [self.opening],
+        ):
+            layout.addWidget(Container(widgets=list(buttons), layout="horizontal", labels=False).native)
+        for widget in (work, self.speed, self.status):
+            layout.addWidget(widget)
+        layout.addStretch(1)
+
+
+def _known(value: Any, choices: list[str]) -> str:
+    return value if value in choices else choices[0]
+
+
+_TIPS: Final = {
+    Mode.LS: "Confocal view: line-scan confocal",
+    Mode.ELSA: "Confocal of one frame minus residual of the next, for comparison; live only beside LS or ELS+",
+    Mode.ELS: "Confocal minus residual of one frame: ELS+; tracked where it is ticked",
+}
