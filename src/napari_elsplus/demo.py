@@ -64,6 +64,8 @@ FILES: Final = (
     "calibration.json",
     "calibration.npz",
     "recording.ome.tif",
+    "recording.calibration.json",
+    "recording.calibration.npz",
     "ls.ome.tif",
     "residual.ome.tif",
     "els.ome.tif",

@@ -424,7 +424,8 @@ def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) 
     if found is None:
         return (
             calibration,
-            "rows per frame unknown, and the motion does not tell them: rolling shutter uncorrected",
+            "rows per frame unknown, and the motion does not tell them: the rolling shutter is not corrected; "
+            "give them with `calibrate --rows-per-frame`",
         )
     said = f"rows per frame estimated from the motion: {found.rows:.1f} +- {found.sigma:.1f}"
     return _with_rows(calibration, found.rows), said

@@ -19,7 +19,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_demonstration_does_the_whole_job(elsplus: Callable[..., Any], folder: Path) -> None:
     run = elsplus("demo", "--out", folder)
     assert run.code == 0, run.err
-    assert {name for name in FILES if not (folder / name).exists()} == set()
+    assert {path.name for path in folder.iterdir()} == set(FILES)
     report = json.loads((folder / "report.json").read_text())
     errors = report["calibration_errors"]
     assert abs(errors["offset_rows"]) < 0.05

@@ -154,8 +154,8 @@ def _galvo(findings: Findings) -> Iterator[str]:
     if galvo is None or section is None:
         return
     yield (
-        f"galvo: {galvo.volts_per_row:.7f} +- {galvo.volts_per_row_uncertainty:.7f} V/row, "
-        f"{galvo.volts_at_row_zero:.5f} +- {galvo.volts_at_row_zero_uncertainty:.5f} V at row 0, "
+        f"galvo: {galvo.volts_per_row:.7f} +- {galvo.volts_per_row_uncertainty:.1g} V/row, "
+        f"{galvo.volts_at_row_zero:.5f} +- {galvo.volts_at_row_zero_uncertainty:.1g} V at row 0, "
         f"R^2 {galvo.r_squared:.6f}, {galvo.rms_rows:.3f} rows RMS, line tilt {galvo.tilt_deg:.2f} deg"
     )
     yield f"sweep: {galvo.lines} frames fitted, {galvo.dark} without a whole line, {galvo.outliers} outliers"

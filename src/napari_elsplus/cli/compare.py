@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-@click.command()
+@click.command(short_help="LS, ELSA and ELS+ of one frame side by side.")
 @click.argument("raw", type=FILE)
 @calibration_option
 @click.option("--frame", default=0, show_default=True, help="Which raw frame; ELSA also takes the next.")

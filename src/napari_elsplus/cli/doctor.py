@@ -12,7 +12,7 @@ from napari_elsplus.diagnosis.finding import Level
 COLOURS = {Level.OK: "green", Level.WARNING: "yellow", Level.PROBLEM: "red"}
 
 
-@click.command()
+@click.command(short_help="What is installed, what is wrong, and what mends it.")
 def command() -> None:
     """Say what is installed, what is wrong, and the command that mends it.
 

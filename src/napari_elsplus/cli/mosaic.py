@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-@click.command()
+@click.command(short_help="Track the probe, and lay its frames into a mosaic.")
 @click.argument("raw", type=FILE)
 @calibration_option
 @click.option(

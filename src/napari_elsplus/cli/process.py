@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-@click.command()
+@click.command(short_help="LS, residual, ELS+ or ELSA images of raw frames.")
 @click.argument("raw", type=FILE)
 @calibration_option
 @click.option(

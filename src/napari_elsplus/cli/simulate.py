@@ -39,7 +39,13 @@ if TYPE_CHECKING:
 
     from napari_elsplus.calibration import Calibration
 
-preset_option = click.option("--preset", type=click.Choice(list(PRESETS)), default="240hz", help="Camera mode.")
+preset_option = click.option(
+    "--preset",
+    type=click.Choice(list(PRESETS)),
+    default="240hz",
+    show_default=True,
+    help="Camera region and objective.",
+)
 offset_option = click.option(
     "--offset-um",
     type=NUMBER,
