@@ -12,7 +12,6 @@ from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.processing.tracking.descent import CORRELATED_PX
 from napari_elsplus.processing.tracking.evidence import rival_evidence
 from napari_elsplus.processing.tracking.frontend import FrontEnd
-from napari_elsplus.processing.tracking.lucas_kanade import workspace
 from napari_elsplus.processing.tracking.registration import Link, Registrar, View
 from napari_elsplus.processing.tracking.tracker import State, Tracker
 
@@ -65,7 +64,7 @@ class _TimedRegistrar(Registrar):
         if self._searching:
             return link
         (first, last), middle = self._half
-        warp, work, stiffness = np.array(link.warp), workspace(), (spread[0] ** -2, spread[1] ** -2)
+        warp, work, stiffness = np.array(link.warp), self.work, (spread[0] ** -2, spread[1] ** -2)
         begin = self._clock()
         rival_evidence(
             earlier.levels[1], later.levels[1], first, last, middle, warp, link.information, stiffness,

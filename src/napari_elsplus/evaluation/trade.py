@@ -9,6 +9,7 @@ import numpy as np
 
 from napari_elsplus.optics import BUNDLE_UM
 from napari_elsplus.processing.axial import contrast_to_noise
+from napari_elsplus.processing.tracking.grid import overlap_of_discs
 from napari_elsplus.simulation.axial_response import LINE_MODELS, LineModel, drop_offs, line_response, signal_kept
 
 if TYPE_CHECKING:
@@ -108,11 +109,5 @@ def weigh(
         drops.drop_10db_um,
         signal_kept(offset_um=offset_um, slit_um=slit_um, line=line),
         float(noise),
-        _outside_when_moved(offset_um / bundle_um),
+        1 - overlap_of_discs(offset_um / bundle_um),
     )
-
-
-def _outside_when_moved(diameters: float) -> float:
-    """Share of a disc that lies outside of itself, moved by so many diameters."""
-    share = min(diameters, 1.0)
-    return float(1 - 2 / np.pi * (np.arccos(share) - share * np.sqrt(1 - share**2)))

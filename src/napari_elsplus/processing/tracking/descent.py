@@ -16,19 +16,24 @@ from napari_elsplus.processing.tracking.lucas_kanade import align
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.tracking.lucas_kanade import Workspace
+
     Levels = tuple[NDArray[np.float32], ...]
     Columns = tuple[NDArray[np.int32], ...]
 
 LEVELS: Final = 3
 CORRELATED_PX: Final = 20.0
 """Pixels that share one noise value: the front end smooths, and the core pattern is correlated."""
-ROW_STEP: Final = 2
-"""Every how many rows are used at full resolution."""
+_STAGES: Final = (
+    (2, 1, False, 12, 0.2),
+    (1, 2, False, 10, 0.1),
+    (0, 4, False, 1, 0.0),
+    (0, 2, True, 5, 0.02),
+)
+"""Down the pyramid: level, every how many rows are used, whether they are sampled finely, largest number of steps, and
+smallest step in the level's own pixels."""
 _RIGID: Final = 1e12
-_STEPS: Final = (6, 10, 12)
-_TOLERANCE_PX: Final = (0.02, 0.1, 0.2)
-_ROW_STEPS: Final = (ROW_STEP, 2, 1)
-"""Of each level, the finest first: largest number of steps, smallest step in its own pixels, rows used."""
+_CANDIDATE_TOLERANCE_PX: Final = 0.1
 _CANDIDATE_STEPS: Final = 8
 
 
@@ -42,8 +47,8 @@ def link_levels(
     stiffness: tuple[float, float],
     warp: NDArray[np.float64],
     information: NDArray[np.float64],
-    work: NDArray[np.float64],
-) -> tuple[float, float, float]:
+    work: Workspace,
+) -> tuple[float, float]:
     """Refine a warp in place, fill its information matrix, and weigh it against its rivals.
 
     Parameters
@@ -60,32 +65,29 @@ def link_levels(
         (4,) float64: a, b, s, d in pixels of full resolution; what is expected, and the result.
     information : numpy.ndarray
         (4, 4) float64: inverse covariance of the result.
-    work : numpy.ndarray
-        From :func:`napari_elsplus.processing.tracking.lucas_kanade.workspace`.
+    work : Workspace
+        For frames of this size.
 
     Returns
     -------
     correlation : float
         Zero-mean normalised correlation of the overlap.
-    count : float
-        Number of pixels in it that were used.
     evidence : float
         For this warp and against the best of its rivals, nats per pixel.
     """
-    stiff, expected, scaled = work[3], work[5, 0], work[5, 1]
+    equations = work.equations
+    stiff, expected, scaled = equations[3], equations[5, 0], equations[5, 1]
     origin = warp[0], warp[1], warp[2], warp[3]
-    correlation, count = 0.0, 0.0
-    for level in range(LEVELS - 1, -1, -1):
+    correlation = 0.0
+    for level, row_step, finely, steps, tolerance_px in _STAGES:
         px = 2.0**level
-        coarsest = level == LEVELS - 1
         stiff[:] = 0.0
-        stiff[0, 0], stiff[2, 2] = (_RIGID, _RIGID) if coarsest else stiffness
+        stiff[0, 0], stiff[2, 2] = (_RIGID, _RIGID) if level == LEVELS - 1 else stiffness
         in_pixels_of(px, origin, expected)
         in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
-        correlation, count = align(
-            earlier[level], later[level], first[level], last[level], middles[level], _ROW_STEPS[level], _STEPS[level],
-            _TOLERANCE_PX[level], expected, stiff, CORRELATED_PX / _ROW_STEPS[level] / 4**level, scaled, information,
-            work,
+        correlation, _ = align(
+            earlier[level], later[level], first[level], last[level], middles[level], row_step, steps, tolerance_px,
+            finely, expected, stiff, CORRELATED_PX / row_step / 4**level, scaled, information, work,
         )  # fmt: skip
         if correlation == 0.0:
             break
@@ -93,7 +95,7 @@ def link_levels(
     evidence = rival_evidence(
         earlier[1], later[1], first[1], last[1], middles[1], warp, information, stiffness, CORRELATED_PX / 8, work
     )
-    return correlation, count, evidence
+    return correlation, evidence
 
 
 @lean_kernel
@@ -104,20 +106,21 @@ def align_candidate(
     last: NDArray[np.int32],
     middle: float,
     warp: NDArray[np.float64],
-    work: NDArray[np.float64],
+    work: Workspace,
 ) -> tuple[float, float]:
     """Refine the shift of a warp in pixels of full resolution, on frames of half resolution.
 
     Returns the correlation of the overlap and the number of its pixels.
     """
-    stiff, expected, scaled = work[3], work[5, 0], work[5, 1]
+    equations = work.equations
+    stiff, expected, scaled = equations[3], equations[5, 0], equations[5, 1]
     stiff[:] = 0.0
     stiff[0, 0] = stiff[2, 2] = _RIGID
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), expected)
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), scaled)
     score = align(
-        earlier, later, first, last, middle, 1, _CANDIDATE_STEPS, _TOLERANCE_PX[1], expected, stiff, 1.0, scaled,
-        work[4], work,
+        earlier, later, first, last, middle, 1, _CANDIDATE_STEPS, _CANDIDATE_TOLERANCE_PX, False, expected, stiff, 1.0, scaled,
+        equations[4], work,
     )  # fmt: skip
     in_pixels_of(0.5, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
     return score

@@ -18,6 +18,8 @@ from napari_elsplus.processing.tracking.lucas_kanade import align, correlation
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.tracking.lucas_kanade import Workspace
+
 RIVAL_PX: Final = 4.0
 """Distance of the nearest rivals of a shift."""
 _HELD: Final = 1e8
@@ -40,7 +42,7 @@ def rival_evidence(
     information: NDArray[np.float64],
     stiffness: tuple[float, float],
     correlated_px: float,
-    work: NDArray[np.float64],
+    work: Workspace,
 ) -> float:
     """Evidence for a warp against the best of its rivals.
 
@@ -58,8 +60,8 @@ def rival_evidence(
         Information on a and s that was there beforehand.
     correlated_px : float
         Pixels of full resolution that share one noise value.
-    work : numpy.ndarray
-        From :func:`napari_elsplus.processing.tracking.lucas_kanade.workspace`.
+    work : Workspace
+        For frames of this size or larger.
 
     Returns
     -------
@@ -70,14 +72,15 @@ def rival_evidence(
     _, across, along, a_follows, s_follows = weakest_direction(information)
     if across == 0.0 and along == 0.0:
         return 0.0
-    held, scratch, rival, start = work[3], work[4], work[5, 0], work[5, 1]
+    equations = work.equations
+    held, scratch, rival, start = equations[3], equations[4], equations[5, 0], equations[5, 1]
     held[:] = 0.0
     held[0, 0], held[2, 2] = stiffness
     held[1, 1] = 4 * _HELD * across * across  # in pixels of half resolution
     held[1, 3] = held[3, 1] = 4 * _HELD * across * along
     held[3, 3] = 4 * _HELD * along * along
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), start)
-    rho, count = correlation(template, image, first, last, middle, start, _ROW_STEP)
+    rho, count = correlation(template, image, first, last, middle, start, _ROW_STEP, work.samples)
     if count == 0:
         return 0.0
     smallest = np.inf
@@ -90,10 +93,10 @@ def rival_evidence(
         in_pixels_of(2.0, (a, b, s, d), start)
         in_pixels_of(2.0, (a, b, s, d), rival)
         align(
-            template, image, first, last, middle, _ROW_STEP, _STEPS, 0.02, start, held, correlated_px, rival, scratch,
-            work,
+            template, image, first, last, middle, _ROW_STEP, _STEPS, 0.02, False, start, held, correlated_px, rival,
+            scratch, work,
         )  # fmt: skip
-        other, _ = correlation(template, image, first, last, middle, rival, _ROW_STEP)
+        other, _ = correlation(template, image, first, last, middle, rival, _ROW_STEP, work.samples)
         smallest = min(smallest, evidence_between(rho, other))
     return float(smallest)
 

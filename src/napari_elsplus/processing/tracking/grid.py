@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, floor
+from math import acos, ceil, floor, pi, sqrt
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,6 +19,9 @@ GRID_DIAMETER_PX: Final = 240.0
 """The bundle is binned to about this diameter, near one pixel per core: the paper down-samples to 250."""
 FIELD: Final = 0.9
 """Part of the bundle's diameter that is used: the paper crops to 90 %."""
+INNER_FIELD: Final = 0.8
+"""Part of it in which out-of-focus light cancels. Nearer to the rim the residual's line, which stands aside, is cut off
+by it before the confocal one is; what is left there does not move with the scene."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,3 +94,15 @@ class Grid:
         """Row of the bundle's centre on the grid halved so often."""
         scale = 2.0**level
         return (self.centre[0] - (scale - 1) / 2) / scale
+
+
+def overlap_of_discs(diameters: float) -> float:
+    """Share of a disc that another of its size covers, whose centre lies so many diameters away.
+
+    Examples
+    --------
+    >>> [round(overlap_of_discs(diameters), 3) for diameters in (0.0, 0.5, 1.0)]
+    [1.0, 0.391, 0.0]
+    """
+    apart = min(abs(diameters), 1.0)
+    return 2 / pi * (acos(apart) - apart * sqrt(1 - apart**2))

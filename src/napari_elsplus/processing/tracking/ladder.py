@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.compiled import lean_kernel
-from napari_elsplus.processing.tracking.lucas_kanade import between, bilinear, neighbours, row_shift
+from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion import Warp
 
 if TYPE_CHECKING:

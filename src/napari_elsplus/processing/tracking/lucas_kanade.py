@@ -1,8 +1,7 @@
 """Two frames brought onto each other to a hundredth of a pixel: inverse-compositional Lucas-Kanade.
 
 The model is the rolling shutter's warp (:mod:`napari_elsplus.processing.tracking.motion`): rows stretched, columns
-sheared. Every row is then shifted by one amount, so its interpolation weights are constants and a pass over the frame
-is a handful of vector operations. Differences of gain and offset between the frames are projected out.
+sheared. Differences of gain and offset between the frames are projected out.
 
 References
 ----------
@@ -11,11 +10,12 @@ Baker and Matthews, Int. J. Comput. Vis. 56, 221 (2004), doi:10.1023/B:VISI.0000
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.tracking.sampling import reaches, row_shift, sample_finely, sample_row
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,65 +25,24 @@ PARAMETERS = 4
 _UNKNOWNS = PARAMETERS + 2  # and the gain and offset between the frames
 
 
-def workspace() -> NDArray[np.float64]:
-    """Return what :func:`align` and what is built on it work in; one for each thread at work."""
-    return np.zeros((7, _UNKNOWNS, _UNKNOWNS))
+class Workspace(NamedTuple):
+    """What :func:`align` and what is built on it work in; one for each thread at work.
 
-
-@lean_kernel
-def row_shift(
-    row: int, height: int, middle: float, warp: NDArray[np.float64], first: NDArray[np.int32], last: NDArray[np.int32]
-) -> tuple[int, float, int, float, int, int]:
-    """Where one row of the template falls in the image, and the columns in which both are lit.
-
-    Returns the image row above and the fraction below it, the whole column shift and its fraction, and the first column
-    and the one after the last; nothing overlaps where these are equal.
+    Parameters
+    ----------
+    equations : numpy.ndarray
+        (7, 6, 6) float64; align uses the first three.
+    samples : numpy.ndarray
+        (2, n) float32, as wide as the frames.
     """
-    y = row - middle
-    at = warp[0] * y + warp[1] + middle
-    shift = warp[2] * y + warp[3]
-    above = int(np.floor(at))
-    whole = int(np.floor(shift))
-    if above < 0 or above + 1 >= height:
-        return 0, 0.0, 0, 0.0, 0, 0
-    begin = max(first[row], max(first[above], first[above + 1]) - whole)
-    end = min(last[row], min(last[above], last[above + 1]) - whole - 1)
-    return above, at - above, whole, shift - whole, begin, max(begin, end)
 
+    equations: NDArray[np.float64]
+    samples: NDArray[np.float32]
 
-@lean_kernel
-def neighbours(image: NDArray[np.float32], above: int, left: int, size: int) -> tuple[NDArray[np.float32], ...]:
-    """Return the four runs of pixels between which a row of samples lies: upper, right of it, lower, right of it."""
-    end = left + size
-    return (
-        image[above, left:end],
-        image[above, left + 1 : end + 1],
-        image[above + 1, left:end],
-        image[above + 1, left + 1 : end + 1],
-    )
-
-
-@lean_kernel
-def bilinear(down: float, across: float) -> tuple[np.float32, ...]:
-    """Weights of these four."""
-    return (
-        np.float32((1 - down) * (1 - across)),
-        np.float32((1 - down) * across),
-        np.float32(down * (1 - across)),
-        np.float32(down * across),
-    )
-
-
-@lean_kernel
-def between(corners: tuple[NDArray[np.float32], ...], weights: tuple[np.float32, ...], k: int) -> np.float32:
-    """Sample k of such a row."""
-    sample: np.float32 = (
-        weights[0] * corners[0][k]
-        + weights[1] * corners[1][k]
-        + weights[2] * corners[2][k]
-        + weights[3] * corners[3][k]
-    )
-    return sample
+    @classmethod
+    def of(cls, side: int) -> Workspace:
+        """Return one for frames of so many pixels squared."""
+        return cls(np.zeros((7, _UNKNOWNS, _UNKNOWNS)), np.zeros((2, side), np.float32))
 
 
 @lean_kernel
@@ -96,8 +55,10 @@ def accumulate(
     warp: NDArray[np.float64],
     tone: NDArray[np.float64],
     row_step: int,
+    finely: bool,
     normal: NDArray[np.float64],
     right: NDArray[np.float64],
+    samples: NDArray[np.float32],
 ) -> tuple[float, float, float, float, float]:
     """Fill the normal equations of a step.
 
@@ -118,8 +79,11 @@ def accumulate(
         here = template[row, begin:end]
         left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
         over, under = template[row - 1, begin:end], template[row + 1, begin:end]
-        corners = neighbours(image, above, begin + whole, size)
-        weights = bilinear(down, across)
+        if finely and reaches(image.shape, above, begin + whole, size):
+            sample_finely(image, above, down, begin + whole, across, size, samples)
+        else:
+            sample_row(image, above, down, begin + whole, across, size, samples)
+        sample = samples[0, :size]
         zero = np.float32(0)
         t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
         y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
@@ -127,7 +91,7 @@ def accumulate(
             t = here[k]
             gx = np.float32(0.5) * (right_of[k] - left[k])
             gy = np.float32(0.5) * (under[k] - over[k])
-            i = between(corners, weights, k)
+            i = sample[k]
             e = i - gain * t - offset
             t1 += t
             i1 += i
@@ -203,6 +167,7 @@ def correlation(
     middle: float,
     warp: NDArray[np.float64],
     row_step: int,
+    samples: NDArray[np.float32],
 ) -> tuple[float, float]:
     """Zero-mean normalised correlation of the overlap under a warp, and the number of its pixels."""
     height = template.shape[0]
@@ -211,14 +176,12 @@ def correlation(
         above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
         if end <= begin:
             continue
-        here = template[row, begin:end]
-        corners = neighbours(image, above, begin + whole, end - begin)
-        weights = bilinear(down, across)
+        here, sample = template[row, begin:end], samples[0, : end - begin]
+        sample_row(image, above, down, begin + whole, across, end - begin, samples)
         zero = np.float32(0)
         t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
         for k in range(end - begin):
-            t = here[k]
-            i = between(corners, weights, k)
+            t, i = here[k], sample[k]
             t1 += t
             i1 += i
             tt += t * t
@@ -255,12 +218,13 @@ def align(
     row_step: int,
     steps: int,
     tolerance_px: float,
+    finely: bool,
     expected: NDArray[np.float64],
     stiffness: NDArray[np.float64],
     correlated_px: float,
     warp: NDArray[np.float64],
     information: NDArray[np.float64],
-    work: NDArray[np.float64],
+    work: Workspace,
 ) -> tuple[float, float]:
     """Refine a warp in place; fill its information matrix; return correlation and number of pixels of the overlap.
 
@@ -278,6 +242,8 @@ def align(
         Largest number of Gauss-Newton steps.
     tolerance_px : float
         A step that moves no pixel farther than this is the last.
+    finely : bool
+        Whether the image is sampled through six by six pixels, else between four.
     expected, stiffness : numpy.ndarray
         (4,) and (4, 4) float64, or larger: what is known of the warp beforehand, and its information; zero leaves a
         parameter free.
@@ -287,8 +253,8 @@ def align(
         (4,) float64: a, b, s, d; where to start, and the result.
     information : numpy.ndarray
         (4, 4) float64: inverse covariance of the result, what was known beforehand included.
-    work : numpy.ndarray
-        From :func:`workspace`; its first three parts are used.
+    work : Workspace
+        For frames of this size or larger.
 
     Returns
     -------
@@ -297,13 +263,13 @@ def align(
     float
         Number of pixels in it.
     """
-    normal, right, tone = work[0], work[1, 0], work[1, 1]
+    normal, right, tone = work.equations[0], work.equations[1, 0], work.equations[1, 1]
     tone[0], tone[1] = 1.0, 0.0  # gain and offset of the image against the template
     ncc, count = 0.0, 0.0
     information[:] = 0.0
     for _ in range(steps):
         count, template_sum, image_sum, both, noise = accumulate(
-            template, image, first, last, middle, warp, tone, row_step, normal, right
+            template, image, first, last, middle, warp, tone, row_step, finely, normal, right, work.samples
         )
         ncc = _correlation(count, template_sum, image_sum, both)
         if ncc == 0.0:
@@ -313,7 +279,7 @@ def align(
             for k in range(PARAMETERS):
                 normal[i, k] += stiffness[i, k] * noise
                 right[i] += stiffness[i, k] * noise * (warp[k] - expected[k])
-        if not solve(normal, right, work[2]):
+        if not solve(normal, right, work.equations[2]):
             return 0.0, count
         da, db, ds, dd = right[0], right[1], right[2], right[3]
         if abs(da) > 0.2 or abs(ds) > 0.2:

@@ -17,13 +17,13 @@ from napari_elsplus.processing.tracking import ladder
 from napari_elsplus.processing.tracking.descent import (
     CORRELATED_PX,
     LEVELS,
-    ROW_STEP,
     align_candidate,
     fill_coarser,
     link_levels,
 )
 from napari_elsplus.processing.tracking.evidence import RIVAL_PX, evidence_between, weakest_direction
-from napari_elsplus.processing.tracking.lucas_kanade import workspace
+from napari_elsplus.processing.tracking.grid import FIELD, INNER_FIELD, overlap_of_discs
+from napari_elsplus.processing.tracking.lucas_kanade import Workspace
 from napari_elsplus.processing.tracking.motion import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.shift_search import LEAST_OVERLAP, ShiftSearch, prior, support
 
@@ -114,7 +114,7 @@ class Link(NamedTuple):
 
 
 class Registrar:
-    """Registers frames on one grid; keeps what depends on the grid alone.
+    """Registers frames on one grid; keeps what depends on the grid alone. Not for two threads at once.
 
     Parameters
     ----------
@@ -124,11 +124,11 @@ class Registrar:
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
-        self._spans = [grid.spans(level=level) for level in range(LEVELS)]
+        self._spans = [grid.spans(FIELD if level else INNER_FIELD, level) for level in range(LEVELS)]
         self._first, self._last = (tuple(span[end] for span in self._spans) for end in (0, 1))
         self._middles = tuple(grid.middle(level) for level in range(LEVELS))
         self._centre = self._middles[1], (grid.centre[1] - 0.5) / 2
-        self._pixels = [float((last - first).sum()) for first, last in self._spans]
+        self.work = Workspace.of(grid.side)
         self._everywhere = ShiftSearch(*self._spans[-1], 2.0 ** (LEVELS - 1))
 
     def view(self) -> View:
@@ -155,11 +155,11 @@ class Registrar:
             Standard deviations beforehand of the stretch a and the shear s about their expected values.
         """
         warp, information = np.array(expected, float), np.empty((4, 4))
-        correlation, count, evidence = link_levels(
+        correlation, evidence = link_levels(
             earlier.levels, later.levels, self._first, self._last, self._middles, (spread[0] ** -2, spread[1] ** -2),
-            warp, information, workspace(),
+            warp, information, self.work,
         )  # fmt: skip
-        overlap = count / self._pixels[0] * ROW_STEP
+        overlap = overlap_of_discs(hypot(warp[1], warp[3]) / (FIELD * self.grid.diameter))
         return Link(Warp(*warp.tolist()), information, correlation, overlap, evidence)
 
     def remainder(self, earlier: View, later: View, warp: Warp, spread: tuple[float, float]) -> ladder.Remainder | None:
@@ -265,10 +265,9 @@ class Registrar:
         """
         found: list[tuple[float, float, Warp]] = []
         first, last = self._spans[1]
-        work = workspace()
         for shift in self._everywhere.peaks(self._spectra(earlier), self._spectra(later), expected, reach_px):
             warp = np.array([expected.a, shift[0], expected.s, shift[1]])
-            ncc, count = align_candidate(earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, work)
+            ncc, count = align_candidate(earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, self.work)
             likely = support(np.array(ncc), np.array(count / 4))
             score = float(likely + prior(warp[1] - expected.b, warp[3] - expected.d, reach_px))
             if ncc > 0:

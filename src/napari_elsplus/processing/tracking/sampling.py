@@ -1,0 +1,150 @@
+"""Frames sampled between their pixels, a row at a time.
+
+Every row of the rolling shutter's warp is shifted by one amount, so its interpolation weights are constants and a pass
+over a frame is a handful of vector operations. Two kinds: between four pixels, which is fast; and on a polynomial
+through six by six, for the last hundredth of a pixel. Linear interpolation moves fine structure towards the nearer
+pixel; at an even speed every frame has the same sub-pixel phase, and the error adds up frame after frame.
+
+References
+----------
+Thevenaz, Blu and Unser, IEEE Trans. Med. Imaging 19, 739 (2000), doi:10.1109/42.875199.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.compiled import lean_kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_BEFORE: Final = 2
+_AFTER: Final = 3
+"""Pixels of the polynomial before the one that a sample follows, and after it."""
+
+
+@lean_kernel
+def row_shift(
+    row: int, height: int, middle: float, warp: NDArray[np.float64], first: NDArray[np.int32], last: NDArray[np.int32]
+) -> tuple[int, float, int, float, int, int]:
+    """Where one row of the template falls in the image, and the columns in which both are lit.
+
+    Returns the image row above and the fraction below it, the whole column shift and its fraction, and the first column
+    and the one after the last; nothing overlaps where these are equal.
+    """
+    y = row - middle
+    at = warp[0] * y + warp[1] + middle
+    shift = warp[2] * y + warp[3]
+    above = int(np.floor(at))
+    whole = int(np.floor(shift))
+    if above < 0 or above + 1 >= height:
+        return 0, 0.0, 0, 0.0, 0, 0
+    begin = max(first[row], max(first[above], first[above + 1]) - whole)
+    end = min(last[row], min(last[above], last[above + 1]) - whole - 1)
+    return above, at - above, whole, shift - whole, begin, max(begin, end)
+
+
+@lean_kernel
+def neighbours(image: NDArray[np.float32], above: int, left: int, size: int) -> tuple[NDArray[np.float32], ...]:
+    """Return the four runs of pixels between which a row of samples lies: upper, right of it, lower, right of it."""
+    end = left + size
+    return (
+        image[above, left:end],
+        image[above, left + 1 : end + 1],
+        image[above + 1, left:end],
+        image[above + 1, left + 1 : end + 1],
+    )
+
+
+@lean_kernel
+def bilinear(down: float, across: float) -> tuple[np.float32, ...]:
+    """Weights of these four."""
+    return (
+        np.float32((1 - down) * (1 - across)),
+        np.float32((1 - down) * across),
+        np.float32(down * (1 - across)),
+        np.float32(down * across),
+    )
+
+
+@lean_kernel
+def between(corners: tuple[NDArray[np.float32], ...], weights: tuple[np.float32, ...], k: int) -> np.float32:
+    """Sample k of such a row."""
+    sample: np.float32 = (
+        weights[0] * corners[0][k]
+        + weights[1] * corners[1][k]
+        + weights[2] * corners[2][k]
+        + weights[3] * corners[3][k]
+    )
+    return sample
+
+
+@lean_kernel
+def reaches(shape: tuple[int, int], above: int, left: int, size: int) -> bool:
+    """Whether all pixels that :func:`sample_finely` reads are there."""
+    rows = above >= _BEFORE and above + _AFTER < shape[0]
+    return bool(rows and left >= _BEFORE and left + size + _AFTER <= shape[1])
+
+
+@lean_kernel
+def sample_row(
+    image: NDArray[np.float32], above: int, down: float, left: int, across: float, size: int, out: NDArray[np.float32]
+) -> None:
+    """Fill a row of samples between four pixels each.
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        (n, m) float32.
+    above, down : int, float
+        Row above the samples, and how far below it they lie, 0 to 1.
+    left, across : int, float
+        Column before the first sample, and how far beyond it that lies, 0 to 1.
+    size : int
+        Number of samples.
+    out : numpy.ndarray
+        (2, m) float32; its first row is filled.
+    """
+    corners, weights, samples = neighbours(image, above, left, size), bilinear(down, across), out[0, :size]
+    for k in range(size):
+        samples[k] = between(corners, weights, k)
+
+
+@lean_kernel
+def sample_finely(
+    image: NDArray[np.float32], above: int, down: float, left: int, across: float, size: int, out: NDArray[np.float32]
+) -> None:
+    """Fill a row of samples as :func:`sample_row` does, on Lagrange's polynomial through six by six pixels.
+
+    All that it reads must be there: :func:`reaches`.
+    """
+    begin, end = left - _BEFORE, left + size + _AFTER
+    v0, v1, v2, v3, v4, v5 = _quintic(down)
+    r0, r1, r2 = image[above - 2, begin:end], image[above - 1, begin:end], image[above, begin:end]
+    r3, r4, r5 = image[above + 1, begin:end], image[above + 2, begin:end], image[above + 3, begin:end]
+    columns = out[1, : end - begin]
+    for k in range(end - begin):
+        columns[k] = v0 * r0[k] + v1 * r1[k] + v2 * r2[k] + v3 * r3[k] + v4 * r4[k] + v5 * r5[k]
+    w0, w1, w2, w3, w4, w5 = _quintic(across)
+    c0, c1, c2 = columns[:size], columns[1 : size + 1], columns[2 : size + 2]
+    c3, c4, c5 = columns[3 : size + 3], columns[4 : size + 4], columns[5 : size + 5]
+    samples = out[0, :size]
+    for k in range(size):
+        samples[k] = w0 * c0[k] + w1 * c1[k] + w2 * c2[k] + w3 * c3[k] + w4 * c4[k] + w5 * c5[k]
+
+
+@lean_kernel
+def _quintic(part: float) -> tuple[np.float32, ...]:
+    """Weights of Lagrange's polynomial through six pixels, for a sample that lies `part` beyond the third."""
+    a, b, c, d, e, f = part + 2, part + 1, part, part - 1, part - 2, part - 3
+    return (
+        np.float32(-b * c * d * e * f / 120),
+        np.float32(a * c * d * e * f / 24),
+        np.float32(-a * b * d * e * f / 12),
+        np.float32(a * b * c * e * f / 12),
+        np.float32(-a * b * c * d * f / 24),
+        np.float32(a * b * c * d * e / 120),
+    )
