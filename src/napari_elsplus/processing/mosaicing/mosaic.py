@@ -17,8 +17,8 @@ from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, expo
 from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.ladder import turned_by, unsheared, upright
-from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours
 from napari_elsplus.processing.tracking.motion import Velocity
+from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

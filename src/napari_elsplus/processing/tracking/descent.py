@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.compiled import lean_kernel
-from napari_elsplus.processing.tracking.evidence import in_pixels_of, rival_evidence
+from napari_elsplus.processing.tracking.evidence import in_pixels_of, rival_evidence, weakest_direction
 from napari_elsplus.processing.tracking.lucas_kanade import align
 
 if TYPE_CHECKING:
@@ -27,11 +27,13 @@ CORRELATED_PX: Final = 20.0
 _STAGES: Final = (
     (2, 1, False, 12, 0.2),
     (1, 2, False, 10, 0.1),
-    (0, 4, False, 1, 0.0),
-    (0, 2, True, 5, 0.02),
+    (0, 4, True, 4, 0.02),
+    (0, 2, True, 1, 0.0),
 )
 """Down the pyramid: level, every how many rows are used, whether they are sampled finely, largest number of steps, and
 smallest step in the level's own pixels."""
+_KNOWN_PX: Final = 0.025
+"""Uncertainty of a shift below which noise matters less than what does not move at the rim."""
 _RIGID: Final = 1e12
 _CANDIDATE_TOLERANCE_PX: Final = 0.1
 _CANDIDATE_STEPS: Final = 8
@@ -43,6 +45,7 @@ def link_levels(
     later: Levels,
     first: Columns,
     last: Columns,
+    inner: tuple[NDArray[np.int32], NDArray[np.int32]],
     middles: tuple[float, ...],
     stiffness: tuple[float, float],
     warp: NDArray[np.float64],
@@ -57,6 +60,8 @@ def link_levels(
         Frames at full, half and quarter resolution, (n, n) float32.
     first, last : tuple of numpy.ndarray
         (n,) int32 lit columns of each row at each level.
+    inner : tuple of numpy.ndarray
+        The same at full resolution without the rim, which is left out where the frames say enough without it.
     middles : tuple of float
         Row of the bundle's centre at each level.
     stiffness : tuple of float
@@ -78,7 +83,7 @@ def link_levels(
     equations = work.equations
     stiff, expected, scaled = equations[3], equations[5, 0], equations[5, 1]
     origin = warp[0], warp[1], warp[2], warp[3]
-    correlation = 0.0
+    correlation, begin, end = 0.0, first[0], last[0]
     for level, row_step, finely, steps, tolerance_px in _STAGES:
         px = 2.0**level
         stiff[:] = 0.0
@@ -86,12 +91,15 @@ def link_levels(
         in_pixels_of(px, origin, expected)
         in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
         correlation, _ = align(
-            earlier[level], later[level], first[level], last[level], middles[level], row_step, steps, tolerance_px,
-            finely, expected, stiff, CORRELATED_PX / row_step / 4**level, scaled, information, work,
+            earlier[level], later[level], first[level] if level else begin, last[level] if level else end,
+            middles[level], row_step, steps, tolerance_px, finely, expected, stiff,
+            CORRELATED_PX / row_step / 4**level, scaled, information, work,
         )  # fmt: skip
         if correlation == 0.0:
             break
         in_pixels_of(1 / px, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
+        if level and px * weakest_direction(information)[0] < _KNOWN_PX:
+            begin, end = inner
     evidence = rival_evidence(
         earlier[1], later[1], first[1], last[1], middles[1], warp, information, stiffness, CORRELATED_PX / 8, work
     )
@@ -119,8 +127,8 @@ def align_candidate(
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), expected)
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), scaled)
     score = align(
-        earlier, later, first, last, middle, 1, _CANDIDATE_STEPS, _CANDIDATE_TOLERANCE_PX, False, expected, stiff, 1.0, scaled,
-        equations[4], work,
+        earlier, later, first, last, middle, 1, _CANDIDATE_STEPS, _CANDIDATE_TOLERANCE_PX, False, expected, stiff, 1.0,
+        scaled, equations[4], work,
     )  # fmt: skip
     in_pixels_of(0.5, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
     return score

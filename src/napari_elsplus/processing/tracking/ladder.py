@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from napari_elsplus.compiled import lean_kernel
-from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion import Warp
+from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours, row_shift
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -124,8 +124,9 @@ class Registrar:
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
-        self._spans = [grid.spans(FIELD if level else INNER_FIELD, level) for level in range(LEVELS)]
+        self._spans = [grid.spans(level=level) for level in range(LEVELS)]
         self._first, self._last = (tuple(span[end] for span in self._spans) for end in (0, 1))
+        self._inner = grid.spans(INNER_FIELD)
         self._middles = tuple(grid.middle(level) for level in range(LEVELS))
         self._centre = self._middles[1], (grid.centre[1] - 0.5) / 2
         self.work = Workspace.of(grid.side)
@@ -156,8 +157,8 @@ class Registrar:
         """
         warp, information = np.array(expected, float), np.empty((4, 4))
         correlation, evidence = link_levels(
-            earlier.levels, later.levels, self._first, self._last, self._middles, (spread[0] ** -2, spread[1] ** -2),
-            warp, information, self.work,
+            earlier.levels, later.levels, self._first, self._last, self._inner, self._middles,
+            (spread[0] ** -2, spread[1] ** -2), warp, information, self.work,
         )  # fmt: skip
         overlap = overlap_of_discs(hypot(warp[1], warp[3]) / (FIELD * self.grid.diameter))
         return Link(Warp(*warp.tolist()), information, correlation, overlap, evidence)
@@ -267,7 +268,9 @@ class Registrar:
         first, last = self._spans[1]
         for shift in self._everywhere.peaks(self._spectra(earlier), self._spectra(later), expected, reach_px):
             warp = np.array([expected.a, shift[0], expected.s, shift[1]])
-            ncc, count = align_candidate(earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, self.work)
+            ncc, count = align_candidate(
+                earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, self.work
+            )
             likely = support(np.array(ncc), np.array(count / 4))
             score = float(likely + prior(warp[1] - expected.b, warp[3] - expected.d, reach_px))
             if ncc > 0:
