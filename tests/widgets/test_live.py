@@ -62,10 +62,12 @@ def stop(panel, qtbot):
 
 
 def test_live_layers_fill_and_are_kept_as_the_user_has_set_them(viewer, panel, qtbot):
+    before = viewer.add_image(np.ones((40, 60)), name="before")
     start(panel, qtbot)
     els = viewer.layers["live ELS+"]
     qtbot.waitUntil(lambda: np.abs(els.data).max() > 1, timeout=30_000)
-    assert [layer.name for layer in viewer.layers] == ["live LS", "live ELS+"]
+    assert [layer.name for layer in viewer.layers if layer.visible] == ["live LS", "live ELS+"]
+    viewer.layers.remove(before)
     assert els.scale == pytest.approx([1.33, 1.33])
     assert els.translate[1] > 466 * 1.33
     els.colormap, els.contrast_limits = "magenta", (3, 77)
@@ -189,6 +191,7 @@ def test_stop_acts_while_the_window_still_waits_for_its_answer(panel, qtbot, tmp
 
 
 def test_a_recording_ends_after_so_many_frames(panel, qtbot, tmp_path):
+    assert panel.frames.native.text() == "no limit"
     panel.frames.value = 12
     start(panel, qtbot)
     panel.record.native.click()

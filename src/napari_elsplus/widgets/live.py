@@ -130,7 +130,7 @@ class Live(EnginePanel):
         """How the form wants to record, from now on."""
         return RecordingPlan(
             self._next_path(),
-            frames=self.frames.value or None,
+            frames=int(self.frames.value) or None,
             seconds=self.seconds.value or None,
             earlier_s=self.earlier_s.value,
         )
@@ -308,13 +308,15 @@ class Live(EnginePanel):
         self.seconds = FloatSpinBox(
             value=0, min=0, max=36000, label="seconds", tooltip="End after so long; 0: by frames, or when you end it"
         )
-        self.frames = SpinBox(
+        self.frames = FloatSpinBox(  # of whole numbers: napari's spin box of integers shows no special text
             value=0,
             min=0,
             max=10_000_000,
+            step=1,
             label="frames",
             tooltip="End after so many; 0: by seconds, or when you end it",
         )
+        self.frames.native.setDecimals(0)
         for limit in (self.seconds, self.frames):
             limit.native.setSpecialValueText("no limit")
         self.earlier_s = FloatSpinBox(

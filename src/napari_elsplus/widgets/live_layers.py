@@ -59,7 +59,10 @@ class LiveLayers:
         side_by_side: bool,
         calibration_file: Path | None = None,
     ) -> None:
-        """Show these kinds and hide the others; a layer is made only where there is none of that kind and size."""
+        """Show these kinds and hide the others; a layer is made only where there is none of that kind and size.
+
+        At first the viewer's other layers are hidden.
+        """
         shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
         um = None if calibration is None else calibration.um_per_px
         first = not self.images
@@ -92,6 +95,9 @@ class LiveLayers:
             left_px += shape[1] + GAP_PX if side_by_side else 0
         self._seen = -1
         if first and self.images:
+            ours = set(self.images.values())
+            for other in self._viewer.layers:
+                other.visible = other.visible and other in ours  # a recording in the same place would be seen through
             self._viewer.reset_view()
             self._viewer.canvas.overlays.scale_bar.visible = True
 
