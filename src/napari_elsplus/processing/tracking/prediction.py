@@ -21,6 +21,8 @@ _LEAST_SPREAD: Final = 1.0
 _MEMORY: Final = 0.3
 _FIRST_SURPRISE: Final = 4.0
 _SPREAD_OF_SURPRISE: Final = 1.5
+_UNEVENLY: Final = 0.15
+"""Part of the surprise by which the velocity does not change evenly from frame to frame."""
 _KEPT: Final = 0.5
 """Part of the last change of velocity that is expected to go on."""
 
@@ -102,3 +104,13 @@ class Motion:
         later = self.next_velocity
         step = self._shutter.step(self.velocity, later)
         return Displacement(step.row + (frames - 1) * later.row, step.col + (frames - 1) * later.col)
+
+
+def surprise_of(spread_px: float) -> float:
+    """Return the surprise that makes the velocity spread so much."""
+    return max(spread_px - _LEAST_SPREAD, 0.0) / _SPREAD_OF_SURPRISE
+
+
+def unevenly(surprise_px: float) -> float:
+    """Return how far mean velocities may be from what the velocities of the frames around make them."""
+    return _UNEVENLY * surprise_px

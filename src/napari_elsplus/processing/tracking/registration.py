@@ -8,7 +8,7 @@ away explains the frames as well, as it does along a straight fibre or where the
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import hypot, inf
+from math import hypot, inf, isfinite, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -53,6 +53,8 @@ class View:
 
     levels: tuple[NDArray[np.float32], ...]
     spectra: NDArray[np.complex64] | None = field(default=None, repr=False)
+    bare: tuple[NDArray[np.float32], ...] | None = field(default=None, repr=False)
+    """The levels without what is smooth in them, once they are asked for."""
 
     @property
     def image(self) -> NDArray[np.float32]:
@@ -74,30 +76,43 @@ class Link(NamedTuple):
     overlap : float
         Part of the disc that both frames show.
     evidence : float
-        For this warp and against the best of its rivals, nats per pixel.
+        For this warp and against the best of its rivals, nats per pixel; 0 where frames were looked at again.
     turn : float
         Angle of the later frame less that of the earlier one, radians.
     zoom : float
         Scale of the later frame over that of the earlier one.
     turn_sigma : float
         One standard deviation of the angle, and of the scale; infinite where no rotation was asked for.
+    again : float
+        Where frames were looked at again, the evidence then, over what is needed; else nan.
     """
 
     warp: Warp
     information: NDArray[np.float64]
     correlation: float
     overlap: float
-    evidence: float
+    evidence: float = 0.0
     turn: float = 0.0
     zoom: float = 1.0
     turn_sigma: float = inf
+    again: float = nan
 
     @property
     def observed(self) -> bool:
         """Whether the frames themselves say that this is the shift, and no other near it."""
+        return self.stands()
+
+    def stands(self, times: float = 1.0) -> bool:
+        """Whether the frames say so with that many times the evidence that is needed."""
+        return self.overlap >= LEAST_OVERLAP and self.certainty >= times
+
+    @property
+    def certainty(self) -> float:
+        """How many times the evidence that is needed was found."""
+        if isfinite(self.again):
+            return self.again
         at_rest = hypot(self.warp.b, self.warp.d) < _AT_REST_PX
-        needed = EVIDENCE_AT_REST if at_rest else LEAST_EVIDENCE
-        return self.evidence >= needed and self.overlap >= LEAST_OVERLAP
+        return self.evidence / (EVIDENCE_AT_REST if at_rest else LEAST_EVIDENCE)
 
     @property
     def sigma(self) -> float:
@@ -139,7 +154,7 @@ class Registrar:
 
     def prepare(self, view: View) -> View:
         """Fill the coarser levels from the image at full resolution."""
-        view.spectra = None
+        view.spectra = view.bare = None
         fill_coarser(view.levels)
         return view
 
@@ -266,7 +281,7 @@ class Registrar:
         """
         found: list[tuple[float, float, Warp]] = []
         first, last = self._spans[1]
-        for shift in self._everywhere.peaks(self._spectra(earlier), self._spectra(later), expected, reach_px):
+        for shift in self.candidates(earlier, later, expected, reach_px):
             warp = np.array([expected.a, shift[0], expected.s, shift[1]])
             ncc, count = align_candidate(
                 earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, self.work
@@ -282,6 +297,10 @@ class Registrar:
         others = [o for _, o, w in found if hypot(w.b - best.b, w.d - best.d) > RIVAL_PX]
         against = min((float(evidence_between(ncc, other)) for other in others), default=np.inf)
         return link._replace(evidence=min(link.evidence, against))
+
+    def candidates(self, earlier: View, later: View, expected: Warp, reach_px: float) -> NDArray[np.float64]:
+        """Return the few shifts (b, d) that are most likely among all, best first."""
+        return self._everywhere.peaks(self._spectra(earlier), self._spectra(later), expected, reach_px)
 
     def _spectra(self, view: View) -> NDArray[np.complex64]:
         if view.spectra is None:

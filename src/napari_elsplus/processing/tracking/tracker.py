@@ -10,15 +10,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from math import hypot, isfinite, nan
+from math import hypot, inf, isfinite, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from napari_elsplus.processing.tracking.climb import Climb
 from napari_elsplus.processing.tracking.evidence import stretch_and_shear_variance
 from napari_elsplus.processing.tracking.ladder import Rung, turned_by
 from napari_elsplus.processing.tracking.motion import Displacement, Velocity
-from napari_elsplus.processing.tracking.prediction import AT_REST, Motion
-from napari_elsplus.processing.tracking.registration import LEAST_EVIDENCE, Link, Registrar, View
+from napari_elsplus.processing.tracking.prediction import AT_REST, Motion, unevenly
+from napari_elsplus.processing.tracking.registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.second_look import DOUBT, SecondLook
+from napari_elsplus.processing.tracking.warp_prior import WarpPrior, velocity_sigma, warp_prior
 
 if TYPE_CHECKING:
     import numpy as np
@@ -111,17 +113,21 @@ class _Placed:
     velocity: Velocity = AT_REST
     angle: float = 0.0
     scale: float = 1.0
+    told_by: Link | None = None
+    """The link to the frame before, which tells the velocity; None if it was made otherwise."""
+    velocity_sigma: float = inf
+    """What the velocity is trusted to if no such link tells."""
 
 
-def needed_evidence(spread_px: float) -> float:
-    """Evidence that a link needs over its rivals: the more, the less the motion tells where to look.
+def needed_times(spread_px: float) -> float:
+    """How many times the least evidence a link needs: the more, the less the motion tells where to look.
 
     Parameters
     ----------
     spread_px : float
         How far velocities were, of late, from what was expected of them.
     """
-    return LEAST_EVIDENCE * max(1.0, spread_px / SMOOTH_MOTION_PX)
+    return max(1.0, spread_px / SMOOTH_MOTION_PX)
 
 
 class Tracker:
@@ -142,6 +148,7 @@ class Tracker:
         self.grid = grid
         self.registrar = Registrar(grid)
         self.links: list[tuple[int, int, Displacement, Link]] = []
+        self._second = SecondLook(self.registrar)
         self._slots = [self.registrar.view() for _ in range(4)]
         self._scratch = self.registrar.view()
         self._climb = Climb()
@@ -286,20 +293,36 @@ class Tracker:
         """Link two frames, first where it is expected ahead, else anywhere; None if the frames do not say where."""
         if self.rung is not Rung.TRANSLATION:
             return self._turned_link(earlier, here, ahead, self.rung)
-        shutter, motion = self.grid.shutter, self._motion
-        expected = shutter.warp(earlier.velocity, motion.next_velocity, ahead)
-        if motion.known:
-            link = self.registrar.link(earlier.view, here.view, expected, self._spread)
+        known = self._known(earlier, here, ahead)
+        if self._motion.known:
+            link = self.registrar.link(earlier.view, here.view, known.expected, self._spread)
+            if link.evidence < DOUBT:
+                link = self._second.link(earlier.view, here.view, known) or link
             if link.correlation > SURE_CORRELATION and self._accepted(link, here):
                 return link
             turned = self._suddenly_turned(earlier, here, ahead, link)
             if turned is not None:
                 return turned
-        found = self.registrar.search(earlier.view, here.view, expected, self._spread, self._reach(here))
+        found = self.registrar.search(earlier.view, here.view, known.expected, self._spread, self._reach(here))
+        if found is not None and found.evidence < DOUBT:
+            again = self._second.search(earlier.view, here.view, known, self._reach(here)) or found
+            if not self._motion.known and not found.stands(needed_times(self._motion.spread)):
+                return None
+            found = again
         if found is None or not self._accepted(found, here):
             return None
         turned = None if found.correlation > SURE_CORRELATION else self._suddenly_turned(earlier, here, ahead, found)
         return turned or found
+
+    def _known(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> WarpPrior:
+        """Return what the motion so far tells of the warp between two frames."""
+        last, motion, trust = self._last, self._motion, None
+        assert last is not None
+        if motion.known and here.index - last.index == 1:
+            told = last.told_by
+            sigma = last.velocity_sigma if told is None else velocity_sigma(told.information, self.grid.shutter)
+            trust = hypot(sigma, unevenly(motion.surprise))
+        return warp_prior(self.grid.shutter, (earlier.velocity, motion.next_velocity), ahead, motion.spread, trust)
 
     def _reach(self, here: _Placed) -> float:
         """How far the shift may well be from what is expected."""
@@ -340,7 +363,7 @@ class Tracker:
         assert self._last is not None
         gap = here.index - self._last.index if self._motion.known else 1
         usual = not link.correlation < self._usual - FALL_OF_CORRELATION
-        return link.observed and link.evidence >= gap * needed_evidence(self._motion.spread) and usual
+        return usual and link.stands(gap if isfinite(link.again) else gap * needed_times(self._motion.spread))
 
     def _place(self, earlier: _Placed, here: _Placed, link: Link) -> bool:
         """Give a frame its position and velocity; refuse if the probe moved too unevenly for the link to say so."""
@@ -348,8 +371,10 @@ class Tracker:
         assert last is not None
         if here.index == earlier.index + 1:
             before, after = shutter.velocities(link.warp)
+            here.told_by = link
         else:
-            before = after = self._velocity_after_gap(earlier, here, link)
+            after, here.velocity_sigma = self._velocity_after_gap(earlier, here, link)
+            before = after
         successive = here.index - last.index == 1 or not self._motion.known
         self._uneven = self._motion.unevenness(before, after, successive=successive)
         if self._uneven > MOST_UNEVEN_PX:
@@ -363,7 +388,7 @@ class Tracker:
         self.links.append((earlier.index, here.index, moved, link))
         return True
 
-    def _velocity_after_gap(self, earlier: _Placed, here: _Placed, link: Link) -> Velocity:
+    def _velocity_after_gap(self, earlier: _Placed, here: _Placed, link: Link) -> tuple[Velocity, float]:
         """Velocity of a frame linked to one some frames before: from its shear, or from where it came to lie."""
         shutter, motion, last = self.grid.shutter, self._motion, self._last
         assert last is not None
@@ -374,15 +399,14 @@ class Tracker:
             gone = Displacement(*(turned_by(-last.angle, 1 / last.scale) @ gone).tolist())
         along = Velocity((moved.row - gone.row) / gap, (moved.col - gone.col) / gap)
         if not isfinite(shutter.rows_per_frame):
-            return along
+            return along, inf
         sheared = shutter.later_velocity(link.warp, earlier.velocity)
         stretch, shear = stretch_and_shear_variance(link.information)
         surprise = (gap * motion.surprise / 2) ** 2
-        parts = (
-            surprise / (surprise + shutter.rows_per_frame**2 * variance + _VELOCITY_SIGMA**2)
-            for variance in (stretch, shear)
-        )
-        return Velocity(*(v + part * (w - v) for v, w, part in zip(along, sheared, parts, strict=True)))
+        unsure = [shutter.rows_per_frame**2 * variance + _VELOCITY_SIGMA**2 for variance in (stretch, shear)]
+        parts = [surprise / (surprise + variance) for variance in unsure]
+        velocity = Velocity(*(v + part * (w - v) for v, w, part in zip(along, sheared, parts, strict=True)))
+        return velocity, max(part * variance for part, variance in zip(parts, unsure, strict=True)) ** 0.5
 
     def _track(self, here: _Placed, link: Link) -> Pose:
         last = self._last

@@ -1,0 +1,142 @@
+"""A second look at two frames of which the first one did not say enough: little is in view, or something misleads.
+
+What does not move with the tissue is taken away: a glow at the rim, where the line has left the bundle while the
+residual is read, is a structure too, and where there is hardly another it holds a link back. Then the warp is refined
+under all that is known of the motion (:mod:`napari_elsplus.processing.tracking.warp_prior`) and judged place by place
+(:mod:`napari_elsplus.processing.tracking.local_evidence`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+
+from napari_elsplus.processing.tracking.descent import LEVELS, ROW_STEP, fill_coarser
+from napari_elsplus.processing.tracking.local_evidence import blocks, look_again, look_at_half
+from napari_elsplus.processing.tracking.lucas_kanade import workspace
+from napari_elsplus.processing.tracking.motion import Warp
+from napari_elsplus.processing.tracking.registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.shift_search import prior, support
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.warp_prior import WarpPrior
+
+DOUBT: Final = 1.0
+"""Evidence for a link, nats per pixel, below which it is looked at again."""
+HIGH_PASS_PX: Final = 8.0
+"""Sigma of what is taken away, pixels of full resolution."""
+_LEAST_FINE: Final = 0.3
+"""Part of the variance that must be left: what there is to see must not be taken away."""
+_MOST_MISFIT: Final = 3.0
+"""Standard deviations by which stretch and shear may miss what is expected, where they do not follow the shift."""
+_COARSE_PX: Final = 2 ** (LEVELS - 1)
+_LEAST_CORRELATION: Final = 0.3
+"""Of a candidate of the search, at half resolution."""
+
+
+class SecondLook:
+    """Looks again at frames on one grid; keeps what depends on the grid alone.
+
+    Parameters
+    ----------
+    registrar : Registrar
+        That took the first look.
+    """
+
+    def __init__(self, registrar: Registrar) -> None:
+        self._registrar = registrar
+        grid = registrar.grid
+        spans = [grid.spans(level=level) for level in range(LEVELS)]
+        self._first, self._last = (tuple(span[end] for span in spans) for end in (0, 1))
+        self._middles = tuple(grid.middle(level) for level in range(LEVELS))
+        self._pixels = [float((last - first).sum()) for first, last in spans]
+        self._work, self._sums = workspace(), blocks(grid.side)
+        self._lit = [_disc(*grid.spans(1.0, level), grid.side >> level) for level in (0, LEVELS - 1)]
+        self._used = _disc(*spans[1], grid.side >> 1) > 0
+        self._weight = np.maximum(_blurred(self._lit[1]), 1e-3)
+
+    def link(self, earlier: View, later: View, known: WarpPrior) -> Link | None:
+        """Refine the expected warp; None where there is nothing fine to be seen.
+
+        Parameters
+        ----------
+        earlier, later : View
+            Prepared frames.
+        known : WarpPrior
+            Where to start, and what is known of it.
+        """
+        return self._refined(earlier, later, known, np.array(known.expected), LEVELS - 1)
+
+    def search(self, earlier: View, later: View, known: WarpPrior, reach_px: float) -> Link | None:
+        """Find the warp among all shifts; None where there is nothing fine to be seen.
+
+        Parameters
+        ----------
+        earlier, later : View
+            Prepared frames.
+        known : WarpPrior
+            What is known of the warp.
+        reach_px : float
+            Scale of a heavy-tailed prior about the expected shift.
+        """
+        bare = self._bare(earlier), self._bare(later)
+        if not all(bare):
+            return None
+        expected = np.array(known.expected)
+        best: tuple[float, NDArray[np.float64]] | None = None
+        for b, d in self._registrar.candidates(earlier, later, known.expected, reach_px):
+            warp = np.array(known.at(b, d))
+            correlation, count = look_at_half(
+                bare[0][1], bare[1][1], self._first[1], self._last[1], self._middles[1],
+                expected, known.terms, warp, self._work,
+            )  # fmt: skip
+            if correlation < _LEAST_CORRELATION:
+                continue
+            miss = warp[1] - known.expected.b, warp[3] - known.expected.d
+            score = float(support(np.array(correlation), np.array(count / 4)) + prior(*miss, reach_px))
+            if best is None or score > best[0]:
+                best = score, warp
+        return None if best is None else self._refined(earlier, later, known, best[1], 1)
+
+    def _refined(
+        self, earlier: View, later: View, known: WarpPrior, warp: NDArray[np.float64], coarsest: int
+    ) -> Link | None:
+        bare, information = (self._bare(earlier), self._bare(later)), np.empty((4, 4))
+        if not all(bare):
+            return None
+        correlation, count, certainty = look_again(
+            *bare, self._first, self._last, self._middles, coarsest,
+            np.array(known.expected), known.terms, warp, information, self._sums, self._work,
+        )  # fmt: skip
+        if correlation == 0.0:
+            return None
+        found, overlap = Warp(*warp.tolist()), count / self._pixels[0] * ROW_STEP
+        if not known.tie and known.misfit(found) > _MOST_MISFIT:
+            certainty = min(certainty, 0.0)
+        return Link(found, information, correlation, overlap, again=certainty)
+
+    def _bare(self, view: View) -> tuple[NDArray[np.float32], ...]:
+        """Return a view's levels without what is smooth in them, made once for each frame; empty if that is most."""
+        if view.bare is None:
+            fine, coarse = self._lit
+            low = _blurred(view.levels[-1] * coarse) / self._weight
+            smooth = cv2.resize(low, fine.shape[::-1], interpolation=cv2.INTER_LINEAR)
+            bare = (view.image - smooth) * fine, *(np.empty_like(level) for level in view.levels[1:])
+            fill_coarser(bare)
+            there, left = (float(levels[1][self._used].var()) for levels in (view.levels, bare))
+            view.bare = bare if left > _LEAST_FINE * there else ()
+        return view.bare
+
+
+def _disc(first: NDArray[np.int32], last: NDArray[np.int32], side: int) -> NDArray[np.float32]:
+    columns = np.arange(side)
+    return ((columns >= first[:, None]) & (columns < last[:, None])).astype(np.float32)
+
+
+def _blurred(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    smooth: NDArray[np.float32] = cv2.GaussianBlur(image, (0, 0), HIGH_PASS_PX / _COARSE_PX)
+    return smooth

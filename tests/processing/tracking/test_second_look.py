@@ -1,0 +1,160 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.tracking.frontend import FrontEnd
+from napari_elsplus.processing.tracking.local_evidence import blocks, local_evidence
+from napari_elsplus.processing.tracking.motion import Displacement, RollingShutter, Velocity, Warp
+from napari_elsplus.processing.tracking.registration import Registrar, View
+from napari_elsplus.processing.tracking.second_look import SecondLook
+from napari_elsplus.processing.tracking.warp_prior import WarpPrior, velocity_sigma, warp_prior
+from recordings import record, texture
+
+BEFORE, AFTER = Velocity(9.0, -6.0), Velocity(12.0, -4.0)
+
+
+def looked_at(scene: np.ndarray, **options: float) -> tuple[Registrar, tuple[View, View], Displacement]:
+    """Two successive frames of an accelerating probe, and its displacement."""
+    start = np.array(scene.shape) / 2
+    truth = record(scene, np.stack([start, start + BEFORE, start + np.add(BEFORE, AFTER)]), **options)  # type: ignore[arg-type]
+    front_end = FrontEnd(truth.calibration, truth.frames.shape[1:])
+    registrar = Registrar(front_end.grid)
+    views = []
+    for frame in truth.frames:
+        view = registrar.view()
+        front_end.image(frame, view.image)
+        views.append(registrar.prepare(view))
+    return registrar, (views[0], views[1]), front_end.grid.shutter.step(BEFORE, AFTER)
+
+
+def one_fibre(side: int, end: tuple[float, float] | None) -> np.ndarray:
+    """A fibre across the whole scene, or up to an end (row, col) from its centre."""
+    image = np.zeros((side, side), np.float32)
+    centre = side / 2
+    far = (-0.8 * side, -0.48 * side)
+    row, col = end or (0.8 * side, 0.48 * side)
+    if end is not None:
+        far = (row + far[0], col + far[1])
+    points = [tuple(int(16 * (centre + v)) for v in (x, y)) for y, x in (far, (row, col))]
+    cv2.line(image, points[0], points[1], 1.0, 4, cv2.LINE_AA, 4)
+    return cv2.GaussianBlur(image, (0, 0), 1.0)
+
+
+def known(registrar: Registrar, off: tuple[float, float], trust_px: float | None = 0.3) -> WarpPrior:
+    """What the motion tells if the later velocity is taken for something else."""
+    after = Velocity(AFTER.row + 2 * off[0], AFTER.col + 2 * off[1])
+    shutter = registrar.grid.shutter
+    return warp_prior(shutter, (BEFORE, after), shutter.step(BEFORE, after), 3.0, trust_px)
+
+
+@pytest.mark.parametrize("off", [(0.0, 0.0), (3.0, 2.0), (-2.0, 3.0)])
+def test_the_end_of_one_fibre_is_enough(off: tuple[float, float]) -> None:
+    registrar, pair, moved = looked_at(one_fibre(900, (40.0, 24.0)))
+    link = SecondLook(registrar).link(*pair, known(registrar, off))
+    assert link is not None
+    found = registrar.grid.shutter.displacement(link.warp, AFTER)
+    assert np.hypot(*np.subtract(found, moved)) < 0.5
+    assert link.observed
+
+
+@pytest.mark.parametrize("off", [(0.0, 0.0), (3.0, 2.0), (5.0, 3.0)])
+def test_a_fibre_without_ends_does_not_tell_the_motion_along_it(off: tuple[float, float]) -> None:
+    registrar, pair, _ = looked_at(one_fibre(900, None))
+    second = SecondLook(registrar)
+    for link in (second.link(*pair, known(registrar, off)), second.search(*pair, known(registrar, off), 8.0)):
+        assert link is None or not link.observed
+
+
+def test_the_end_is_found_among_all_shifts() -> None:
+    registrar, pair, moved = looked_at(one_fibre(900, (40.0, 24.0)))
+    link = SecondLook(registrar).search(*pair, known(registrar, (12.0, -9.0)), 16.0)
+    assert link is not None
+    assert np.hypot(*np.subtract(registrar.grid.shutter.displacement(link.warp, AFTER), moved)) < 0.5
+
+
+def test_where_everything_is_smooth_there_is_nothing_to_look_at_again() -> None:
+    registrar, pair, _ = looked_at(texture(900, 2, 40.0))
+    assert SecondLook(registrar).link(*pair, known(registrar, (0.0, 0.0))) is None
+
+
+def test_a_view_that_is_filled_anew_is_looked_at_anew() -> None:
+    registrar, pair, _ = looked_at(one_fibre(900, (40.0, 24.0)))
+    second = SecondLook(registrar)
+    before = second.link(*pair, known(registrar, (0.0, 0.0)))
+    pair[1].image[:] = 0
+    registrar.prepare(pair[1])
+    after = second.link(*pair, known(registrar, (0.0, 0.0)))
+    assert before is not None
+    assert after is None or not after.observed
+
+
+def test_evidence_counts_where_the_frames_differ_however_small_the_place() -> None:
+    """A faint dot moves, a bright field does not: the dot alone tells its warp from rest."""
+    rng = np.random.default_rng(0)
+    side = 96
+    first, last = np.full(side, 1, np.int32), np.full(side, side - 1, np.int32)
+    frames = []
+    for shift in (0, 3):
+        image = np.zeros((side, side), np.float32)
+        image[10:14] = 100.0  # the same wherever it is shifted along its rows
+        image[60:64, 40 + shift : 44 + shift] = 20.0
+        frames.append(image + rng.normal(0, 0.2, image.shape).astype(np.float32))
+    moved, still = np.array([1.0, 0.0, 0.0, 3.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    sums = blocks(2 * side)
+    forth = local_evidence(frames[0], frames[1], first, last, 48.0, moved, still, sums)
+    back = local_evidence(frames[0], frames[1], first, last, 48.0, still, moved, sums)
+    assert forth > 1
+    assert back < -1
+    assert local_evidence(frames[0], frames[1], first, last, 48.0, moved, moved, sums) == 0
+
+
+@pytest.mark.parametrize("middle", [0.5, 0.4])
+def test_stretch_and_shear_follow_the_shift(middle: float) -> None:
+    """To a tenth of what they change by: the rest is of second order."""
+    shutter = RollingShutter(280.0, middle)
+    expected = warp_prior(shutter, (BEFORE, AFTER), shutter.step(BEFORE, AFTER), 20.0, 0.01)
+    after = Velocity(AFTER.row + 6, AFTER.col - 8)
+    true = shutter.warp(BEFORE, after, shutter.step(BEFORE, after))
+    a, _, s, _ = expected.at(true.b, true.d)
+    assert abs(a - true.a) < 0.1 * abs(true.a - expected.expected.a)
+    assert abs(s - true.s) < 0.1 * abs(true.s - expected.expected.s)
+
+
+def test_nothing_follows_a_shift_where_the_velocity_before_is_unknown() -> None:
+    for rows, trust in ((280.0, None), (280.0, np.inf), (np.inf, 0.3)):
+        shutter = RollingShutter(rows)
+        prior = warp_prior(shutter, (BEFORE, AFTER), shutter.step(BEFORE, AFTER), 3.0, trust)
+        assert prior.at(5.0, 7.0) == (prior.expected.a, 5.0, prior.expected.s, 7.0)
+
+
+@pytest.mark.parametrize(("off_px", "refused"), [(0.0, False), (20.0, True)])
+def test_a_stretch_far_from_what_is_expected_is_refused(off_px: float, refused: bool) -> None:
+    """Where it does not follow from the shift, a warp that needs it has slid."""
+    registrar, pair, moved = looked_at(texture(900, 3))
+    after = Velocity(AFTER.row + off_px, AFTER.col)
+    free = warp_prior(registrar.grid.shutter, (BEFORE, after), moved, 1.0)
+    link = SecondLook(registrar).link(*pair, free)
+    assert link is not None
+    assert link.observed is not refused
+
+
+def test_misfit_counts_standard_deviations() -> None:
+    shutter = RollingShutter(250.0)
+    free = warp_prior(shutter, (BEFORE, AFTER), shutter.step(BEFORE, AFTER), 3.0)
+    assert free.misfit(free.expected) == 0
+    assert free.misfit(free.expected._replace(a=free.expected.a + 6.0 / 250)) == pytest.approx(2.0)
+
+
+def test_a_velocity_is_as_sure_as_its_link() -> None:
+    """Against warps scattered as the information says."""
+    rng = np.random.default_rng(1)
+    shutter = RollingShutter(280.0)
+    root = rng.normal(size=(4, 4)) * [[300.0], [3.0], [300.0], [3.0]]
+    information = root @ root.T + np.diag([1e5, 10.0, 1e5, 10.0])
+    true = np.array(shutter.warp(BEFORE, AFTER, shutter.step(BEFORE, AFTER)))
+    scattered = rng.multivariate_normal(true, np.linalg.inv(information), 4000)
+    found = np.array([shutter.velocities(Warp(*warp))[1] for warp in scattered])
+    assert velocity_sigma(information, shutter) == pytest.approx(found.std(axis=0).max(), rel=0.2)
+    assert velocity_sigma(np.zeros((4, 4)), shutter) == np.inf
