@@ -43,6 +43,14 @@ def test_even_motion_and_short_tracks_tell_nothing() -> None:
     assert estimate_rows_per_frame(links(even[:5]), TRUE) is None
 
 
+def test_links_whose_stretch_the_timing_told_tell_nothing_of_it() -> None:
+    random = np.random.default_rng(0)
+    found = links(15 + np.cumsum(random.normal(0, 2, (80, 2)), axis=0))
+    assert estimate_rows_per_frame(found, TRUE) is not None
+    again = [(a, b, moved, link._replace(again=3.0)) for a, b, moved, link in found]
+    assert estimate_rows_per_frame(again, TRUE) is None
+
+
 def untimed(speed: float) -> tuple[float | None, str]:
     """Rows per frame (250) that a recording gives back whose calibration does not know them, and what is said."""
     truth = record(texture(1200, 8, 3.0), smooth_path(50, speed, 1200, 3))
@@ -65,4 +73,4 @@ def test_a_fast_recording_gives_back_its_rows_per_frame() -> None:
 def test_a_slow_recording_leaves_the_rolling_shutter_uncorrected_and_says_so() -> None:
     rows, said = untimed(1.0)
     assert rows is None
-    assert "rolling shutter uncorrected" in said
+    assert "the rolling shutter is not corrected" in said

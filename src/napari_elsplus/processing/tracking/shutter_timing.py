@@ -51,7 +51,9 @@ def estimate_rows_per_frame(
     RowsPerFrame or None
         None if the motion was too even, or too slow, to say it within 3 %.
     """
-    warps = {earlier: link.warp for earlier, later, _, link in links if later == earlier + 1}
+    # where frames were looked at again, stretch and shear were told by the timing that is to be found
+    free = (found for found in links if found[1] == found[0] + 1 and np.isnan(found[3].again))
+    warps = {earlier: link.warp for earlier, _, _, link in free}
     runs = [k for k in warps if k - 1 in warps and k + 1 in warps]
     if len(runs) < _FEWEST:
         return None
