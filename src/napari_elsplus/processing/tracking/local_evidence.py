@@ -14,10 +14,13 @@ import numpy as np
 
 from napari_elsplus.compiled import lean_kernel
 from napari_elsplus.processing.tracking.evidence import in_pixels_of, weakest_direction
-from napari_elsplus.processing.tracking.lucas_kanade import align, between, bilinear, neighbours, row_shift
+from napari_elsplus.processing.tracking.lucas_kanade import align
+from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours, row_shift
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.lucas_kanade import Workspace
 
     Levels = tuple[NDArray[np.float32], ...]
     Columns = tuple[NDArray[np.int32], ...]
@@ -65,7 +68,7 @@ def look_again(
     warp: NDArray[np.float64],
     information: NDArray[np.float64],
     sums: NDArray[np.float64],
-    work: NDArray[np.float64],
+    work: Workspace,
 ) -> tuple[float, float, float]:
     """Refine a warp in place under a prior that ties stretch to shift, and weigh it against its rivals.
 
@@ -89,19 +92,20 @@ def look_again(
         (4, 4) float64: inverse covariance of the result.
     sums : numpy.ndarray
         From :func:`blocks`.
-    work : numpy.ndarray
-        From :func:`napari_elsplus.processing.tracking.lucas_kanade.workspace`.
+    work : Workspace
+        For frames of this size.
 
     Returns
     -------
     correlation : float
         Zero-mean normalised correlation of the overlap.
     count : float
-        Number of pixels in it that were used.
+        Number of pixels in it.
     certainty : float
         Evidence for this warp against the best of its rivals, over what is needed.
     """
-    stiff, middle_of_prior, scaled = work[3], work[5, 0], work[5, 1]
+    equations = work.equations
+    stiff, middle_of_prior, scaled = equations[3], equations[5, 0], equations[5, 1]
     correlation, count = 0.0, 0.0
     for level in range(coarsest, -1, -1):
         px = 2.0**level
@@ -110,8 +114,8 @@ def look_again(
         in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
         correlation, count = align(
             earlier[level], later[level], first[level], last[level], middles[level], _ROW_STEPS[level], _STEPS[level],
-            _TOLERANCE_PX[level], middle_of_prior, stiff, _CORRELATED_PX / _ROW_STEPS[level] / 4**level, scaled,
-            information, work,
+            _TOLERANCE_PX[level], level == 0, middle_of_prior, stiff,
+            _CORRELATED_PX / _ROW_STEPS[level] / 4**level, scaled, information, work,
         )  # fmt: skip
         if correlation == 0.0:
             return 0.0, count, 0.0
@@ -120,7 +124,7 @@ def look_again(
         earlier[_HALF], later[_HALF], first[_HALF], last[_HALF], middles[_HALF], expected, prior, warp, information,
         sums, work,
     )  # fmt: skip
-    return correlation, count, certainty
+    return correlation, count * _ROW_STEPS[0], certainty
 
 
 @lean_kernel
@@ -133,16 +137,17 @@ def look_at_half(
     expected: NDArray[np.float64],
     prior: tuple[float, float, float, float],
     warp: NDArray[np.float64],
-    work: NDArray[np.float64],
+    work: Workspace,
 ) -> tuple[float, float]:
     """Refine a warp, in pixels of full resolution, on frames of half resolution; return correlation and pixels."""
-    stiff, middle_of_prior, scaled = work[3], work[5, 0], work[5, 1]
+    equations = work.equations
+    stiff, middle_of_prior, scaled = equations[3], equations[5, 0], equations[5, 1]
     hold(2.0, prior, stiff)
     in_pixels_of(2.0, (expected[0], expected[1], expected[2], expected[3]), middle_of_prior)
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), scaled)
     correlation, count = align(
-        earlier, later, first, last, middle, _ROW_STEPS[1], _STEPS[1], _TOLERANCE_PX[1], middle_of_prior, stiff,
-        _CORRELATED_PX / 8, scaled, work[4], work,
+        earlier, later, first, last, middle, _ROW_STEPS[1], _STEPS[1], _TOLERANCE_PX[1], False, middle_of_prior, stiff,
+        _CORRELATED_PX / 8, scaled, equations[4], work,
     )  # fmt: skip
     in_pixels_of(0.5, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
     return correlation, count * _ROW_STEPS[1]
@@ -172,13 +177,14 @@ def _against_rivals(
     warp: NDArray[np.float64],
     information: NDArray[np.float64],
     sums: NDArray[np.float64],
-    work: NDArray[np.float64],
+    work: Workspace,
 ) -> float:
     _, across, along, a_follows, s_follows = weakest_direction(information)
     if across == 0.0 and along == 0.0:
         return 0.0
     stiffness, tie, row_slope, col_slope = prior
-    held, found, rival, start = work[3], work[6, 0], work[6, 1], work[6, 2]
+    equations = work.equations
+    held, found, rival, start = equations[3], equations[6, 0], equations[6, 1], equations[6, 2]
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), found)
     smallest = np.inf
     for k in range(len(_RIVALS_PX)):
@@ -205,8 +211,8 @@ def _against_rivals(
         held[3, 1] += 4 * _HELD * across * along
         held[3, 3] += 4 * _HELD * along * along
         align(
-            template, image, first, last, middle, 2, _RIVAL_STEPS, 0.02, start, held, _CORRELATED_PX / 8, rival,
-            work[4], work,
+            template, image, first, last, middle, 2, _RIVAL_STEPS, 0.02, False, start, held, _CORRELATED_PX / 8, rival,
+            equations[4], work,
         )  # fmt: skip
         smallest = min(smallest, local_evidence(template, image, first, last, middle, found, rival, sums))
     return float(smallest)

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
-from napari_elsplus.processing.tracking.descent import LEVELS, ROW_STEP, fill_coarser
+from napari_elsplus.processing.tracking.descent import LEVELS, fill_coarser
 from napari_elsplus.processing.tracking.local_evidence import blocks, look_again, look_at_half
-from napari_elsplus.processing.tracking.lucas_kanade import workspace
 from napari_elsplus.processing.tracking.motion import Warp
 from napari_elsplus.processing.tracking.registration import Link, Registrar, View
 from napari_elsplus.processing.tracking.shift_search import prior, support
@@ -54,7 +53,7 @@ class SecondLook:
         self._first, self._last = (tuple(span[end] for span in spans) for end in (0, 1))
         self._middles = tuple(grid.middle(level) for level in range(LEVELS))
         self._pixels = [float((last - first).sum()) for first, last in spans]
-        self._work, self._sums = workspace(), blocks(grid.side)
+        self._sums = blocks(grid.side)
         self._lit = [_disc(*grid.spans(1.0, level), grid.side >> level) for level in (0, LEVELS - 1)]
         self._used = _disc(*spans[1], grid.side >> 1) > 0
         self._weight = np.maximum(_blurred(self._lit[1]), 1e-3)
@@ -92,7 +91,7 @@ class SecondLook:
             warp = np.array(known.at(b, d))
             correlation, count = look_at_half(
                 bare[0][1], bare[1][1], self._first[1], self._last[1], self._middles[1],
-                expected, known.terms, warp, self._work,
+                expected, known.terms, warp, self._registrar.work,
             )  # fmt: skip
             if correlation < _LEAST_CORRELATION:
                 continue
@@ -110,11 +109,11 @@ class SecondLook:
             return None
         correlation, count, certainty = look_again(
             *bare, self._first, self._last, self._middles, coarsest,
-            np.array(known.expected), known.terms, warp, information, self._sums, self._work,
+            np.array(known.expected), known.terms, warp, information, self._sums, self._registrar.work,
         )  # fmt: skip
         if correlation == 0.0:
             return None
-        found, overlap = Warp(*warp.tolist()), count / self._pixels[0] * ROW_STEP
+        found, overlap = Warp(*warp.tolist()), count / self._pixels[0]
         if not known.tie and known.misfit(found) > _MOST_MISFIT:
             certainty = min(certainty, 0.0)
         return Link(found, information, correlation, overlap, again=certainty)
