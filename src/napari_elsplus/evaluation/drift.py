@@ -1,4 +1,4 @@
-"""How far the track strays over thousands of pixels: as frames come, and once loops are closed."""
+"""How far the track strays over thousands of pixels: from frame to frame, with loops closed live, and by the graph."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from napari_elsplus.acquisition.ring import Stamp
+from napari_elsplus.acquisition.tracking import LiveTrack
 from napari_elsplus.evaluation.rig import measured
 from napari_elsplus.evaluation.stability.pairs import ELECTRONS_OF_WHITE, WHITE_DN
 from napari_elsplus.processing.sectioning import Mode
@@ -15,9 +17,12 @@ from napari_elsplus.simulation.trajectories import Recorded, Straight
 from napari_elsplus.tracking_pipeline import Pipeline, RawPairs
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from napari_elsplus.evaluation.rig import SimulatedRig
+    from napari_elsplus.io import TrackPoint
     from napari_elsplus.simulation.trajectories import Trajectory
 
 SPEED_UM_S: Final = 8_000.0
@@ -33,13 +38,14 @@ class Drift(NamedTuple):
     ----------
     path_px : float
         Length of the path, camera pixels.
-    live_percent, graph_percent : float
-        As frames came; after loops were closed and all positions solved for at once.
+    alone_percent, live_percent, graph_percent : float
+        From frame to frame alone; with loops closed as the live mosaic does it; after the graph of all frames.
     tracked : float
         Share of the frames that were tracked.
     """
 
     path_px: float
+    alone_percent: float
     live_percent: float
     graph_percent: float
     tracked: float
@@ -70,18 +76,25 @@ def drift(scene_name: str, *, back: bool, frames: int = 230) -> Drift:
     path: Trajectory = rounds(rig, frames) if back else Straight(SPEED_UM_S)
     raw = rig.recording(scene(scene_name), path, frames, seed=1)
     pairs, pipeline = RawPairs(raw, Mode.ELS), Pipeline(rig.calibration, rig.instrument.frame_shape)
+    live = LiveTrack(rig.calibration, rig.instrument.frame_shape)
     for index in range(frames):
         pipeline.track(raw[index], index)
+        time_s = index * rig.instrument.optics.frame_period_s
+        live.add(np.asarray(raw[index]), Stamp(index, index, time_s, time_s))
+    live.settle()
+    live.close()
     true_px = rig.positions_px(path, frames)
     length_px = float(np.hypot(*np.diff(true_px, axis=0).T).sum())
-    live = _strayed_px(pipeline, true_px)
+    strayed_px = [_strayed_px(pipeline.rows, true_px), _strayed_px(live.pipeline.rows, true_px)]
     pipeline.finish(pairs)
+    strayed_px.append(_strayed_px(pipeline.rows, true_px))
     tracked = float(np.mean([row.state == "tracked" for row in pipeline.rows]))
-    return Drift(length_px, 100 * live / length_px, 100 * _strayed_px(pipeline, true_px) / length_px, tracked)
+    alone, closed, graph = (100 * px / length_px for px in strayed_px)
+    return Drift(length_px, alone, closed, graph, tracked)
 
 
-def _strayed_px(pipeline: Pipeline, true_px: NDArray[np.float64]) -> float:
-    first, last = pipeline.rows[0], pipeline.rows[-1]
+def _strayed_px(rows: Sequence[TrackPoint], true_px: NDArray[np.float64]) -> float:
+    first, last = rows[0], rows[-1]
     if first.segment != last.segment:
         return float("nan")
     found = np.array([last.row_px - first.row_px, last.col_px - first.col_px])

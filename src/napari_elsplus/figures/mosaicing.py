@@ -252,13 +252,13 @@ def _show(axes: Axes, image: np.ndarray[tuple[int, ...], np.dtype[np.float32]], 
 def drift_table(found: dict[tuple[str, bool], Drift]) -> list[str]:
     """Tell how far the end of the track lies from the truth."""
     lines = [
-        "| scene, path | length (px) | tracked | at the end, live (% of path) | after the graph (% of path) |",
-        "|---|---|---|---|---|",
+        "| scene, path | length (px) | tracked | frame to frame (% of path) | loops closed live | after the graph |",
+        "|---|---|---|---|---|---|",
     ]
     for (name, back), one in found.items():
         lines.append(
             f"| {name}, {'rounds' if back else 'straight on'} | {one.path_px:.0f} | {100 * one.tracked:.0f} % "
-            f"| {one.live_percent:.4f} | {one.graph_percent:.4f} |"
+            f"| {one.alone_percent:.4f} | {one.live_percent:.4f} | {one.graph_percent:.4f} |"
         )
     return lines
 
@@ -268,7 +268,7 @@ TABLES: Final[dict[str, Callable[[Path], list[str]]]] = {
     "gate": _gate,
     "pairs": lambda _: pairs_table(many_pairs(PAIRS)),
     "drift": lambda _: drift_table(
-        {(name, back): drift(name, back=back) for name in ("fibres", "nuclei") for back in (False, True)}
+        {(name, back): drift(name, back=back) for name in ("fibres", "nuclei", "sparse") for back in (False, True)}
     ),
     "turning": lambda _: turning_table({walk: follow(walk) for walk in WALKS}),
 }
