@@ -10,11 +10,12 @@ import io
 import os
 import struct
 import subprocess
+import tempfile
 import venv
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 from weakref import finalize
 
 import numpy as np
@@ -83,11 +84,13 @@ class Peer:
         if not _python(name).exists():
             raise Absent(f"{name} is not installed", "run `napari-elsplus bench peers`")
         environ = {key: value for key, value in os.environ.items() if key not in {"PYTHONPATH", "PYTHONHOME"}}
+        # a pipe that nobody reads would hold the peer up once it is full
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
         self._process = subprocess.Popen(
             [_python(name), str(_WORKER)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE, env=environ,
+            stderr=self._said, env=environ,
         )  # fmt: skip
-        self.close = finalize(self, _end, self._process)
+        self.close = finalize(self, _end, self._process, self._said)
         self.name = name
 
     def __call__(self, task: str, **arrays: Any) -> TimedElsewhere:
@@ -106,18 +109,21 @@ class Peer:
             send(self._process.stdin, {"task": np.array(task), **{k: np.asarray(v) for k, v in arrays.items()}})
             answer = receive(self._process.stdout)
         except (BrokenPipeError, EOFError):
-            assert self._process.stderr is not None
-            said = self._process.stderr.read().decode(errors="replace").strip().splitlines() or ["no word"]
+            self._process.kill()
+            self._process.wait()
+            self._said.seek(0)
+            said = self._said.read().decode(errors="replace").strip().splitlines() or ["no word"]
             raise Absent(f"{self.name} stopped ({said[-1]})", "run `napari-elsplus bench peers` again") from None
         if "error" in answer:
             raise MeasurementError(f"{self.name}: {answer['error']}", "that is its own error")
         return TimedElsewhere(answer["answer"], float(answer["seconds"]))
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _end(process: subprocess.Popen[bytes], said: IO[bytes]) -> None:
     process.kill()
     process.wait()
-    for pipe in (process.stdin, process.stdout, process.stderr):
+    said.close()
+    for pipe in (process.stdin, process.stdout):
         if pipe is not None:
             with suppress(BrokenPipeError):
                 pipe.close()

@@ -10,10 +10,12 @@ import numpy as np
 
 from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.processing.mosaicing.coverage import coverage_maps
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.tracker import State
 from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline, RawPairs, with_timing
+from napari_elsplus.viewing.growing import GrowingImage
 from napari_elsplus.viewing.track import fastest_px_per_frame
 
 if TYPE_CHECKING:
@@ -151,6 +153,16 @@ class StackMosaics:
             0.5 * FIELD * grid.diameter,
             fastest_px_per_frame(grid.diameter, per_pixel, self.plan.method),
         )
+
+    def rehearse(self) -> None:
+        """Lay two frames and draw them as a viewer does, to no end but that everything is compiled before it looks."""
+        pipeline = self._pipeline(self.plan.tracked)
+        for index in range(min(2, len(self._pairs))):
+            raw, raw_residual = self._pairs(index)
+            pipeline.add(raw, index, raw_residual=raw_residual)
+        image = GrowingImage()
+        image.update(pipeline.mosaics)
+        coverage_maps(np.zeros((1, 2)), np.ones(1), self.scale.radius_px, image.frame)
 
     def run(self, watch: Watch = iter, checkpoint: Callable[[], None] | None = None) -> None:
         """Track and lay all frames, then close loops, join segments, and lay everything where it belongs.

@@ -100,7 +100,9 @@ class MosaicPanel(EnginePanel):
             self.form.remember()
 
             def made() -> StackMosaics:
-                self._stack = mosaics = StackMosaics(source.frames, source.calibration, plan, source.times_s)
+                mosaics = StackMosaics(source.frames, source.calibration, plan, source.times_s)
+                mosaics.rehearse()
+                self._stack = mosaics  # from now on it is looked at
                 mosaics.run(self.work.watch, self.work.stop_if_cancelled)
                 return mosaics
 
