@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sized
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,7 +16,7 @@ from napari_elsplus.io.atomic import replacing
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -71,13 +71,8 @@ def write_stack(
         If there is no image, the images differ, or the file exists and `force` is not given.
     """
     with replacing(path, force=force) as beside:
-        stream = iter(images)
-        head = list(islice(stream, 1))
-        if not head:
-            raise InputError("there is no image to write", "is the recording, or the range of frames, empty?")
-        first = head[0]
-        if first.ndim != 2 or first.size == 0:
-            raise InputError(f"the images have shape {first.shape}", "a stack of images (rows, cols) is expected")
+        planes = alike(images)
+        first = next(planes)
         if calibration is not None:
             um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
             frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
@@ -85,14 +80,9 @@ def write_stack(
         big = length is None or length * first.nbytes > CLASSIC_LIMIT
         count = 0
         with tifffile.TiffWriter(beside, bigtiff=big) as writer:
-            for image in chain(head, stream):
-                if image.shape != first.shape or image.dtype != first.dtype:
-                    raise InputError(
-                        f"image {count} is {image.shape}, {image.dtype}, the first {first.shape}, {first.dtype}",
-                        "write them to files of their own",
-                    )
+            for image in chain([first], planes):
                 writer.write(
-                    np.ascontiguousarray(image), contiguous=True, photometric="minisblack", metadata=None,
+                    image, contiguous=True, photometric="minisblack", metadata=None,
                     software=ome.SOFTWARE, description=ome.SOFTWARE,
                 )  # fmt: skip
                 count += 1
@@ -101,6 +91,30 @@ def write_stack(
             um_per_px=um_per_px, frame_period_s=frame_period_s, calibration=calibration, settings=metadata,
         )  # fmt: skip
     return count
+
+
+def alike(images: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+    """Go through the images of a stack, each in one piece of memory; there is at least one.
+
+    Raises
+    ------
+    InputError
+        If there is none, one is no image (rows, cols), or one differs from the first in shape or type.
+    """
+    first: NDArray[Any] | None = None
+    for count, image in enumerate(images):
+        if first is None:
+            first = image
+        if image.ndim != 2 or image.size == 0:
+            raise InputError(f"the images have shape {image.shape}", "a stack of images (rows, cols) is expected")
+        if image.shape != first.shape or image.dtype != first.dtype:
+            raise InputError(
+                f"image {count} is {image.shape}, {image.dtype}, the first {first.shape}, {first.dtype}",
+                "write them to files of their own",
+            )
+        yield np.ascontiguousarray(image)
+    if first is None:
+        raise InputError("there is no image to write", "is the recording, the layer, or the range of frames empty?")
 
 
 def write_mosaic(

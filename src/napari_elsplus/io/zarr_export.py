@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
 from napari_elsplus.io.ome import SOFTWARE
+from napari_elsplus.io.stacks import alike
 
 if TYPE_CHECKING:
     import os
@@ -65,22 +64,14 @@ def write_ome_zarr(
     if target.suffix != ".zarr":
         raise InputError(f"{target.name} is no name for an OME-Zarr folder", "let it end in .zarr")
     with replacing(target, force=force) as beside:
-        stream = iter(images)
-        head = list(islice(stream, 1))
-        if not head or head[0].ndim != 2 or head[0].size == 0:
-            raise InputError("there is no image (rows, cols) to write", "is the layer empty?")
-        first = head[0]
+        planes = alike(images)
+        first = next(planes)
         group = zarr.open_group(beside, mode="w", zarr_format=3)
         array = group.create_array("0", shape=(0, *first.shape), chunks=(1, *first.shape), dtype=first.dtype)
         count = 0
-        for image in chain(head, stream):
-            if image.shape != first.shape or image.dtype != first.dtype:
-                raise InputError(
-                    f"image {count} is {image.shape}, {image.dtype}, the first {first.shape}, {first.dtype}",
-                    "write them to folders of their own",
-                )
+        for image in chain([first], planes):
             array.resize((count + 1, *first.shape))
-            array[count] = np.ascontiguousarray(image)
+            array[count] = image
             count += 1
         group.attrs["ome"] = {
             "version": "0.5",
