@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.errors import InputError
 from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.mosaic_picture import draw_mosaic
 from napari_elsplus.io import refuse_existing, write_mosaic, write_track
 from napari_elsplus.processing.mosaicing.sheet import Sheet
 from napari_elsplus.viewing.growing import white_of
+from napari_elsplus.viewing.stack import files_for_script
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -89,12 +90,9 @@ def mosaic_script(stack: Stack, calibration_file: Path | None, plan: MosaicPlan)
     CalibrationError
         If the calibration lies in no file of its own.
     """
-    if stack.recording is None:
-        raise InputError(f"{stack.name} is simulated and lies in no file", "save its raw layer, and open that")
-    if calibration_file is None:
-        raise CalibrationError("the calibration lies in no file of its own", "save it beside the recording")
+    frames_path, calibration_path = files_for_script(stack, calibration_file)
     modes = ", ".join(f"Mode.{mode.name}" for mode in plan.modes)
-    return f'''"""Mosaics of {stack.recording.path.name}, and the probe's track."""
+    return f'''"""Mosaics of {stack.file_name}, and the probe's track."""
 
 from pathlib import Path
 
@@ -107,8 +105,8 @@ from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.viewing.mosaicking import StackMosaics
 
 plan = MosaicPlan(({modes},), Method.{plan.method.name}, Insertion.{plan.insertion.name})
-calibration = read_calibration({str(calibration_file)!r})
-with open_recording({str(stack.recording.path)!r}) as recording:
+calibration = read_calibration({calibration_path!r})
+with open_recording({frames_path!r}) as recording:
     mosaics = StackMosaics(recording, calibration, plan, recording.times_s)
     mosaics.run()
 for path in save_mosaics(mosaics, Path({f"{stack.name}-mosaic.ome.tif"!r}), plan, calibration):
