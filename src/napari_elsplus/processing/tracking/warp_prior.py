@@ -114,6 +114,8 @@ def velocity_sigma(information: NDArray[np.float64], shutter: RollingShutter) ->
     shutter : RollingShutter
         Timing of the rows.
     """
+    if not isfinite(shutter.rows_per_frame):  # all rows at once: nothing is warped
+        return inf
     try:
         covariance = np.linalg.inv(information)
     except np.linalg.LinAlgError:
