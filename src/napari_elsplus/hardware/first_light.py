@@ -7,6 +7,7 @@ throughout. What to do with the answers: docs/first-light.md.
 from __future__ import annotations
 
 import time
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 import click
@@ -21,15 +22,16 @@ from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.control import Control, RegisterError
 from napari_elsplus.hardware.u3v.discovery import choose_camera, endpoints
 from napari_elsplus.hardware.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
-from napari_elsplus.optics import PRESETS, preset
+from napari_elsplus.optics import PRESETS, SENSOR_SHAPE, preset
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from usb.core import Device
 
-HEIGHTS: Final = (1048, 524)
+HEIGHTS: Final = (SENSOR_SHAPE[0], SENSOR_SHAPE[0] // 2)
 WARM_UP_FRAMES: Final = 10
+FEWEST_FRAMES: Final = 8
 
 
 def examine_camera(device: Device) -> Iterator[str]:
@@ -72,7 +74,7 @@ def examine_camera(device: Device) -> Iterator[str]:
                 yield f"{name}: {error.problem}"
         shortest_s = []
         for rows in HEIGHTS:
-            camera.configure(Region(0, 0, rows, 1328), slit_rows=3, frame_rate_hz=1)
+            camera.configure(Region(0, 0, rows, SENSOR_SHAPE[1]), slit_rows=3, frame_rate_hz=1)
             shortest_s.append(1 / control.read_float(BASE + flea3.RATE_MAX))
             yield f"{rows} rows: at most {1 / shortest_s[-1]:.4f} frames/s"
         line_s = (shortest_s[0] - shortest_s[1]) / (HEIGHTS[0] - HEIGHTS[1])
@@ -147,7 +149,7 @@ def _configure(rig: Rig, preset_name: str, seconds: float) -> int:
     rate_hz = chosen.optics.frame_rate_hz
     region = Region(*chosen.sensor_origin, *chosen.frame_shape)
     rig.camera.configure(region, slit_rows=3, frame_rate_hz=rate_hz)
-    if seconds * rate_hz < 8:
+    if not FEWEST_FRAMES <= seconds * rate_hz < inf:
         raise InputError(f"{seconds} s", "take at least a tenth of a second")
     return round(seconds * rate_hz)
 
