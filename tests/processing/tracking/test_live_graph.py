@@ -17,7 +17,7 @@ from napari_elsplus.processing.tracking.trail import Node, Trail
 from recordings import Truth, record, texture
 
 ROUND, SPEED = 50, 14.0
-DRIFT = 0.004
+DRIFT = 0.002
 """Part of the path by which poses are spoilt, along the rows."""
 
 
@@ -66,7 +66,7 @@ def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(lifted: bool
     errors = np.array([(place.row, place.col) for place in placed]) - (true - true[0])
     drifted = DRIFT * SPEED * len(truth().frames)
     assert (
-        np.hypot(*errors.T).max() < (0.5 if lifted else 0.15) * drifted
+        np.hypot(*errors.T).max() < (0.7 if lifted else 0.25) * drifted
     )  # within a lone segment nothing tells of drift
     whole = corrections.of_frames(
         np.array([k for k, _ in found]),
@@ -112,5 +112,5 @@ def test_the_longer_the_way_between_two_nodes_the_less_it_is_trusted() -> None:
     assert (gone >= 0.25 * grid.diameter).all()
     assert gone.max() < 0.25 * grid.diameter + 2 * SPEED
     sigma = np.sqrt([np.linalg.eigvalsh(node.covariance)[-1] for node in nodes[1:]])
-    assert (sigma > 0.002 * gone).all()
+    assert (sigma > 0.001 * gone).all()
     assert sigma.max() < 0.5

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 _STRETCH_PX: Final = 0.2
 """What the velocity of the later frame of a link is trusted to, pixels per frame period."""
-_DRIFT: Final = 0.002
-"""Part of the path by which links may be off in one direction; rows per frame wrong by 5 % make it 0.0014."""
+_DRIFT: Final = 0.001
+"""Part of the path by which links may be off in one direction; rows per frame wrong by 3 % make it so much."""
 
 
 class Node(NamedTuple):
