@@ -98,3 +98,19 @@ def test_it_lies_beside_the_live_images_and_a_stack_is_not_disturbed_by_it(viewe
     qtbot.wait(300)
     assert panel._source.finished
     assert "of 6 frames" in panel.form.status.text()
+
+
+def test_images_side_by_side_make_room_for_the_live_panels(viewer, panel, qtbot):
+    for mode, box in panel.form.modes.items():
+        box.value = mode in ("ls", "elsa", "els")
+    go_live(viewer, panel, qtbot)
+    names = {"mosaic LS", "mosaic ELSA", "mosaic ELS+"}
+    qtbot.waitUntil(lambda: names <= {layer.name for layer in viewer.layers}, timeout=30_000)
+    qtbot.waitUntil(lambda: np.asarray(viewer.layers["mosaic ELSA"].data[0]).max() > 1, timeout=30_000)
+    viewer.window.add_plugin_dock_widget(PLUGIN, "Live")
+    qtbot.waitUntil(lambda: "live LS" in viewer.layers, timeout=30_000)
+    qtbot.waitUntil(
+        lambda: viewer.layers["mosaic LS"].extent.world[0, 1] > viewer.layers["live LS"].extent.world[1, 1],
+        timeout=30_000,
+    )
+    assert all(viewer.layers[name].visible for name in names)

@@ -261,6 +261,17 @@ class Mirror(TiledCanvas):
             self._touched(part)
 
 
+def _drawn(key: tuple[int, int], tile: Tile) -> Rectangle | None:
+    """Return the part of the canvas that was drawn on in a tile."""
+    rows, cols = (np.flatnonzero((tile.weight > 0).any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return None
+    at = tile_rectangle(*key)
+    return Rectangle(
+        at.top + int(rows[0]), at.left + int(cols[0]), at.top + int(rows[-1]) + 1, at.left + int(cols[-1]) + 1
+    )
+
+
 class MosaicFeed:
     """Looks at a board of another process: copies the rows and the rectangles that are new.
 
@@ -317,18 +328,21 @@ class MosaicFeed:
         if behind == 0 and int(head["rows"]) == len(self.rows):
             return False
         self._learn_tiles(int(self._tables.head["tiles"][0]))  # after the changes, which may lie on newer tiles
-        if self._changes_seen and behind <= CHANGES // 2:
+        only_new = self._changes_seen and behind <= CHANGES // 2
+        if only_new:
             parts = self._changed(range(self._changes_seen, count))
         else:
             parts = {
                 key: whole
                 for key, tiles in self._tiles.items()
-                if (whole := around_all(tile_rectangle(*place) for place in tiles)) is not None
+                if (whole := around_all(filter(None, map(_drawn, tiles, tiles.values())))) is not None
             }
         self._copy_rows(int(head["rows"]))
         for (image, segment), part in parts.items():
             mirrors = self.canvases.setdefault(image, {})
             mirror = mirrors.get(segment) or Mirror(blended=self._blended)
+            if not only_new and mirror.extent is not None:
+                part = part.around(mirror.extent)
             mirror.copy(part, self._tiles.get((image, segment), {}))
             mirrors[segment] = mirror
         now = self._tables.head[0].copy()

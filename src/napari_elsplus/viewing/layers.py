@@ -32,6 +32,8 @@ SMOOTH: Final = "linear"
 beat with it. Raw frames keep "nearest": their pixels are what is looked at."""
 TITLES: Final = {Mode.LS: "LS", Mode.RESIDUAL: "residual", Mode.ELS: "ELS+", Mode.ELSA: "ELSA"}
 """Names that microscopists know the modes by."""
+MOSAIC: Final = "mosaic"
+"""What layers of mosaics are known by in their metadata."""
 
 
 @dataclass(frozen=True)

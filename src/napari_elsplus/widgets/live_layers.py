@@ -11,7 +11,7 @@ from napari_elsplus import __version__
 from napari_elsplus.acquisition.live_images import RAW
 from napari_elsplus.processing.quality import white_level
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.viewing.layers import SMOOTH, TITLES
+from napari_elsplus.viewing.layers import MOSAIC, SMOOTH, TITLES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -61,7 +61,7 @@ class LiveLayers:
     ) -> None:
         """Show these kinds and hide the others; a layer is made only where there is none of that kind and size.
 
-        At first the viewer's other layers are hidden.
+        At first the viewer's other layers are hidden, but for mosaics, which move aside.
         """
         shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
         um = None if calibration is None else calibration.um_per_px
@@ -96,8 +96,9 @@ class LiveLayers:
         self._seen = -1
         if first and self.images:
             ours = set(self.images.values())
-            for other in self._viewer.layers:
-                other.visible = other.visible and other in ours  # a recording in the same place would be seen through
+            for other in self._viewer.layers:  # a recording in the same place would be seen through
+                mosaic = MOSAIC in other.metadata.get("elsplus", ())
+                other.visible = other.visible and (mosaic or other in ours)
             self._viewer.reset_view()
             self._viewer.canvas.overlays.scale_bar.visible = True
 

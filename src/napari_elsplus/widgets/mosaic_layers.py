@@ -12,7 +12,7 @@ from napari.layers import Image, Points, Vectors
 from napari_elsplus import __version__
 from napari_elsplus.processing.mosaicing.coverage import CELL_PX, coverage_maps
 from napari_elsplus.viewing.growing import GrowingImage
-from napari_elsplus.viewing.layers import TITLES
+from napari_elsplus.viewing.layers import MOSAIC, TITLES
 from napari_elsplus.viewing.track import BEGINS, LOST, PREDICTED, TrackDrawing, placed
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.sectioning import Mode
     from napari_elsplus.viewing.mosaicking import Mosaics, MosaicScale
 
-KIND: Final = "mosaic"
 GAP_PX: Final = 40
 TRACK, MARKS, COVERAGE, QUALITY = "track", "track marks", "coverage", "quality"
 SCORES: Final = (0.5, 1.0)
@@ -66,7 +65,7 @@ class MosaicLayers:
     def ours(self) -> dict[str, Layer]:
         """Layers of mosaics that are in the viewer, by what they show."""
         known = ((layer.metadata.get("elsplus"), layer) for layer in self._viewer.layers)
-        return {facts[KIND]: layer for facts, layer in known if isinstance(facts, dict) and KIND in facts}
+        return {facts[MOSAIC]: layer for facts, layer in known if isinstance(facts, dict) and MOSAIC in facts}
 
     def show(self, mosaics: Mosaics, lead: Mode, titles: Mapping[Mode, str] = TITLES) -> None:
         """Show other mosaics from now on.
@@ -133,7 +132,7 @@ class MosaicLayers:
         moved = self.drawing.add(mosaics.rows)
         if not lead.levels:
             return False
-        reframed = any(change.frame for change in changes.values())
+        reframed = any(change.frame for change in changes.values()) or (whole and self._is_covered)
         self._show_images(changes, reframed, whole)
         if reframed or whole:
             self._draw_track(mosaics.scale)
@@ -298,13 +297,22 @@ class MosaicLayers:
         layer.axis_labels = ("row", "col")
 
     def _add(self, layer: Layer, kind: str) -> None:
-        layer.metadata["elsplus"] = {"kind": f"{KIND} {kind}", KIND: kind, "software": f"napari-elsplus {__version__}"}
+        layer.metadata["elsplus"] = {
+            "kind": f"{MOSAIC} {kind}",
+            MOSAIC: kind,
+            "software": f"napari-elsplus {__version__}",
+        }
         selected = set(self._viewer.layers.selection)
         above = [other for one, other in self.ours.items() if _height(one) > _height(kind)]
         place = min((self._viewer.layers.index(other) for other in above), default=len(self._viewer.layers))
         self._viewer.layers.insert(place, layer)
         self._viewer.layers.selection = {layer} if kind == self._lead.value else selected
         self._viewer.canvas.overlays.scale_bar.visible = True
+
+    @property
+    def _is_covered(self) -> bool:
+        """Whether something is shown now where the mosaics lie."""
+        return bool(self._made) and self._beside_others()[1] > self._origin[1]
 
     def _beside_others(self) -> tuple[float, float]:
         """Where the first mosaic's (0, 0) lies: to the right of what else is shown, or at the origin."""
