@@ -11,7 +11,7 @@ from napari.layers import Image
 
 from napari_elsplus._writer import write_tiff, write_zarr
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import open_recording
+from napari_elsplus.io import open_recording, write_calibration
 from napari_elsplus.pipeline import images
 from pairs import FRAME_PERIOD_S, calibration, frames, write_pair
 
@@ -42,6 +42,22 @@ def test_the_calibration_and_the_mode_go_along(make_napari_viewer_proxy, tmp_pat
         assert back.metadata["settings"] == {"layer": "scan LS", "mode": "ls", "recording": "scan.tif"}
     viewer.open(str(tmp_path / "ls.tif"), plugin=PLUGIN)
     assert viewer.layers[-1].name == "ls LS"
+
+
+@pytest.mark.parametrize("ending", [".ome.tif", ".ome.zarr"])
+def test_saved_raw_frames_give_the_same_images_again(make_napari_viewer_proxy, tmp_path, ending):
+    """The background is in no image file, so the calibration goes beside, and scripts can name it."""
+    viewer = make_napari_viewer_proxy()
+    known = calibration().model_copy(update={"background": np.full(frames()[0].shape, 2.5, np.float32)})
+    path = write_pair(tmp_path)
+    write_calibration(tmp_path / "scan.calibration.json", known, force=True)
+    viewer.open(str(path), plugin=PLUGIN)
+    target, its_calibration = tmp_path / f"copy{ending}", tmp_path / "copy.calibration.json"
+    assert viewer.layers["scan raw"].save(str(target), plugin=PLUGIN) == [str(target), str(its_calibration)]
+    viewer.open(str(target), plugin=PLUGIN)
+    for name in ("LS", "ELS+"):
+        np.testing.assert_array_equal(viewer.layers[f"copy {name}"].data, viewer.layers[f"scan {name}"].data)
+    assert viewer.layers["copy raw"].metadata["elsplus"]["calibration_path"] == its_calibration
 
 
 def test_a_single_image_gets_a_pyramid(tmp_path):

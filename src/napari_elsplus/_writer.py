@@ -8,7 +8,7 @@ import numpy as np
 import pint
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import write_mosaic, write_stack
+from napari_elsplus.io import beside, write_calibration, write_mosaic, write_stack
 from napari_elsplus.io.zarr_export import write_ome_zarr
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def write_tiff(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     Returns
     -------
     list of str
-        What was written.
+        What was written; beside raw frames also their calibration, NAME.calibration.json.
 
     Raises
     ------
@@ -53,17 +53,26 @@ def write_tiff(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
             path, _Planes(image), um_per_px=um_per_px, frame_period_s=step_s, metadata=notes,
             calibration=calibration, force=True,
         )  # fmt: skip
-    return [path]
+    return [path, *_calibration_of_raw(path, known)]
 
 
 def write_zarr(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     """Write an image layer to OME-Zarr, plane by plane; as :func:`write_tiff`."""
     image = _grey(data, attributes)
     step_s, um_per_px = _steps(attributes, image.ndim)
-    notes = _notes(_provenance(attributes), attributes)
+    known = _provenance(attributes)
+    notes = _notes(known, attributes)
     planes = _Planes(image) if image.ndim == 3 else iter([np.asarray(image)])
     write_ome_zarr(path, planes, um_per_px=um_per_px, frame_period_s=step_s, metadata=notes, force=True)
-    return [path]
+    return [path, *_calibration_of_raw(path, known)]
+
+
+def _calibration_of_raw(path: str, known: Mapping[str, Any]) -> list[str]:
+    """Write the calibration beside raw frames, background and all, so that they give the same images again."""
+    calibration: Calibration | None = known.get("calibration")
+    if known.get("kind") != "raw" or calibration is None:
+        return []
+    return [str(write_calibration(beside(path, ".calibration.json"), calibration, force=True))]
 
 
 def _grey(data: Any, attributes: Mapping[str, Any]) -> Any:

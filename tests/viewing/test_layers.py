@@ -7,7 +7,7 @@ import pytest
 import tifffile
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.io import write_calibration, write_stack
+from napari_elsplus.io import write_calibration, write_mosaic, write_stack
 from napari_elsplus.pipeline import images
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers, summary
@@ -92,6 +92,15 @@ def test_finished_images_are_not_taken_for_raw_frames(tmp_path):
     np.testing.assert_array_equal(data, els)
     assert attributes["name"] == "out ELS+"
     assert attributes["scale"] == pytest.approx((FRAME_PERIOD_S, 2.0, 2.0))
+
+
+def test_a_single_finished_image_has_two_axes(tmp_path):
+    mosaic = np.random.default_rng(0).random((50, 70)).astype(np.float32)
+    write_mosaic(tmp_path / "m.ome.tif", mosaic, 2.5)
+    ((data, attributes, _),) = open_layers(tmp_path / "m.ome.tif").layers
+    np.testing.assert_array_equal(data, mosaic)
+    assert attributes["scale"] == (2.5, 2.5)
+    assert attributes["units"] == ("um", "um")
 
 
 def test_a_calibration_shows_the_outlines_of_both_views(tmp_path):

@@ -165,7 +165,7 @@ def side_by_side(layers: list[Layer], gap_px: int = 20) -> list[Layer]:
 
 
 def finished_layer(stack: Stack) -> Layer:
-    """Images that were processed before, as a layer."""
+    """Images that were processed before, as a layer; one alone, a mosaic say, has neither time nor depth."""
     settings = stack.metadata.get("settings")
     mode = settings.get("mode") if isinstance(settings, dict) else None
     title = next((title for known, title in TITLES.items() if known.value == mode), "images")
@@ -173,6 +173,9 @@ def finished_layer(stack: Stack) -> Layer:
     words["contrast_limits"] = _white(stack.planes)
     words["interpolation2d"] = SMOOTH
     words["metadata"] = provenance(stack, str(mode or "images"), stack.own_calibration(), None)
+    if len(stack.planes) == 1:
+        flat = {name: words[name][1:] for name in ("scale", "translate", "units", "axis_labels")}
+        return stack.planes[0], words | flat, "image"
     return stack.planes.dask(), words, "image"
 
 
