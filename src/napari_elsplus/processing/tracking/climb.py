@@ -33,6 +33,7 @@ _SCATTER: Final = 2.0
 _PRIOR_LINKS: Final = 4
 """Variance of links about their mean, in units of what they say, and how many links that is worth at first."""
 _MOST_ALIKE: Final = 0.95
+_FEWEST_STEADY: Final = 16
 
 
 def asked_for(found: Sequence[Remainder]) -> Rung:
@@ -51,15 +52,52 @@ def asked_for(found: Sequence[Remainder]) -> Rung:
     """
     if not found:
         return Rung.TRANSLATION
-    steps = np.array([one.step[Rung.SIMILARITY, 4:] for one in found])
+    steps = np.array([_answers(one) for one in found])
     return _rung(steps, np.array([one.sigma for one in found]), sum(one.values for one in found))
+
+
+def _answers(one: Remainder) -> tuple[float, float, float]:
+    """Rotation and scale if both are asked for, and rotation alone."""
+    return float(one.step[Rung.SIMILARITY, 4]), float(one.step[Rung.SIMILARITY, 5]), float(one.step[Rung.RIGID, 4])
 
 
 def _rung(steps: NDArray[np.float64], sigmas: NDArray[np.float64], values: float) -> Rung:
     needed = _MARGIN * log(values)
     if largest_sum(steps[:, 1], sigmas[:, 1]) > _MARGIN_OF_SCALE * needed:
         return Rung.SIMILARITY
-    return Rung.RIGID if largest_sum(steps[:, 0], sigmas[:, 0]) > needed else Rung.TRANSLATION
+    turned = max(largest_sum(steps[:, 0], sigmas[:, 0]), steady_turn(steps[:, 2], sigmas[:, 0]))
+    return Rung.RIGID if turned > needed else Rung.TRANSLATION
+
+
+@lean_kernel
+def steady_turn(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> float:
+    """Largest square of the mean of the first links, over its variance, each weighted by what it knows.
+
+    The few links with much in view then tell a slow turn among many that tell nothing. Fewer than sixteen tell nothing
+    of how they scatter, and get zero.
+
+    Parameters
+    ----------
+    steps, sigmas : numpy.ndarray
+        (m,) rotation that each link asks for, and how well it says it knows.
+    """
+    largest, said, weights = 0.0, 0.0, 0.0
+    for k in range(len(steps)):
+        weight = 1 / (sigmas[k] * sigmas[k])
+        said += weight * steps[k]
+        weights += weight
+        if k + 1 < _FEWEST_STEADY:
+            continue
+        mean, square, neighbours, before = said / weights, 0.0, 0.0, 0.0
+        for j in range(k + 1):
+            about = (steps[j] - mean) / (sigmas[j] * sigmas[j])
+            square += about * about
+            neighbours += about * before
+            before = about
+        alike = min(max(neighbours / square, 0.0), _MOST_ALIKE) if square > 0 else 0.0
+        square = max(square, weights)  # no better than the links themselves say
+        largest = max(largest, said * said / (square * (1 + alike) / (1 - alike)))
+    return largest
 
 
 @lean_kernel
@@ -112,7 +150,7 @@ class Climb:
 
     def __init__(self) -> None:
         self.rung = Rung.TRANSLATION
-        self._steps, self._sigmas = np.empty((_REMEMBERED, 2)), np.empty((_REMEMBERED, 2))
+        self._steps, self._sigmas = np.empty((_REMEMBERED, 3)), np.empty((_REMEMBERED, 2))
         self._values = np.empty(_REMEMBERED)
         self._links = 0
 
@@ -123,7 +161,7 @@ class Climb:
                 kept[:-1] = kept[1:]
             self._links -= 1
         n = self._links
-        self._steps[n], self._sigmas[n], self._values[n] = found.step[Rung.SIMILARITY, 4:], found.sigma, found.values
+        self._steps[n], self._sigmas[n], self._values[n] = _answers(found), found.sigma, found.values
         for last in _LAST:
             these = np.s_[max(0, n + 1 - last) : n + 1]
             asked = _rung(self._steps[these], self._sigmas[these], float(self._values[these].sum()))

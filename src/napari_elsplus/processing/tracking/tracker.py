@@ -255,6 +255,8 @@ class Tracker:
         assert key is not None
         assert last is not None
         wait = _ASK_EVERY if renew else _ASK_AT_REST
+        if renew and link is not None and isfinite(link.again):
+            wait = 1
         if link is None or last is key or last.index - self._asked < wait:
             return
         self._asked = last.index
