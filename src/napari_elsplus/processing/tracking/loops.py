@@ -14,6 +14,7 @@ import numpy as np
 from napari_elsplus.processing.tracking.graph import Edge
 from napari_elsplus.processing.tracking.ladder import Rung, turned_by
 from napari_elsplus.processing.tracking.motion import Displacement, Velocity, Warp
+from napari_elsplus.processing.tracking.second_look import SecondLook
 from napari_elsplus.processing.tracking.tracker import FALL_OF_CORRELATION, State
 
 if TYPE_CHECKING:
@@ -78,6 +79,7 @@ class LoopCloser:
         self.rung = rung
         self._scratch = registrar.view()
         self._registrar = registrar
+        self._second = SecondLook(registrar)
         self._view = view
         self._poses = poses
         scores = [pose.score for pose in poses if pose.state is State.TRACKED and np.isfinite(pose.score)]
@@ -170,6 +172,10 @@ class LoopCloser:
         )  # fmt: skip
 
     def _edge(self, earlier: int, later: int, link: Link | None) -> Edge | None:
+        if link is not None:
+            velocities = self._poses[earlier].velocity, self._poses[later].velocity
+            views = self._view(earlier), self._view(later)
+            link = self._second.confirmed(link, *views, velocities, _VELOCITY_SIGMA, self._scratch)
         if link is None or not link.observed or link.correlation < self._enough:
             return None
         moved = self._registrar.grid.shutter.displacement(link.warp, self._poses[later].velocity)

@@ -8,6 +8,7 @@ under all that is known of the motion (:mod:`napari_elsplus.processing.tracking.
 
 from __future__ import annotations
 
+from math import hypot, isfinite
 from typing import TYPE_CHECKING, Final
 
 import cv2
@@ -16,12 +17,15 @@ import numpy as np
 from napari_elsplus.processing.tracking.descent import LEVELS, fill_coarser
 from napari_elsplus.processing.tracking.local_evidence import blocks, look_again, look_at_half
 from napari_elsplus.processing.tracking.motion import Warp
+from napari_elsplus.processing.tracking.prediction import AT_REST
 from napari_elsplus.processing.tracking.registration import Link, Registrar, View
 from napari_elsplus.processing.tracking.shift_search import prior, support
+from napari_elsplus.processing.tracking.warp_prior import warp_prior
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.tracking.motion import Velocity
     from napari_elsplus.processing.tracking.warp_prior import WarpPrior
 
 DOUBT: Final = 1.0
@@ -32,6 +36,7 @@ _LEAST_FINE: Final = 0.3
 """Part of the variance that must be left: what there is to see must not be taken away."""
 _MOST_MISFIT: Final = 3.0
 """Standard deviations by which stretch and shear may miss what is expected, where they do not follow the shift."""
+_ALIKE_PX: Final = 1.5
 _COARSE_PX: Final = 2 ** (LEVELS - 1)
 _LEAST_CORRELATION: Final = 0.3
 """Of a candidate of the search, at half resolution."""
@@ -100,6 +105,39 @@ class SecondLook:
             if best is None or score > best[0]:
                 best = score, warp
         return None if best is None else self._refined(earlier, later, known, best[1], 1)
+
+    def confirmed(
+        self, link: Link, earlier: View, later: View, velocities: tuple[Velocity, Velocity], spread_px: float,
+        scratch: View,
+    ) -> Link:  # fmt: skip
+        """Look again, where a doubtful link leads, at frames one of which may be turned; return it with what is seen.
+
+        Parameters
+        ----------
+        link : Link
+            Returned as it is where it leaves no doubt, or where there is nothing fine to be seen.
+        earlier, later : View
+            Prepared frames.
+        velocities : tuple of Velocity
+            Theirs.
+        spread_px : float
+            What these are trusted to.
+        scratch : View
+            Is filled with the earlier frame, turned.
+        """
+        if link.evidence >= DOUBT:
+            return link
+        before, after = velocities
+        shutter = self._registrar.grid.shutter
+        moved = shutter.displacement(link.warp, after)
+        if isfinite(link.turn_sigma):
+            earlier = self._registrar.turned(earlier, before, link.turn, link.zoom, scratch)
+            before = AT_REST
+        again = self.link(earlier, later, warp_prior(shutter, (before, after), moved, spread_px))
+        if again is None:
+            return link
+        alike = hypot(again.warp.b - link.warp.b, again.warp.d - link.warp.d) < _ALIKE_PX
+        return link._replace(again=again.again if alike else 0.0)
 
     def _refined(
         self, earlier: View, later: View, known: WarpPrior, warp: NDArray[np.float64], coarsest: int

@@ -353,6 +353,9 @@ class Tracker:
                 earlier.view, here.view, (ahead.row, ahead.col, turn, zoom), (earlier.velocity, motion.next_velocity),
                 self._spread, rung, self._scratch, reach,
             )  # fmt: skip
+            if link is not None:
+                velocities = earlier.velocity, motion.next_velocity
+                link = self._second.confirmed(link, earlier.view, here.view, velocities, motion.spread, self._scratch)
             if link is not None and self._accepted(link, here) and (reach or link.correlation > SURE_CORRELATION):
                 return link
         return None
