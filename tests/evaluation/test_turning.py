@@ -18,6 +18,15 @@ def test_a_turn_is_modelled_soon_and_finished_well() -> None:
     assert found.errors.tracked == 50
 
 
+def test_half_a_second_of_slow_turning_shows_in_a_sparse_scene() -> None:
+    """At the end at the latest; taken for translations it would be one pixel off from frame to frame."""
+    found = follow(Walk("sparse", "spiral", 8000.0, 10.0, 120, seed=2))
+    assert found.rung is Rung.RIGID
+    assert found.angle_error_deg < 0.5
+    assert found.errors.median_pair_error_px < 0.3
+    assert found.errors.wrong_links == 0
+
+
 @pytest.mark.slow
 def test_99_of_100_recordings_without_a_turn_are_tracked_by_translations() -> None:
     walks = [Walk(*way, 0.0, 60, seed) for seed in range(25) for way in WAYS]

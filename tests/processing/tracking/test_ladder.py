@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.tracking.climb import Climb
+from napari_elsplus.processing.tracking.climb import Climb, largest_sum, steady_turn
 from napari_elsplus.processing.tracking.grid import Grid
 from napari_elsplus.processing.tracking.ladder import Remainder, Rung, angle_of, composed, scale_of, turned_by, upright
 from napari_elsplus.processing.tracking.motion import Displacement, RollingShutter, Velocity, Warp
@@ -160,3 +160,13 @@ def test_a_probe_that_turns_is_followed(path: Turning, name: str) -> None:
 def test_a_probe_that_does_not_turn_is_tracked_as_before() -> None:
     pipeline, _, _ = followed(HandHeld(3000.0, seed=2), "fibres", 30)
     assert {(pose.angle, pose.scale) for pose in pipeline.poses} == {(0.0, 1.0)}
+
+
+def test_a_few_full_views_tell_a_steady_turn_among_many_that_tell_nothing() -> None:
+    """Also where the errors of successive links are alike; and what scatters about nothing does not."""
+    rng = np.random.default_rng(3)
+    sigmas = np.where(np.arange(60) % 6 == 0, 3e-4, 2e-3)
+    noise = sigmas * np.convolve(rng.normal(size=61), [0.8, 0.6], "valid")
+    assert steady_turn(noise + 7e-4, sigmas) > 24 > 10 > steady_turn(noise, sigmas)
+    assert largest_sum(noise + 7e-4, sigmas) < 24
+    assert steady_turn(noise[:15] + 7e-4, sigmas[:15]) == 0.0

@@ -7,7 +7,7 @@ import pytest
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.processing.tracking.local_evidence import blocks, local_evidence
 from napari_elsplus.processing.tracking.motion import Displacement, RollingShutter, Velocity, Warp
-from napari_elsplus.processing.tracking.registration import Registrar, View
+from napari_elsplus.processing.tracking.registration import Link, Registrar, View
 from napari_elsplus.processing.tracking.second_look import SecondLook
 from napari_elsplus.processing.tracking.warp_prior import WarpPrior, velocity_sigma, warp_prior
 from recordings import record, texture
@@ -158,3 +158,30 @@ def test_a_velocity_is_as_sure_as_its_link() -> None:
     found = np.array([shutter.velocities(Warp(*warp))[1] for warp in scattered])
     assert velocity_sigma(information, shutter) == pytest.approx(found.std(axis=0).max(), rel=0.2)
     assert velocity_sigma(np.zeros((4, 4)), shutter) == np.inf
+
+
+@pytest.mark.parametrize(("end", "stands"), [((40.0, 24.0), True), (None, False)])
+def test_a_link_that_stood_is_asked_again_where_it_leads(end: tuple[float, float] | None, stands: bool) -> None:
+    registrar, pair, moved = looked_at(one_fibre(900, end))
+    shutter = registrar.grid.shutter
+    slid = Displacement(moved.row + (0.0 if end else 4.3), moved.col + (0.0 if end else 2.6))
+    warp = shutter.warp(BEFORE, AFTER, slid)
+    link = Link(warp, np.eye(4), 0.99, 0.9, 0.5)
+    second = SecondLook(registrar)
+    again = second.confirmed(link, *pair, (BEFORE, AFTER), 0.5, registrar.view())
+    assert link.observed
+    assert again.observed is stands
+    assert again.warp == warp
+    sure = link._replace(evidence=2.0)
+    assert second.confirmed(sure, *pair, (BEFORE, AFTER), 0.5, registrar.view()) is sure
+
+
+def test_a_link_between_turned_frames_is_asked_again_upright() -> None:
+    registrar, pair, moved = looked_at(texture(900, 3))
+    upright = registrar.grid.shutter.warp(Velocity(0.0, 0.0), AFTER, moved)
+    right = Link(upright, np.eye(4), 0.99, 0.9, 0.5, turn=0.0, turn_sigma=1e-3)
+    turned = right._replace(turn=0.06)
+    velocities, scratch = (BEFORE, AFTER), registrar.view()
+    second = SecondLook(registrar)
+    seen = [second.confirmed(link, *pair, velocities, 0.5, scratch).again for link in (right, turned)]
+    assert seen[0] > 5 * max(seen[1], 1)
