@@ -29,7 +29,8 @@ from napari_elsplus.settings import calibration_in_force
 from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Still
-from napari_elsplus.widgets.calibration.panel import IMAGE, OUTLINES, CalibrationPanel
+from napari_elsplus.widgets.calibration.bundle_layers import IMAGE, OUTLINES
+from napari_elsplus.widgets.calibration.panel import CalibrationPanel
 from processes import exists
 
 PLUGIN = "napari-elsplus"

@@ -5,26 +5,28 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QFileDialog
 
 from napari_elsplus.acquisition.guided import GuidedCalibration
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.errors import ElsPlusError, InputError, MeasurementError
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import open_recording, read_calibration, read_volts, write_calibration
-from napari_elsplus.processing.calibration.draft import Draft, Found, LitPair, Setup, State, Step, step_of
+from napari_elsplus.processing.calibration.draft import Draft, Setup, State, Step, step_of
 from napari_elsplus.processing.calibration.stepwise import measure_step, setup_of
 from napari_elsplus.settings import put_in_force, recall, remember
 from napari_elsplus.viewing.calibration_script import Source, calibration_script
-from napari_elsplus.viewing.outlines import outline_layer, summary
+from napari_elsplus.viewing.outlines import summary
+from napari_elsplus.widgets.calibration import dialogs
+from napari_elsplus.widgets.calibration.bundle_layers import show_bundle
 from napari_elsplus.widgets.calibration.explained import EXPLAINED, PREPARE
 from napari_elsplus.widgets.calibration.explained import SIMULATED as SIMULATED_TARGETS
 from napari_elsplus.widgets.calibration.form import Form
-from napari_elsplus.widgets.calibration.pictures import Picture, picture
+from napari_elsplus.widgets.calibration.pictures import picture
+from napari_elsplus.widgets.calibration.session import Session, Shown
 from napari_elsplus.widgets.connection import join
 from napari_elsplus.widgets.panel import Panel, copy_as_script, told
 from napari_elsplus.widgets.window_end import WindowEnd
@@ -43,16 +45,6 @@ NUMBERS_EVERY: Final = 8
 LOOK_S: Final = 0.04
 """The engine measures the offset in every frame; nobody reads more than so often."""
 SECTION: Final = "calibration"
-IMAGE, OUTLINES = "calibration: bundle", "calibration: outlines"
-
-
-class Shown(NamedTuple):
-    """What a step found, what it was measured with, how it is shown, and where its frames came from."""
-
-    found: Found
-    setup: Setup
-    picture: Picture
-    source: Source
 
 
 class CalibrationPanel(Panel):
@@ -66,11 +58,8 @@ class CalibrationPanel(Panel):
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
-        self.draft = Draft()
+        self.session = Session()
         self.step = Step.OFFSET
-        self.candidate: Shown | None = None
-        self._accepted: dict[Step, Shown] = {}
-        self._past: list[tuple[Draft, dict[Step, Shown]]] = []
         self._setup: Setup | None = None
         self._watched: Shown | str | None = None
         self._watching = self._left = False
@@ -90,6 +79,16 @@ class CalibrationPanel(Panel):
         self._poll.timeout.connect(self._look)
         self._poll.start()
         self._refresh()
+
+    @property
+    def draft(self) -> Draft:
+        """The calibration as far as it was accepted."""
+        return self.session.draft
+
+    @property
+    def candidate(self) -> Shown | None:
+        """What was found last, neither accepted nor discarded yet."""
+        return self.session.candidate
 
     # what the buttons do
 
@@ -111,7 +110,7 @@ class CalibrationPanel(Panel):
     def choose(self, step: Step) -> None:
         """Turn to a step."""
         if step is not self.step:
-            self.candidate = None
+            self.session.candidate = None
         self.step = step
         self._refresh()
 
@@ -181,37 +180,28 @@ class CalibrationPanel(Panel):
 
     def accept(self) -> None:
         """Take what was found into the calibration, and the calibration into force."""
-        if self.candidate is None:
-            return
         with told():
-            draft = self.draft.take(self.candidate.found, self.candidate.setup)
-            self._past.append((self.draft, dict(self._accepted)))
-            self._accepted.pop(self.step, None)  # the order in which steps were accepted is the script's
-            self._accepted[self.step] = self.candidate
-            self.candidate = None
-            self._take(draft)
+            if self.session.accept(self.step):
+                self._share()
         self._refresh()
 
     def discard(self) -> None:
         """Forget what was found; the calibration stays as it was."""
-        self.candidate = None
+        self.session.candidate = None
         self._refresh()
 
     def undo(self) -> None:
         """Go back to the calibration before the last step was accepted."""
-        if self._past:
-            self.candidate = None
-            draft, self._accepted = self._past.pop()
-            self._take(draft)
+        if self.session.undo():
+            self._share()
         self._refresh()
 
     def load(self, path: str | Path) -> None:
         """Read a calibration and take it into force."""
         with told():
             calibration = read_calibration(path)
-            self._past.append((self.draft, dict(self._accepted)))
-            self.candidate, self._accepted = None, {}
-            self._take(Draft(calibration, bundle_um=self.draft.bundle_um), Path(path))
+            self.session.begin_with(calibration)
+            self._share(Path(path))
             put_in_force(path)
             show_info(f"{Path(path).name}: {summary(calibration)}")
         self._refresh()
@@ -221,7 +211,7 @@ class CalibrationPanel(Panel):
         with told():
             written = write_calibration(path, self.draft.calibration, force=True)
             put_in_force(written)
-            self._take(self.draft, written)
+            self._share(written)
             show_info(f"saved {written.name}: {summary(self.draft.calibration)}")
 
     def save_plots(self, path: str | Path) -> None:
@@ -237,8 +227,7 @@ class CalibrationPanel(Panel):
     def copy_script(self) -> None:
         """Copy Python that makes this calibration again to the clipboard."""
         with told():
-            sources = [shown.source for shown in self._accepted.values()]
-            copy_as_script(calibration_script(sources, self.draft.bundle_um))
+            copy_as_script(calibration_script(self.session.sources, self.draft.bundle_um))
 
     def cleanup(self) -> None:
         """Stop measuring, take the layers away, let go of the engine and the viewer."""
@@ -247,7 +236,7 @@ class CalibrationPanel(Panel):
         self._left = True
         self._poll.stop()
         self.work.cancel()
-        self._show_bundle(None)
+        show_bundle(self.viewer, None, self.draft)
         self.connection.leave()
         super().cleanup()
 
@@ -297,7 +286,7 @@ class CalibrationPanel(Panel):
 
     def _connected(self, setup: Setup) -> None:
         self._setup = setup
-        self._take(self.draft)
+        self._share()
 
     def _set_up_anew(self, done: Future[Setup]) -> None:
         """Not in the window's thread: note that another panel has changed how frames are taken."""
@@ -306,13 +295,12 @@ class CalibrationPanel(Panel):
 
     def _found(self, shown: Shown) -> None:
         self.choose(step_of(shown.found))
-        self.candidate = shown
+        self.session.candidate = shown
 
-    def _take(self, draft: Draft, path: Path | None = None) -> None:
-        """Keep a draft, and let the other panels and the engine work by it."""
-        self.draft = draft
-        if draft.calibration.bundle is not None:
-            self._asked = self.connection.take(draft.calibration, path)
+    def _share(self, path: Path | None = None) -> None:
+        """Let the other panels and the engine work by the draft."""
+        if self.draft.calibration.bundle is not None:
+            self._asked = self.connection.take(self.draft.calibration, path)
             self._asked.add_done_callback(lambda done: setattr(self, "_refused", done.exception()))
 
     def _follow(self) -> None:
@@ -323,9 +311,7 @@ class CalibrationPanel(Panel):
         self._shared = shared
         if shared is None or shared is self.draft.calibration:
             return
-        self._past.append((self.draft, dict(self._accepted)))
-        self.candidate, self._accepted = None, {}
-        self.draft = Draft(shared, bundle_um=self.draft.bundle_um)
+        self.session.begin_with(shared)
         self._refresh()
 
     def _cancel(self) -> None:
@@ -357,7 +343,7 @@ class CalibrationPanel(Panel):
         if isinstance(watched, str):
             self.form.say(watched)
         elif watched is not None and self.step is Step.OFFSET:
-            self.candidate = watched
+            self.session.candidate = watched
             self._readings += 1
             self.form.show_picture(watched.picture, numbers=self._readings % NUMBERS_EVERY == 1)
 
@@ -372,7 +358,7 @@ class CalibrationPanel(Panel):
         if connected and self.connection.rig == SIMULATED:
             prepare += f" {SIMULATED_TARGETS}"
         form.explain(EXPLAINED[self.step], prepare)
-        shown = self.candidate or self._accepted.get(self.step)
+        shown = self.session.shown(self.step)
         form.show_picture(None if shown is None else shown.picture)
         form.allow(
             step=self.step,
@@ -381,55 +367,31 @@ class CalibrationPanel(Panel):
             watching=self._watching,
             needs=self.draft.needs(self.step),
             candidate=self.candidate is not None,
-            past=bool(self._past),
-            scripted=bool(self._accepted),
+            past=self.session.past,
+            scripted=bool(self.session.sources),
             state=self.draft.state(self.step, self._setup)[0],
         )
         if shown is None and self.draft.state(self.step)[0] is not State.MISSING:
             form.say("known from a file; measure it to see more")
-        self._show_bundle(shown)
-
-    def _show_bundle(self, shown: Shown | None) -> None:
-        """Show the bundle's image with both discs outlined while the bundle pair is looked at."""
-        lit = shown.found if shown is not None and isinstance(shown.found, LitPair) else None
-        for name in (IMAGE, OUTLINES):
-            if name in self.viewer.layers:
-                self.viewer.layers.remove(name)
-        if lit is None or shown is None:
-            return
-        accepted = self.draft if self.draft.found.get(Step.PAIR) is lit else self.draft.take(lit, shown.setup)
-        data, attributes, _ = outline_layer(accepted.calibration, OUTLINES)
-        placed = {key: attributes[key] for key in ("scale", "units") if key in attributes}
-        self.viewer.add_image(lit.image, name=IMAGE, **placed)
-        self.viewer.add_shapes(data, **attributes)
+        show_bundle(self.viewer, shown, self.draft)
 
     def _theme_changed(self) -> None:
         self.form.follow(self.viewer.theme)
         self._refresh()
 
     def _ask_for_recording(self) -> None:
-        kinds = "Recordings (*.tif *.tiff *.avi *.npy);;All files (*)"
-        path, _ = QFileDialog.getOpenFileName(self, f"Frames for the {self.step}", "", kinds)
-        if not path:
-            return
-        volts = None
-        if self.step is Step.GALVO:
-            volts, _ = QFileDialog.getOpenFileName(self, "Voltages, one per frame", "", "Table (*.csv)")
-        self.measure_file(path, volts or None)
+        frames, volts = dialogs.recording_for(self, self.step)
+        if frames:
+            self.measure_file(frames, volts or None)
 
     def _ask_what_to_load(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Load a calibration", "", "Calibration (*.json)")
-        if path:
+        if path := dialogs.calibration_to_load(self):
             self.load(path)
 
     def _ask_where_to_save(self) -> None:
-        path, _ = QFileDialog.getSaveFileName(self, "Save the calibration", "calibration.json", "Calibration (*.json)")
-        if path:
+        if path := dialogs.where_to_save(self):
             self.save(path)
 
     def _ask_where_to_save_plots(self) -> None:
-        path, _ = QFileDialog.getSaveFileName(
-            self, "Save the plots", f"{self.step}.png", "Picture (*.png);;Table (*.csv)"
-        )
-        if path:
+        if path := dialogs.where_to_save_plots(self, self.step):
             self.save_plots(path)

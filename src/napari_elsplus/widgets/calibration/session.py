@@ -1,0 +1,80 @@
+"""What was measured and accepted in the Calibration panel so far, and the way back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from napari_elsplus.processing.calibration.draft import Draft
+
+if TYPE_CHECKING:
+    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.processing.calibration.draft import Found, Setup, Step
+    from napari_elsplus.viewing.calibration_script import Source
+    from napari_elsplus.widgets.calibration.pictures import Picture
+
+
+class Shown(NamedTuple):
+    """What a step found, what it was measured with, how it is shown, and where its frames came from."""
+
+    found: Found
+    setup: Setup
+    picture: Picture
+    source: Source
+
+
+class Session:
+    """A calibration in the making.
+
+    Attributes
+    ----------
+    draft : Draft
+        What was accepted.
+    candidate : Shown or None
+        What was found last, neither accepted nor discarded yet.
+    """
+
+    def __init__(self) -> None:
+        self.draft = Draft()
+        self.candidate: Shown | None = None
+        self._accepted: dict[Step, Shown] = {}
+        self._past: list[tuple[Draft, dict[Step, Shown]]] = []
+
+    @property
+    def past(self) -> bool:
+        """Whether there is something to undo."""
+        return bool(self._past)
+
+    @property
+    def sources(self) -> list[Source]:
+        """Where the frames of what was accepted came from, in the order in which it was."""
+        return [shown.source for shown in self._accepted.values()]
+
+    def shown(self, step: Step) -> Shown | None:
+        """Return what is known of a step: the candidate, or what was accepted here."""
+        return self.candidate or self._accepted.get(step)
+
+    def accept(self, step: Step) -> bool:
+        """Take the candidate into the draft; whether there was one."""
+        candidate = self.candidate
+        if candidate is None:
+            return False
+        draft = self.draft.take(candidate.found, candidate.setup)
+        self._past.append((self.draft, dict(self._accepted)))
+        self._accepted.pop(step, None)  # the order in which steps were accepted is the script's
+        self._accepted[step] = candidate
+        self.draft, self.candidate = draft, None
+        return True
+
+    def undo(self) -> bool:
+        """Go back to before the last change of the draft; whether there was one."""
+        if not self._past:
+            return False
+        self.candidate = None
+        self.draft, self._accepted = self._past.pop()
+        return True
+
+    def begin_with(self, calibration: Calibration) -> None:
+        """Go on from a calibration that was not made here."""
+        self._past.append((self.draft, dict(self._accepted)))
+        self.candidate, self._accepted = None, {}
+        self.draft = Draft(calibration, bundle_um=self.draft.bundle_um)
