@@ -86,6 +86,24 @@ def test_in_real_time_a_closed_path_is_played_again_and_every_round_is_the_same(
         assert len({frame.tobytes() for frame in seen.values()}) == len(seen)
 
 
+def test_where_the_strobes_wire_breaks_the_mirror_parks_while_the_camera_goes_on() -> None:
+    with open_rig(simulation=Simulation(scene=empty())) as rig:
+        rig.camera.configure(SMALL, slit_rows=3, frame_rate_hz=240)
+        timing = ScanTiming(rig.camera.line_period_s, rig.camera.rows_per_frame, 3, rig.strobe)
+        rig.scanner.scan(els_waveform(rig.bench.optics.calibration(PRESETS["240hz"]), timing, rig.limits))
+        rig.camera.start()
+        frame = np.empty(rig.camera.frame_shape, np.uint8)
+        for _ in range(5):
+            rig.camera.read_into(frame, 5.0)
+        rig.scanner.check()
+        rig.bench.plug.camera.cut_strobe()
+        for _ in range(240):
+            rig.camera.read_into(frame, 5.0)
+        with pytest.raises(DeviceError, match="no strobe"):
+            rig.scanner.check()
+        assert rig.bench.card.last_volts == rig.scanner.park_v
+
+
 def test_a_users_own_rig_is_a_readable_file_that_comes_back_the_same(folder) -> None:
     text = """
         [card]

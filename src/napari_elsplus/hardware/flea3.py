@@ -106,7 +106,7 @@ class Flea3:
         control = self._control
         least, most = control.read_float(BASE + low), control.read_float(BASE + high)
         if not least * (1 - 1e-4) <= value <= most * (1 + 1e-4):
-            raise InputError(f"a {name} of {value:.6g} {unit}", f"the camera allows {least:.6g} to {most:.6g} {unit}")
+            raise InputError(f"{name} of {value:.6g} {unit}", f"the camera allows {least:.6g} to {most:.6g} {unit}")
         control.write_float(BASE + register, value)
 
     def _told_line_rate(self, expected_hz: float) -> float:

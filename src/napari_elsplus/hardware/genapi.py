@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 MAX_FILE: Final = 4 << 20
 MAX_TEXT: Final = 16 << 20
 MAX_ENTRIES: Final = 16
-ENTRY_BYTES: Final = 64
 ZIPPED: Final = 1
 CHUNK: Final = 1 << 16
 UNREADABLE: Final = (

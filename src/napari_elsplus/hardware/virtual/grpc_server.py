@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 SERVICE: Final = "nidaqmx_grpc.NiDAQmx"
 DRIVER_VERSION: Final = {0x1272: 25, 0x1923: 0, 0x2F22: 0}
-DEVICE_NAMES, PRODUCT_TYPE = 0x193B, 0x0631
 PRODUCT_NAME: Final = "virtual card"
 
 

@@ -283,15 +283,6 @@ class VirtualCamera:
             if self._train is not None:
                 self.bench.strobe(StrobeTrain(self._train.start_s, self._train.period_s, self.bench.clock.now_s()))
 
-    def miss_strobe(self) -> None:
-        """Let one edge, the next, go unheard."""
-        with self._lock:
-            assert self._train is not None
-            edge = self._train.first_after(self.bench.clock.now_s() + 1e-4)
-            train = self._train
-            self._train = StrobeTrain(train.start_s, train.period_s, train.end_s, train.missing | {edge})
-            self.bench.strobe(self._train)
-
     def _strobe_is_on(self) -> bool:
         return any(self.memory.get(STROBE + flea3.STROBE_CONTROL + 4 * k) & flea3.STROBE_ON for k in range(4)) or any(
             self.memory.get(flea3.BASE + flea3.GPIO_MODE + 0x10 * k) & flea3.GPIO_STROBE for k in range(4)
