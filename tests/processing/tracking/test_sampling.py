@@ -1,32 +1,54 @@
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.tracking.sampling import reaches, sample_finely, sample_row
+from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.tracking.sampling import between, bilinear, finely_sampled, neighbours, reaches
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 SIDE = 40
 
 
-def samples(kernel: object, image: np.ndarray, row: float, col: float, size: int) -> np.ndarray:
-    out = np.zeros((2, image.shape[1]), np.float32)
+@lean_kernel
+def between_four(image, above, down, left, across, work):  # type: ignore[no-untyped-def] # noqa: ANN
+    size = len(work[0])
+    corners, weights = neighbours(image, above, left, size), bilinear(down, across)
+    for k in range(size):
+        work[0, k] = between(corners, weights, k)
+
+
+@lean_kernel
+def through_six(image, above, down, left, across, work):  # type: ignore[no-untyped-def] # noqa: ANN
+    size = work.shape[1] - 5
+    corners, weights = finely_sampled(image, above, down, left, across, size, work)
+    for k in range(size):
+        work[0, k] = between(corners, weights, k)
+
+
+def samples(sampled: Callable[..., None], image: np.ndarray, row: float, col: float, size: int) -> np.ndarray:
     above, left = int(row), int(col)
-    kernel(image, above, row - above, left, col - left, size, out)  # type: ignore[operator]
-    return out[0, :size].copy()
+    work = np.zeros((2, size + 5), np.float32)
+    sampled(image, above, row - above, left, col - left, work)
+    return work[0, :size]
 
 
 def wave(row: np.ndarray, col: np.ndarray, radians_per_px: float) -> np.ndarray:
     return np.exp(1j * radians_per_px * (0.6 * row + 0.8 * col))
 
 
-@pytest.mark.parametrize(("kernel", "degree"), [(sample_row, 1), (sample_finely, 5)])
-def test_polynomials_are_met_exactly(kernel: object, degree: int) -> None:
+@pytest.mark.parametrize(("sampled", "degree"), [(between_four, 1), (through_six, 5)])
+def test_polynomials_are_met_exactly(sampled: Callable[..., None], degree: int) -> None:
     """Of first degree between four pixels, of fifth through six by six."""
     row, col = np.mgrid[:SIDE, :SIDE] / SIDE
     image = ((row - 0.4) ** degree + 2 * (col - 0.5) ** degree).astype(np.float32)
     at_row, at_col = 20.3, 11.8
     expected = (at_row / SIDE - 0.4) ** degree + 2 * ((at_col + np.arange(15)) / SIDE - 0.5) ** degree
-    np.testing.assert_allclose(samples(kernel, image, at_row, at_col, 15), expected, atol=2e-6)
+    np.testing.assert_allclose(samples(sampled, image, at_row, at_col, 15), expected, atol=2e-6)
 
 
 @pytest.mark.parametrize("part", [0.1, 0.25, 0.4, 0.75])
@@ -35,14 +57,14 @@ def test_fine_structure_is_not_moved(part: float) -> None:
     row, col = np.mgrid[:SIDE, :SIDE]
     expected = wave(np.array(15 + part), 10 + part + np.arange(20), 1.0)
     moved = {}
-    for kernel in (sample_row, sample_finely):
+    for sampled in (between_four, through_six):
         found = sum(
-            unit * samples(kernel, getattr(wave(row, col, 1.0), name).astype(np.float32), 15 + part, 10 + part, 20)
+            unit * samples(sampled, getattr(wave(row, col, 1.0), name).astype(np.float32), 15 + part, 10 + part, 20)
             for unit, name in ((1, "real"), (1j, "imag"))
         )
-        moved[kernel] = abs(np.angle((found * expected.conj()).sum()))  # radians, which here are pixels
-    assert moved[sample_finely] < 1e-3
-    assert moved[sample_row] > 4 * moved[sample_finely]
+        moved[sampled] = abs(np.angle((found * expected.conj()).sum()))  # radians, which here are pixels
+    assert moved[through_six] < 1e-3
+    assert moved[between_four] > 4 * moved[through_six]
 
 
 def test_nothing_is_read_beyond_the_frame() -> None:

@@ -80,7 +80,7 @@ def rival_evidence(
     held[1, 3] = held[3, 1] = 4 * _HELD * across * along
     held[3, 3] = 4 * _HELD * along * along
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), start)
-    rho, count = correlation(template, image, first, last, middle, start, _ROW_STEP, work.samples)
+    rho, count = correlation(template, image, first, last, middle, start, _ROW_STEP)
     if count == 0:
         return 0.0
     smallest = np.inf
@@ -96,7 +96,7 @@ def rival_evidence(
             template, image, first, last, middle, _ROW_STEP, _STEPS, 0.02, False, start, held, correlated_px, rival,
             scratch, work,
         )  # fmt: skip
-        other, _ = correlation(template, image, first, last, middle, rival, _ROW_STEP, work.samples)
+        other, _ = correlation(template, image, first, last, middle, rival, _ROW_STEP)
         smallest = min(smallest, evidence_between(rho, other))
     return float(smallest)
 

@@ -15,7 +15,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from napari_elsplus.compiled import lean_kernel
-from napari_elsplus.processing.tracking.sampling import reaches, row_shift, sample_finely, sample_row
+from napari_elsplus.processing.tracking.sampling import (
+    between,
+    bilinear,
+    finely_sampled,
+    neighbours,
+    reaches,
+    row_shift,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -79,11 +86,9 @@ def accumulate(
         here = template[row, begin:end]
         left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
         over, under = template[row - 1, begin:end], template[row + 1, begin:end]
+        corners, weights = neighbours(image, above, begin + whole, size), bilinear(down, across)
         if finely and reaches(image.shape, above, begin + whole, size):
-            sample_finely(image, above, down, begin + whole, across, size, samples)
-        else:
-            sample_row(image, above, down, begin + whole, across, size, samples)
-        sample = samples[0, :size]
+            corners, weights = finely_sampled(image, above, down, begin + whole, across, size, samples)
         zero = np.float32(0)
         t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
         y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
@@ -91,7 +96,7 @@ def accumulate(
             t = here[k]
             gx = np.float32(0.5) * (right_of[k] - left[k])
             gy = np.float32(0.5) * (under[k] - over[k])
-            i = sample[k]
+            i = between(corners, weights, k)
             e = i - gain * t - offset
             t1 += t
             i1 += i
@@ -167,7 +172,6 @@ def correlation(
     middle: float,
     warp: NDArray[np.float64],
     row_step: int,
-    samples: NDArray[np.float32],
 ) -> tuple[float, float]:
     """Zero-mean normalised correlation of the overlap under a warp, and the number of its pixels."""
     height = template.shape[0]
@@ -176,12 +180,12 @@ def correlation(
         above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
         if end <= begin:
             continue
-        here, sample = template[row, begin:end], samples[0, : end - begin]
-        sample_row(image, above, down, begin + whole, across, end - begin, samples)
+        here, corners = template[row, begin:end], neighbours(image, above, begin + whole, end - begin)
+        weights = bilinear(down, across)
         zero = np.float32(0)
         t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
         for k in range(end - begin):
-            t, i = here[k], sample[k]
+            t, i = here[k], between(corners, weights, k)
             t1 += t
             i1 += i
             tt += t * t

@@ -84,16 +84,16 @@ def between(corners: tuple[NDArray[np.float32], ...], weights: tuple[np.float32,
 
 @lean_kernel
 def reaches(shape: tuple[int, int], above: int, left: int, size: int) -> bool:
-    """Whether all pixels that :func:`sample_finely` reads are there."""
+    """Whether all pixels that :func:`finely_sampled` reads are there."""
     rows = above >= _BEFORE and above + _AFTER < shape[0]
     return bool(rows and left >= _BEFORE and left + size + _AFTER <= shape[1])
 
 
 @lean_kernel
-def sample_row(
-    image: NDArray[np.float32], above: int, down: float, left: int, across: float, size: int, out: NDArray[np.float32]
-) -> None:
-    """Fill a row of samples between four pixels each.
+def finely_sampled(
+    image: NDArray[np.float32], above: int, down: float, left: int, across: float, size: int, work: NDArray[np.float32]
+) -> tuple[tuple[NDArray[np.float32], ...], tuple[np.float32, ...]]:
+    """Sample a row on Lagrange's polynomial through six by six pixels; all of them must be there: :func:`reaches`.
 
     Parameters
     ----------
@@ -105,35 +105,29 @@ def sample_row(
         Column before the first sample, and how far beyond it that lies, 0 to 1.
     size : int
         Number of samples.
-    out : numpy.ndarray
-        (2, m) float32; its first row is filled.
-    """
-    corners, weights, samples = neighbours(image, above, left, size), bilinear(down, across), out[0, :size]
-    for k in range(size):
-        samples[k] = between(corners, weights, k)
+    work : numpy.ndarray
+        (2, m) float32 scratch; the samples are in its first row.
 
-
-@lean_kernel
-def sample_finely(
-    image: NDArray[np.float32], above: int, down: float, left: int, across: float, size: int, out: NDArray[np.float32]
-) -> None:
-    """Fill a row of samples as :func:`sample_row` does, on Lagrange's polynomial through six by six pixels.
-
-    All that it reads must be there: :func:`reaches`.
+    Returns
+    -------
+    corners, weights : tuple
+        What :func:`between` gives them by, as it does those between four pixels.
     """
     begin, end = left - _BEFORE, left + size + _AFTER
     v0, v1, v2, v3, v4, v5 = _quintic(down)
     r0, r1, r2 = image[above - 2, begin:end], image[above - 1, begin:end], image[above, begin:end]
     r3, r4, r5 = image[above + 1, begin:end], image[above + 2, begin:end], image[above + 3, begin:end]
-    columns = out[1, : end - begin]
+    columns = work[1, : end - begin]
     for k in range(end - begin):
         columns[k] = v0 * r0[k] + v1 * r1[k] + v2 * r2[k] + v3 * r3[k] + v4 * r4[k] + v5 * r5[k]
     w0, w1, w2, w3, w4, w5 = _quintic(across)
     c0, c1, c2 = columns[:size], columns[1 : size + 1], columns[2 : size + 2]
     c3, c4, c5 = columns[3 : size + 3], columns[4 : size + 4], columns[5 : size + 5]
-    samples = out[0, :size]
+    samples = work[0, :size]
     for k in range(size):
         samples[k] = w0 * c0[k] + w1 * c1[k] + w2 * c2[k] + w3 * c3[k] + w4 * c4[k] + w5 * c5[k]
+    nothing = np.float32(0)
+    return (samples, samples, samples, samples), (np.float32(1), nothing, nothing, nothing)
 
 
 @lean_kernel
