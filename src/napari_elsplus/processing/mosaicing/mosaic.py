@@ -8,6 +8,7 @@ two rows of the frame, so that the interpolation weights of a row are constants.
 from __future__ import annotations
 
 from enum import StrEnum
+from math import ceil, floor
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -162,12 +163,7 @@ class Mosaic(TiledCanvas):
         stretch, shear = self._form(velocity, angle, scale)
         radius = 0.5 * FIELD * self.grid.diameter
         down, across = radius * stretch, radius * (1 + abs(shear))
-        return Rectangle(
-            int(np.floor(row - down)),
-            int(np.floor(col - across)),
-            int(np.ceil(row + down)) + 1,
-            int(np.ceil(col + across)) + 1,
-        )
+        return Rectangle(floor(row - down), floor(col - across), ceil(row + down) + 1, ceil(col + across) + 1)
 
     def draw(
         self,

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.lucas_kanade import Workspace
 
     Levels = tuple[NDArray[np.float32], ...]
-    Columns = tuple[NDArray[np.int32], ...]
 
 LEVELS: Final = 3
 CORRELATED_PX: Final = 20.0
@@ -43,9 +42,7 @@ _CANDIDATE_STEPS: Final = 8
 def link_levels(
     earlier: Levels,
     later: Levels,
-    first: Columns,
-    last: Columns,
-    inner: tuple[NDArray[np.int32], NDArray[np.int32]],
+    lit: NDArray[np.int32],
     middles: tuple[float, ...],
     stiffness: tuple[float, float],
     warp: NDArray[np.float64],
@@ -58,10 +55,9 @@ def link_levels(
     ----------
     earlier, later : tuple of numpy.ndarray
         Frames at full, half and quarter resolution, (n, n) float32.
-    first, last : tuple of numpy.ndarray
-        (n,) int32 lit columns of each row at each level.
-    inner : tuple of numpy.ndarray
-        The same at full resolution without the rim, which is left out where the frames say enough without it.
+    lit : numpy.ndarray
+        (LEVELS + 1, 2, n) int32: first lit column of each row, and the one after the last, at each level; and once more
+        at full resolution without the rim, which is left out where the frames say enough without it.
     middles : tuple of float
         Row of the bundle's centre at each level.
     stiffness : tuple of float
@@ -83,26 +79,28 @@ def link_levels(
     equations = work.equations
     stiff, expected, scaled = equations[3], equations[5, 0], equations[5, 1]
     origin = warp[0], warp[1], warp[2], warp[3]
-    correlation, begin, end = 0.0, first[0], last[0]
+    correlation, finest = 0.0, 0
     for level, row_step, finely, steps, tolerance_px in _STAGES:
         px = 2.0**level
         stiff[:] = 0.0
         stiff[0, 0], stiff[2, 2] = (_RIGID, _RIGID) if level == LEVELS - 1 else stiffness
         in_pixels_of(px, origin, expected)
         in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
+        columns = lit[level if level else finest, :, : len(earlier[level])]
         correlation, _ = align(
-            earlier[level], later[level], first[level] if level else begin, last[level] if level else end,
-            middles[level], row_step, steps, tolerance_px, finely, expected, stiff,
-            CORRELATED_PX / row_step / 4**level, scaled, information, work,
+            earlier[level], later[level], columns[0], columns[1], middles[level], row_step, steps, tolerance_px,
+            finely, expected, stiff, CORRELATED_PX / row_step / 4**level, scaled, information, work,
         )  # fmt: skip
         if correlation == 0.0:
             break
         in_pixels_of(1 / px, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
         if level and px * weakest_direction(information)[0] < _KNOWN_PX:
-            begin, end = inner
+            finest = LEVELS
+    columns = lit[1, :, : len(earlier[1])]
     evidence = rival_evidence(
-        earlier[1], later[1], first[1], last[1], middles[1], warp, information, stiffness, CORRELATED_PX / 8, work
-    )
+        earlier[1], later[1], columns[0], columns[1], middles[1], warp, information, stiffness,
+        CORRELATED_PX / 8, work,
+    )  # fmt: skip
     return correlation, evidence
 
 

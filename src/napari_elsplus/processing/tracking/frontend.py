@@ -7,6 +7,7 @@ smoothed over about one core, and divided by the flat. Thrapp and Hughes, Method
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import cv2
@@ -118,11 +119,10 @@ class FrontEnd:
 
         Most of it is at the camera's limit, or all of it at one level.
         """
-        limit = float(np.iinfo(raw.dtype).max) if raw.dtype.kind == "u" else np.inf
         grid = self.grid
         top, left = grid.origin
         reach = grid.side * grid.binning
-        return bool(is_blank(raw, top + reach // 4, left + reach // 4, reach // 2, limit))
+        return bool(is_blank(raw, top + reach // 4, left + reach // 4, reach // 2, _largest(raw.dtype)))
 
     def _binned_flat(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the flat, whose middle is the bundle's centre, on the grid."""
@@ -134,6 +134,12 @@ class FrontEnd:
         fine = cv2.remap(flat, *np.meshgrid(cols, rows), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         binned: NDArray[np.float32] = fine.reshape(grid.side, q, grid.side, q).mean(axis=(1, 3))
         return binned
+
+
+@cache
+def _largest(dtype: np.dtype[Any]) -> float:
+    """Return the camera's limit."""
+    return float(np.iinfo(dtype).max) if dtype.kind == "u" else np.inf
 
 
 def _smooth(image: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -140,8 +140,9 @@ class Registrar:
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         self._spans = [grid.spans(level=level) for level in range(LEVELS)]
-        self._first, self._last = (tuple(span[end] for span in self._spans) for end in (0, 1))
-        self._inner = grid.spans(INNER_FIELD)
+        self._lit = np.zeros((LEVELS + 1, 2, grid.side), np.int32)
+        for columns, spans in zip(self._lit, (*self._spans, grid.spans(INNER_FIELD)), strict=True):
+            columns[:, : len(spans[0])] = spans
         self._middles = tuple(grid.middle(level) for level in range(LEVELS))
         self._centre = self._middles[1], (grid.centre[1] - 0.5) / 2
         self.work = Workspace.of(grid.side)
@@ -172,8 +173,8 @@ class Registrar:
         """
         warp, information = np.array(expected, float), np.empty((4, 4))
         correlation, evidence = link_levels(
-            earlier.levels, later.levels, self._first, self._last, self._inner, self._middles,
-            (spread[0] ** -2, spread[1] ** -2), warp, information, self.work,
+            earlier.levels, later.levels, self._lit, self._middles, (spread[0] ** -2, spread[1] ** -2),
+            warp, information, self.work,
         )  # fmt: skip
         overlap = overlap_of_discs(hypot(warp[1], warp[3]) / (FIELD * self.grid.diameter))
         return Link(Warp(*warp.tolist()), information, correlation, overlap, evidence)

@@ -295,18 +295,19 @@ class Tracker:
         """Link two frames, first where it is expected ahead, else anywhere; None if the frames do not say where."""
         if self.rung is not Rung.TRANSLATION:
             return self._turned_link(earlier, here, ahead, self.rung)
-        known = self._known(earlier, here, ahead)
+        expected = self.grid.shutter.warp(earlier.velocity, self._motion.next_velocity, ahead)
         if self._motion.known:
-            link = self.registrar.link(earlier.view, here.view, known.expected, self._spread)
+            link = self.registrar.link(earlier.view, here.view, expected, self._spread)
             if link.evidence < DOUBT:
-                link = self._second.link(earlier.view, here.view, known) or link
+                link = self._second.link(earlier.view, here.view, self._known(earlier, here, ahead)) or link
             if link.correlation > SURE_CORRELATION and self._accepted(link, here):
                 return link
             turned = self._suddenly_turned(earlier, here, ahead, link)
             if turned is not None:
                 return turned
-        found = self.registrar.search(earlier.view, here.view, known.expected, self._spread, self._reach(here))
+        found = self.registrar.search(earlier.view, here.view, expected, self._spread, self._reach(here))
         if found is not None and found.evidence < DOUBT:
+            known = self._known(earlier, here, ahead)
             again = self._second.search(earlier.view, here.view, known, self._reach(here)) or found
             if not self._motion.known and not found.stands(needed_times(self._motion.spread)):
                 return None
