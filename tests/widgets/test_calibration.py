@@ -244,7 +244,7 @@ def test_an_offset_that_moved_makes_the_pair_stale(panel, qtbot, open_recording)
     panel.choose(Step.OFFSET)
     turned = replace(found, rows=found.rows + 3, right=replace(found.right, row=found.right.row + 3))
     before = panel.draft.calibration.offset.rows
-    panel.candidate = shown._replace(found=turned)
+    panel.session.candidate = shown._replace(found=turned)
     panel.accept()
     assert state(panel, Step.PAIR) is State.STALE
     assert "the offset has moved by" in panel.form.steps[Step.PAIR].toolTip()
