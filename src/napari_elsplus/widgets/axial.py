@@ -22,8 +22,14 @@ from napari_elsplus.viewing.axial import (
     simulated_scan,
 )
 from napari_elsplus.widgets.axial_plots import drop_off_curves, response_curves, table
-from napari_elsplus.widgets.choosing import calibrated_frames, calibrated_recordings, renew_choices, shown_index
-from napari_elsplus.widgets.panel import Panel, button_row, copy_as_script, told
+from napari_elsplus.widgets.choosing import (
+    OPEN_ONE,
+    calibrated_frames,
+    calibrated_recordings,
+    renew_choices,
+    shown_index,
+)
+from napari_elsplus.widgets.panel import Panel, allow, button_row, copy_as_script, told
 from napari_elsplus.widgets.plots import ThemedPlot
 from napari_elsplus.widgets.work import Work
 
@@ -34,6 +40,8 @@ if TYPE_CHECKING:
     from qtpy.QtWidgets import QWidget
 
 STACK, BY_HAND, SIMULATED = "a stack of depths", "step by hand", "simulate"
+OPEN_SCAN: Final = "open a scan with NAME.depths.csv and a calibration beside it, or the sample axial scan"
+WAIT: Final = "wait for the scan that is being measured"
 CURVES: Final = "signal and depth"
 HINT: Final = "Measure a scan to see its drop-offs; several scans give them against the slit."
 
@@ -105,7 +113,9 @@ class AxialResponse(Panel):
     def show_scans(self) -> None:
         """Draw the scans, the last in full, or their drop-offs against the slit; and list the numbers."""
         self.numbers.setText(table(self.scans) if self.scans else HINT)
-        self.save.enabled = self.clear.enabled = bool(self.scans)
+        saves = "Save the plot as PNG, its numbers as CSV, or the scans as JSON"
+        allow(self.save, bool(self.scans), saves, "measure a scan")
+        allow(self.clear, bool(self.scans), "Forget all scans", "measure a scan")
         if not self.scans:
             self.plot.draw([])
         elif self.shown.value == CURVES:
@@ -159,9 +169,10 @@ class AxialResponse(Panel):
         self.offset.tooltip = "Distance of the residual's slit from the line, 3 to 100 µm"
         self.slit = FloatSpinBox(label="slit (µm)", value=2.9, min=0.9, max=30, step=0.96)
         self.slit.tooltip = "Width of the slit, rounded to whole camera rows, 0.9 to 30 µm"
-        self.measure = PushButton(text="Measure", tooltip="Measure the stack")
-        self.take = PushButton(text="Take", tooltip="Take the frame that is shown at this depth, and go on by a step")
-        self.simulate = PushButton(text="Simulate and measure", tooltip="Simulate a scan and measure it")
+        names = ("Measure", "Take", "Simulate and measure", "Copy as script", "Save...", "Clear")
+        self.measure, self.take, self.simulate, self.script, self.save, self.clear = (
+            PushButton(text=name) for name in names
+        )
         self._forms = {
             STACK: _form(self.stack, self.measure),
             BY_HAND: _form(self.live, self.depth_now, self.depth_step, self.take),
@@ -169,9 +180,6 @@ class AxialResponse(Panel):
         }
         self.shown = ComboBox(label="plot", choices=[CURVES, *(one.value for one in Against)])
         self.shown.tooltip = "Curves of the scans, or drop-offs of ELS+ against the slit, with the paper's fit"
-        self.script = PushButton(text="Copy as script", tooltip="Copy Python that measures the chosen stack")
-        self.save = PushButton(text="Save...", tooltip="Save the plot as PNG, its numbers as CSV, or the scans as JSON")
-        self.clear = PushButton(text="Clear", tooltip="Forget all scans")
         self.numbers = QLabel()
         self.numbers.setWordWrap(True)
         self.plot = ThemedPlot("distance / µm", "signal", self.viewer.theme)
@@ -218,16 +226,12 @@ class AxialResponse(Panel):
     def _layers_changed(self) -> None:
         for choice in (self.stack, self.live):
             renew_choices(choice)
-        idle = not self.work.busy
-        self.measure.enabled = idle and bool(self.stack.choices)
-        self.script.enabled = bool(self.stack.choices)
-        self.take.enabled = bool(self.live.choices)
-        self.simulate.enabled = idle
-        self.measure.tooltip = (
-            "Measure the stack"
-            if self.stack.choices
-            else "First open a scan with NAME.depths.csv and a calibration beside it, or the sample axial scan"
-        )
+        idle, stacks = not self.work.busy, bool(self.stack.choices)
+        allow(self.measure, idle and stacks, "Measure the stack", WAIT if stacks else OPEN_SCAN)
+        allow(self.simulate, idle, "Simulate a scan and measure it", WAIT)
+        takes = "Take the frame that is shown at this depth, and go on by a step"
+        allow(self.take, bool(self.live.choices), takes, OPEN_ONE)
+        allow(self.script, stacks, "Copy Python that measures the chosen stack", OPEN_SCAN)
 
     def _theme_changed(self) -> None:
         self.plot.follow(self.viewer.theme)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from napari.layers import Image
@@ -10,6 +10,9 @@ from napari.layers import Image
 from napari_elsplus.acquisition.live_images import RAW
 from napari_elsplus.errors import InputError
 from napari_elsplus.widgets.live_layers import LIVE
+
+OPEN_ONE: Final = "open a recording with a calibration, or a sample: File > Open Sample > ELS+ endomicroscopy"
+"""What comes first where nothing can be chosen."""
 
 if TYPE_CHECKING:
     import napari.viewer

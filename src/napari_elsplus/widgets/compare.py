@@ -25,8 +25,8 @@ from napari_elsplus.viewing.comparison import (
     white_levels,
 )
 from napari_elsplus.viewing.layers import TITLES
-from napari_elsplus.widgets.choosing import calibrated_recordings, chosen_image, renew_choices, shown_index
-from napari_elsplus.widgets.panel import Panel, button_row, copy_as_script, told
+from napari_elsplus.widgets.choosing import OPEN_ONE, calibrated_recordings, chosen_image, renew_choices, shown_index
+from napari_elsplus.widgets.panel import Panel, allow, button_row, copy_as_script, told
 from napari_elsplus.widgets.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.shapes import prepare_shapes
 from napari_elsplus.widgets.stage import Exhibit, Stage
@@ -179,9 +179,9 @@ class Compare(Panel):
         self.view = ComboBox(label="view", choices=[SIDE_BY_SIDE, BLINK, DIFFERENCE])
         self.view.tooltip = "Next to each other; in turn in one place; LS - ELS+ and ELSA - ELS+ in grey levels"
         self.start = PushButton(text="Compare")
-        self.rescale = PushButton(text="Rescale", tooltip="Take the white levels from the frame that is shown")
-        self.script = PushButton(text="Copy as script", tooltip="Copy Python that makes this comparison")
-        self.save = PushButton(text="Save plot...", tooltip="Save the profiles as PNG or CSV")
+        self.rescale = PushButton(text="Rescale")
+        self.script = PushButton(text="Copy as script")
+        self.save = PushButton(text="Save plot...")
         form = Container(widgets=[self.recording, self.cores, self.scaling, self.view], labels=True)
         form.margins = (0, 0, 0, 0)
         self.numbers = QLabel()
@@ -256,17 +256,14 @@ class Compare(Panel):
             return
         renew_choices(self.recording)
         able, idle = bool(self.recording.choices), not self.work.busy
-        self.script.enabled = able
-        self.start.enabled = able and idle
         for choice in (self.recording, self.cores, self.view):
             choice.enabled = idle
-        self.rescale.enabled = self.save.enabled = self.comparing
         self.start.text = "End comparison" if self.comparing else "Compare"
-        self.start.tooltip = (
-            "Show LS, ELSA and ELS+ of the recording; press again to end"
-            if able
-            else "First open a recording with a calibration, or a sample: File > Open Sample > ELS+ endomicroscopy"
-        )
+        shows = "Show LS, ELSA and ELS+ of the recording; press again to end"
+        allow(self.start, able and idle, shows, "wait for the images" if able else OPEN_ONE)
+        allow(self.script, able, "Copy Python that makes this comparison", OPEN_ONE)
+        allow(self.rescale, self.comparing, "Take the white levels from the frame that is shown", "begin comparing")
+        allow(self.save, self.comparing, "Save the profiles as PNG or CSV", "begin comparing")
 
     def _work_ended(self) -> None:
         self._layers_changed()

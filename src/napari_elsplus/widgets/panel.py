@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     import napari.viewer
-    from magicgui.widgets import Widget
+    from magicgui.widgets import PushButton, Widget
 
 
 class Panel(QWidget):
@@ -65,6 +65,12 @@ def copy_as_script(text: str) -> None:
     if clipboard is not None:
         clipboard.setText(text)
         show_info("the script is on the clipboard")
+
+
+def allow(button: PushButton, able: bool, does: str, first: str) -> None:
+    """Enable a button or not; its tooltip says what it does and, where it cannot be pressed, what comes first."""
+    button.enabled = able
+    button.tooltip = does if able else f"{does}; first {first}"
 
 
 def button_row(*buttons: Widget) -> QHBoxLayout:

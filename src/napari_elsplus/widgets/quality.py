@@ -26,8 +26,8 @@ from napari_elsplus.viewing.quality import (
     quality_script,
 )
 from napari_elsplus.viewing.stack import images_origin_px, space, um_per_px_of
-from napari_elsplus.widgets.choosing import calibrated_recordings, chosen_image, renew_choices, shown_index
-from napari_elsplus.widgets.panel import Panel, button_row, copy_as_script, told
+from napari_elsplus.widgets.choosing import OPEN_ONE, calibrated_recordings, chosen_image, renew_choices, shown_index
+from napari_elsplus.widgets.panel import Panel, allow, button_row, copy_as_script, told
 from napari_elsplus.widgets.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.shapes import prepare_shapes
 from napari_elsplus.widgets.work import Work
@@ -146,7 +146,9 @@ class Quality(Panel):
                 f"mean of {self.edge.frames} frames"
             )
         self.numbers.setText("<br>".join(parts) or HINT)
-        self.save.enabled = self.edge is not None
+        allow(
+            self.save, self.edge is not None, "Save the profile through the edge map as PNG or CSV", "make an edge map"
+        )
 
     def copy_script(self) -> None:
         """Copy Python that makes these checks to the clipboard."""
@@ -168,11 +170,8 @@ class Quality(Panel):
         self.recording.tooltip = "Raw layers with a calibration"
         self.cores = ComboBox(label="core filter", choices=[kind.value for kind in CoreFilter], value="median")
         self.cores.tooltip = "How the honeycomb of the cores is suppressed; alignment is told without it, too"
-        self.align = PushButton(text="Alignment", tooltip="How well the two views of this frame cancel")
-        self.mark = PushButton(text="Mark elements", tooltip="Draw boxes around the elements of a USAF 1951 target")
-        self.average = PushButton(text="Edge map", tooltip="Average the residual images of the recording")
-        self.script = PushButton(text="Copy as script", tooltip="Copy Python that makes these checks")
-        self.save = PushButton(text="Save plot...", tooltip="Save the profile through the edge map as PNG or CSV")
+        names = ("Alignment", "Mark elements", "Edge map", "Copy as script", "Save plot...")
+        self.align, self.mark, self.average, self.script, self.save = (PushButton(text=name) for name in names)
         form = Container(widgets=[self.recording, self.cores], labels=True)
         form.margins = (0, 0, 0, 0)
         self.numbers = QLabel()
@@ -228,8 +227,11 @@ class Quality(Panel):
             self.show_numbers()
         renew_choices(self.recording)
         able = bool(self.recording.choices)
-        self.align.enabled = self.script.enabled = able
-        self.mark.enabled = self.average.enabled = able and not self.work.busy
+        idle, first = able and not self.work.busy, "wait for the end" if able else OPEN_ONE
+        allow(self.align, able, "How well the two views of this frame cancel", OPEN_ONE)
+        allow(self.mark, idle, "Draw boxes around the elements of a USAF 1951 target", first)
+        allow(self.average, idle, "Average the residual images of the recording", first)
+        allow(self.script, able, "Copy Python that makes these checks", OPEN_ONE)
 
     def _theme_changed(self) -> None:
         self.plot.follow(self.viewer.theme)
