@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from napari_elsplus.acquisition import closing
 from napari_elsplus.acquisition import tracking as live_tracking
-from napari_elsplus.acquisition.mosaic_board import MosaicBoard, MosaicFeed
+from napari_elsplus.acquisition.mosaic_board import MosaicBoard
+from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 from napari_elsplus.acquisition.ring import Stamp
 from napari_elsplus.acquisition.tracking import LiveTrack
 from napari_elsplus.errors import DeviceError
@@ -20,7 +21,7 @@ from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking import tracker as tracking
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.tracking_pipeline import Method, Pipeline
 from recordings import Truth, record, texture
 
 ROUND = 60
@@ -129,13 +130,16 @@ def test_a_probe_that_comes_back_is_put_where_it_was_and_what_lies_between_share
     assert clear > 0.99 > 0.96 > alike(alone.mosaics[0], without_drift)
 
 
-@pytest.mark.parametrize("looks", [MosaicPlan((Mode.LS, Mode.ELSA, Mode.ELS))], indirect=True)
+@pytest.mark.parametrize(
+    "looks", [MosaicPlan((Mode.LS, Mode.ELSA, Mode.ELS), how) for how in Method], indirect=True, ids=list(Method)
+)
 def test_modes_side_by_side_are_those_of_the_recording(looks: Look) -> None:
     frames, shape = truth().frames[: ROUND // 2], truth().frames.shape[1:]
     looks.add(frames)
     looks.live.settle()
     looks.rows()
-    pipelines = {mode: Pipeline(truth().calibration, shape, mode) for mode in (Mode.LS, Mode.ELSA, Mode.ELS)}
+    plan = looks.live.state.plan
+    pipelines = {mode: Pipeline(truth().calibration, shape, mode, method=plan.method) for mode in plan.modes}
     for k, frame in enumerate(frames):
         pipelines[Mode.ELS].add(frame, k)
         pose = pipelines[Mode.ELS].poses[-1]
@@ -145,6 +149,9 @@ def test_modes_side_by_side_are_those_of_the_recording(looks: Look) -> None:
     for image, pipeline in enumerate(pipelines.values()):
         mosaic = pipeline.mosaics[0]
         np.testing.assert_array_equal(looks.feed.canvases[image][0].read(mosaic.extent)[0], mosaic.read()[0])
+    assert [(row.row_px, row.state) for row in looks.rows()] == [
+        (row.row_px, row.state) for row in pipelines[Mode.ELS].rows
+    ]
 
 
 @pytest.mark.parametrize("looks", [MosaicPlan((Mode.LS, Mode.ELS))], indirect=True)

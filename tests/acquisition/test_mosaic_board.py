@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from napari_elsplus.acquisition import mosaic_board, shared
-from napari_elsplus.acquisition.mosaic_board import CHANGES, MosaicBoard, MosaicFeed
+from napari_elsplus.acquisition import shared
+from napari_elsplus.acquisition.board_tables import CHANGES, Tables
+from napari_elsplus.acquisition.mosaic_board import MosaicBoard
+from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
@@ -19,7 +21,7 @@ from napari_elsplus.processing.tracking.motion import RollingShutter
 GRID = Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0))
 LOOK = """
 import sys
-from napari_elsplus.acquisition.mosaic_board import MosaicFeed
+from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 feed = MosaicFeed(sys.argv[1])
 feed.update()
 print(len(feed.rows), float(feed.canvases[0][0].read()[0].max()))
@@ -103,7 +105,7 @@ def test_who_looks_has_the_same_mosaic_and_copies_only_what_changed(scribe: Scri
 
 
 def test_who_has_not_looked_for_long_gets_everything(scribe: Scribe, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mosaic_board, "ROWS_TOGETHER", 64)
+    monkeypatch.setattr(Tables, "rows_together", 64)
     feed = MosaicFeed(scribe.board.name)
     try:
         scribe.draw(0.0, 0.0)

@@ -13,7 +13,7 @@ import pytest
 
 from napari_elsplus.acquisition.client import EngineClient
 from napari_elsplus.acquisition.live_images import View
-from napari_elsplus.acquisition.mosaic_board import MosaicFeed
+from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.calibration import Calibration
@@ -31,7 +31,7 @@ STREAMER = f"""
 import sys, time
 from pathlib import Path
 from napari_elsplus.acquisition.client import EngineClient
-from napari_elsplus.acquisition.mosaic_board import MosaicFeed
+from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.calibration import Calibration

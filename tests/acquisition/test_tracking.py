@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from napari_elsplus.acquisition import tracking
-from napari_elsplus.acquisition.mosaic_board import MosaicBoard, MosaicFeed
+from napari_elsplus.acquisition.mosaic_board import MosaicBoard
+from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 from napari_elsplus.acquisition.ring import Stamp
 from napari_elsplus.acquisition.tracking import LiveTrack
 from napari_elsplus.mosaic_plan import MosaicPlan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from napari_elsplus.acquisition.mosaic_board import MosaicFeed
+from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.viewing.mosaicking import MosaicScale, without_last_segment
