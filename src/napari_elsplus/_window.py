@@ -49,7 +49,7 @@ def main() -> None:
     viewer = napari.Viewer()
     screen = QGuiApplication.primaryScreen()
     if get_settings().application.window_size is None and screen is not None:
-        size = SHARE_OF_SCREEN * screen.availableSize()  # napari's first size leaves a panel and images no room
+        size = screen.availableSize() * SHARE_OF_SCREEN  # napari's first size leaves a panel and images no room
         viewer.window.resize(size.width(), size.height())
     fill(viewer)
     signal.signal(signal.SIGTERM, lambda *_: viewer.close())
