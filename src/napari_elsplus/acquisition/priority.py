@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from contextlib import suppress
@@ -11,6 +12,15 @@ _LEAST_REAL_TIME: Final = 1
 _SWITCH_INTERVAL_S: Final = 5e-5
 """Threads that compute in Python hand over after so long, a hundredth of the interpreter's default: the one that tracks
 asks for the interpreter's lock after each of its ten or so kernels."""
+
+
+def settle_memory() -> None:
+    """Leave what exists now out of all later searches for garbage, which hold up every thread for tenths of a second.
+
+    To be called once in a process, when all is there that will be needed while frames stream.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 def keep_pace() -> bool:

@@ -8,7 +8,6 @@ connection ends, so does the process, in order: mirror parked, recording finishe
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import sys
@@ -26,7 +25,7 @@ from napari_elsplus.acquisition.engine import Engine
 from napari_elsplus.acquisition.guardian import Guardian
 from napari_elsplus.acquisition.live_mosaic import LiveMosaic
 from napari_elsplus.acquisition.newest import Newest
-from napari_elsplus.acquisition.priority import keep_pace
+from napari_elsplus.acquisition.priority import keep_pace, settle_memory
 from napari_elsplus.acquisition.shared import SharedRing
 from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
 from napari_elsplus.acquisition.status import Progress, Status
@@ -131,8 +130,7 @@ class Server:
             held.pop_all()
         self._engine = engine = Engine(opened, make_ring=_shared_ring, guardian=self._guardian)
         self._mosaic = LiveMosaic(engine)
-        gc.collect()
-        gc.freeze()  # what exists now lives as long as the process: do not look through it again while frames stream
+        settle_memory()
 
     def close(self) -> None:
         """Close the rig."""

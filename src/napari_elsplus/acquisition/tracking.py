@@ -200,7 +200,7 @@ class LiveTrack:
         if self._closing is not None:
             self._closing.stop()
         with self._lock:
-            self._closed = True
+            self._closed, self._closing = True, None  # the two hold each other, and the frames that are kept
             board, self._board = self._board, None
             for laying in self._layings.values():
                 laying.pipeline.mosaics.clear()

@@ -11,7 +11,7 @@ import click
 
 from napari_elsplus.acquisition.engine import Engine
 from napari_elsplus.acquisition.guardian import Guardian
-from napari_elsplus.acquisition.priority import keep_pace
+from napari_elsplus.acquisition.priority import keep_pace, settle_memory
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
 from napari_elsplus.acquisition.status import Settings
@@ -81,6 +81,7 @@ def command(
             tracker = LiveTrack(engine.calibration, engine.setup.frame_shape)
             held.callback(tracker.close)
             engine.track(tracker)
+        settle_memory()
         try:
             _stream(
                 engine, seconds, None if record is None else RecordingPlan(record, earlier_s=ALL_OF_IT_S, force=force)

@@ -11,7 +11,7 @@ import numpy as np
 from napari_elsplus.acquisition.client import EngineClient
 from napari_elsplus.acquisition.engine import Engine
 from napari_elsplus.acquisition.live_images import RAW
-from napari_elsplus.acquisition.priority import keep_pace
+from napari_elsplus.acquisition.priority import keep_pace, settle_memory
 from napari_elsplus.acquisition.process import STATUS_PERIOD_S
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.simulated import open_live
@@ -127,6 +127,7 @@ class Here:
         engine.use(calibration)
         self._track = LiveTrack(calibration, engine.setup.frame_shape) if track else None
         engine.track(self._track)
+        settle_memory()
 
     def begin(self, record: RecordingPlan | None) -> None:
         """Stream."""

@@ -38,6 +38,19 @@ def test_what_is_passed_again_and_again_takes_no_more_room_and_the_newest_stay()
     assert min(one.frame for one in kept.frames) > 1800
 
 
+def test_memory_grows_with_the_area_and_not_with_time() -> None:
+    kept = KeptFrames(DIAMETER, most=100_000)
+    most = 0
+    for frame in range(6000):
+        t = 2 * np.pi * frame / 100
+        kept.keep(frame, pose(200 * np.sin(t), 200 * np.cos(t)), IMAGE)
+        if kept.crowded:
+            kept.thin(lambda one: one.pose)
+        most = max(most, len(kept.frames))
+    assert most <= 1000
+    assert kept.spacing == FIRST_SPACING
+
+
 def test_a_long_way_is_kept_more_and_more_sparsely_until_it_would_have_gaps() -> None:
     kept = KeptFrames(DIAMETER, most=100)
     spacings = []

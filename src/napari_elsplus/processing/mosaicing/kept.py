@@ -23,6 +23,8 @@ LAST_SPACING: Final = 0.4
 _APART: Final = 0.75
 """Part of the spacing within which a newer frame takes the place of an older one."""
 _FILLED: Final = 0.75
+_FEW: Final = 1000
+"""So many frames are kept before any are looked at again."""
 _STEPS: Final = 16
 """Per grey level: between -2048 and 2047, where a flat field of 0.2 takes white to 1275."""
 
@@ -85,7 +87,7 @@ class KeptFrames:
     """
 
     def __init__(self, diameter_px: float, most: int) -> None:
-        self._diameter_px, self._most = diameter_px, most
+        self._diameter_px, self._most, self._due = diameter_px, most, _FEW
         self.spacing = FIRST_SPACING
         self.frames: list[Kept] = []
         self.full = False
@@ -94,8 +96,8 @@ class KeptFrames:
 
     @property
     def crowded(self) -> bool:
-        """Whether it is time to thin them out."""
-        return len(self.frames) >= self._most and not self.full
+        """Whether it is time to thin them out: there is no more room, or they have doubled since the last time."""
+        return len(self.frames) >= min(self._most, self._due) and not self.full
 
     def keep(
         self, frame: int, pose: Pose, image: NDArray[np.float32], exposure: float = 1.0, *, always: bool = False
@@ -139,7 +141,7 @@ class KeptFrames:
         frames = self.frames[:]
         places = [place(one) for one in frames]
         left = list(range(len(frames)))
-        while len(left) > _FILLED * self._most:
+        while True:
             left = _newest_apart([places[k] for k in left], left, _APART * self.spacing * self._diameter_px)
             if len(left) <= _FILLED * self._most:
                 break
@@ -147,6 +149,7 @@ class KeptFrames:
                 self.full = True
                 break
             self.spacing = min(2 * self.spacing, LAST_SPACING)
+        self._due = max(_FEW, 2 * len(left))
         with lock or nullcontext():
             self.frames[: len(frames)] = [frames[k] for k in left]
         return len(left) < len(frames)
