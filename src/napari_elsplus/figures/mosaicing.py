@@ -40,7 +40,8 @@ SCENARIOS: Final = (
     Scenario("sparse", "spiral", 8_000.0, 80),
 )
 JUDGED_FRAMES: Final = 40
-SEEDS: Final = range(12)
+SEEDS: Final = range(200, 216)
+"""None of those on which the limits of the second look were settled, 0 to 11 and 100 to 111."""
 FIBRES: Final = (180, 60)
 WALKS: Final = tuple(
     Walk(scene, path, speed_um_s, turn_deg_s, 120, seed=2)
@@ -166,7 +167,7 @@ def characteristics(links: list[Judged]) -> dict[str, tuple[Curve, Curve]]:
         ("in the end", np.where(table[:, 7] > SURE_CORRELATION, table[:, 2], -np.inf), table[:, 3]),
     ):
         wrong, right = measure[error > WRONG_PX], measure[(error < WRONG_PX / 2) & (table[:, 6] > 0)]
-        limits = np.quantile(right, np.linspace(0, 1, 201))
+        limits = np.quantile(right, np.linspace(0, 1, 201), method="lower")
         caught = [100 * float((wrong < limit).mean()) for limit in limits] if len(wrong) else [100.0] * len(limits)
         curves[name] = np.array(caught), np.array([100 * float((right >= limit).mean()) for limit in limits])
     return curves

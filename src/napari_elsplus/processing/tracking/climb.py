@@ -34,6 +34,7 @@ _PRIOR_LINKS: Final = 4
 """Variance of links about their mean, in units of what they say, and how many links that is worth at first."""
 _MOST_ALIKE: Final = 0.95
 _FEWEST_STEADY: Final = 16
+"""Links that tell how they scatter; at every so many the mean is looked at."""
 
 
 def asked_for(found: Sequence[Remainder]) -> Rung:
@@ -86,7 +87,7 @@ def steady_turn(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> floa
         weight = 1 / (sigmas[k] * sigmas[k])
         said += weight * steps[k]
         weights += weight
-        if k + 1 < _FEWEST_STEADY:
+        if k + 1 < _FEWEST_STEADY or ((k + 1) % _FEWEST_STEADY and k + 1 < len(steps)):
             continue
         mean, square, neighbours, before = said / weights, 0.0, 0.0, 0.0
         for j in range(k + 1):
