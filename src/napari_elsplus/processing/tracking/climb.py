@@ -34,7 +34,7 @@ _PRIOR_LINKS: Final = 4
 """Variance of links about their mean, in units of what they say, and how many links that is worth at first."""
 _MOST_ALIKE: Final = 0.95
 _FEWEST_STEADY: Final = 16
-"""Links that tell how they scatter; at every so many the mean is looked at."""
+"""Links that tell how they scatter."""
 
 
 def asked_for(found: Sequence[Remainder]) -> Rung:
@@ -64,10 +64,25 @@ def _answers(one: Remainder) -> tuple[float, float, float]:
 
 def _rung(steps: NDArray[np.float64], sigmas: NDArray[np.float64], values: float) -> Rung:
     needed = _MARGIN * log(values)
-    if largest_sum(steps[:, 1], sigmas[:, 1]) > _MARGIN_OF_SCALE * needed:
+    turned, grown = told(steps, sigmas)
+    if grown > _MARGIN_OF_SCALE * needed:
         return Rung.SIMILARITY
-    turned = max(largest_sum(steps[:, 0], sigmas[:, 0]), steady_turn(steps[:, 2], sigmas[:, 0]))
     return Rung.RIGID if turned > needed else Rung.TRANSLATION
+
+
+@lean_kernel
+def told(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> tuple[float, float]:
+    """How much links tell of a turn, and of a change of scale.
+
+    Parameters
+    ----------
+    steps : numpy.ndarray
+        (m, 3): rotation and scale that each link asks for, and rotation where scale is not asked for.
+    sigmas : numpy.ndarray
+        (m, 2): how well it says it knows rotation and scale.
+    """
+    turned = max(largest_sum(steps[:, 0], sigmas[:, 0]), steady_turn(steps[:, 2], sigmas[:, 0]))
+    return turned, largest_sum(steps[:, 1], sigmas[:, 1])
 
 
 @lean_kernel
@@ -83,18 +98,27 @@ def steady_turn(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> floa
         (m,) rotation that each link asks for, and how well it says it knows.
     """
     largest, said, weights = 0.0, 0.0, 0.0
+    # sums over the links so far of products of what they know, and of what they say and know: w w, w w s, w w s s, and
+    # the same of each link with the one before
+    own, own_said, own_square, pair, pair_said, pair_square = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    weight_before, step_before = 0.0, 0.0
     for k in range(len(steps)):
-        weight = 1 / (sigmas[k] * sigmas[k])
-        said += weight * steps[k]
+        step, weight = steps[k], 1 / (sigmas[k] * sigmas[k])
+        said += weight * step
         weights += weight
-        if k + 1 < _FEWEST_STEADY or ((k + 1) % _FEWEST_STEADY and k + 1 < len(steps)):
+        own += weight * weight
+        own_said += weight * weight * step
+        own_square += weight * weight * step * step
+        both = weight * weight_before
+        pair += both
+        pair_said += both * (step + step_before)
+        pair_square += both * step * step_before
+        weight_before, step_before = weight, step
+        if k + 1 < _FEWEST_STEADY:
             continue
-        mean, square, neighbours, before = said / weights, 0.0, 0.0, 0.0
-        for j in range(k + 1):
-            about = (steps[j] - mean) / (sigmas[j] * sigmas[j])
-            square += about * about
-            neighbours += about * before
-            before = about
+        mean = said / weights
+        square = own_square - 2 * mean * own_said + mean * mean * own
+        neighbours = pair_square - mean * pair_said + mean * mean * pair
         alike = min(max(neighbours / square, 0.0), _MOST_ALIKE) if square > 0 else 0.0
         square = max(square, weights)  # no better than the links themselves say
         largest = max(largest, said * said / (square * (1 + alike) / (1 - alike)))

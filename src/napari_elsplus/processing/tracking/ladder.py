@@ -184,7 +184,7 @@ def remainder(
     step = (inverse @ (right * _FREE)[..., None])[:, :6, 0]
     covariance = inverse[Rung.SIMILARITY] * noise
     step[:, [1, 3]] *= px
-    sigma = np.sqrt(np.maximum(np.diag(covariance)[4:6], 0))
+    sigma = np.sqrt(np.maximum(covariance.diagonal()[4:6], 0))
     return Remainder(step, sigma, count / correlated_px)
 
 
