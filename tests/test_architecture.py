@@ -27,6 +27,7 @@ ROOMS = (
     "hardware",
     "io",
     "pipeline",
+    "tracking_methods",
     "tracking_pipeline",
     "mosaic_plan",
     "pipelined",

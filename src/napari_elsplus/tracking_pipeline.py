@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -13,13 +12,9 @@ from napari_elsplus.calibration import OpticsSection
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.sectioning import Mode, Sectioner
-from napari_elsplus.processing.tracking.frontend import FrontEnd
-from napari_elsplus.processing.tracking.ladder import Rung
-from napari_elsplus.processing.tracking.paper import PaperTracker
-from napari_elsplus.processing.tracking.refinement import refine
-from napari_elsplus.processing.tracking.shutter_timing import RowsPerFrame, estimate_rows_per_frame
-from napari_elsplus.processing.tracking.tracker import Pose, State, Tracker
+from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.tracking.tracker import Pose, State
+from napari_elsplus.tracking_methods import OurTracking, PapersTracking, Tracking
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -30,14 +25,13 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.tiles import TileStore
     from napari_elsplus.processing.sectioning import Frames
     from napari_elsplus.processing.tracking.grid import Grid
-    from napari_elsplus.processing.tracking.registration import Link, View
+    from napari_elsplus.processing.tracking.ladder import Rung
+    from napari_elsplus.processing.tracking.registration import Link
 
 
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
 """What to say of a track of which less than two frames are tracked."""
 _TIMING_FRAMES = 600
-_KEPT_VIEWS = 300
-"""Views of frames that are kept while a track is finished; others are made anew when they are needed."""
 
 
 class Method(StrEnum):
@@ -47,134 +41,6 @@ class Method(StrEnum):
     """Sub-pixel, rolling shutter undone, gated: this project's method."""
     PAPER = "paper"
     """Whole-pixel template matching from frame to frame, as Thrapp and Hughes describe it: the baseline."""
-
-
-class _Tracking(Protocol):
-    """What a method does with raw frames; `raw_residual` is the frame that the residual is taken from."""
-
-    grid: Grid
-    scale: float
-
-    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
-        """Return where a frame lies, and its image, which is good until the next call."""
-
-    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        """Return a frame's image, which is good until the next call."""
-
-    def look(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        """Make the image of a frame that is to be placed."""
-
-    def place(self, image: NDArray[np.float32]) -> Pose:
-        """Return where the frame of such an image lies."""
-
-    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        """Return better poses, once all frames are there."""
-
-    def forget_links(self) -> None:
-        """Let go of what only :meth:`refine` needs."""
-
-    @property
-    def newest_link(self) -> tuple[int, int, Link] | None:
-        """The link by which a frame was tracked last, if it is kept."""
-
-    @property
-    def rung(self) -> Rung:
-        """What is modelled beside translations."""
-
-
-class _Ours:
-    def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
-        self._front_end = FrontEnd(calibration, frame_shape, mode)
-        self.grid = self._front_end.grid
-        self.scale = float(self.grid.binning)
-        self._tracker = Tracker(self.grid)
-        self._image = np.zeros((self.grid.side, self.grid.side), np.float32)
-
-    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
-        image = self._tracker.slot()
-        self.look(raw, raw_residual, image)
-        return self._tracker.add(), image
-
-    def look(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        self._front_end.image(raw, out, raw_residual)
-        if self._front_end.blank(raw):
-            out[:] = 0
-
-    def place(self, image: NDArray[np.float32]) -> Pose:
-        self._tracker.slot()[:] = image
-        return self._tracker.add()
-
-    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        return self._front_end.image(raw, self._image, raw_residual)
-
-    def rows_per_frame(self) -> RowsPerFrame | None:
-        """Return what the motion so far tells of the timing, in camera rows."""
-        found = estimate_rows_per_frame(self._tracker.links, self.grid.shutter)
-        return None if found is None else RowsPerFrame(found.rows * self.scale, found.sigma * self.scale)
-
-    def forget_links(self) -> None:
-        self._tracker.links.clear()
-
-    @property
-    def newest_link(self) -> tuple[int, int, Link] | None:
-        if not self._tracker.links:
-            return None
-        earlier, later, _, link = self._tracker.links[-1]
-        return earlier, later, link
-
-    @property
-    def rung(self) -> Rung:
-        return self._tracker.rung
-
-    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        registrar = self._tracker.registrar
-        views: OrderedDict[int, View] = OrderedDict()
-
-        def view(index: int) -> View:
-            if index in views:
-                views.move_to_end(index)
-                return views[index]
-            oldest = views.popitem(last=False)[1] if len(views) >= _KEPT_VIEWS else registrar.view()
-            oldest.image[:] = image(index)
-            views[index] = registrar.prepare(oldest)
-            return oldest
-
-        return refine(poses, self._tracker.links, registrar, view, self._tracker.rung)
-
-
-class _Papers:
-    def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
-        self._sectioner, self._mode = Sectioner(calibration, frame_shape), mode
-        self._tracker = PaperTracker(self._sectioner.diameter_px, self._sectioner.side)
-        self.grid, self.scale = self._tracker.grid, self._tracker.scale
-
-    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
-        image = self.image(raw, raw_residual)
-        return self._tracker.add(image), image
-
-    def look(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        out[:] = self.image(raw, raw_residual)
-
-    def place(self, image: NDArray[np.float32]) -> Pose:
-        return self._tracker.add(image)
-
-    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        frames = [raw] if self._mode is not Mode.ELSA else [raw, raw_residual]
-        return self._tracker.prepare(self._sectioner.image(frames, 0, self._mode))
-
-    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        return poses
-
-    def forget_links(self) -> None:
-        """Keep nothing: there is nothing to refine."""
-
-    @property
-    def newest_link(self) -> None:
-        """None: whole-pixel matches have no covariance."""
-
-    @property
-    def rung(self) -> Rung:
-        return Rung.TRANSLATION
 
 
 class Pipeline:
@@ -221,7 +87,7 @@ class Pipeline:
         new_store: Callable[[int], TileStore] | None = None,
     ) -> None:
         ours = Method(method) is Method.ELSPLUS
-        make: Callable[..., _Tracking] = _Ours if ours else _Papers
+        make: Callable[..., Tracking] = OurTracking if ours else PapersTracking
         self._tracking = make(calibration, frame_shape, Mode(mode))
         self._camera_um_per_px = calibration.um_per_px
         self._insertion = Insertion(insertion)
@@ -417,7 +283,7 @@ def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) 
         return calibration, ""
     shape = raw_pair(0)[0].shape
     assumed = _with_rows(calibration, float(shape[0]))
-    tracking = _Ours(assumed, (shape[0], shape[1]), Mode(mode))
+    tracking = OurTracking(assumed, (shape[0], shape[1]), Mode(mode))
     for index in range(min(len(raw_pair), _TIMING_FRAMES)):
         tracking.track(*raw_pair(index))
     found = tracking.rows_per_frame()
