@@ -15,7 +15,7 @@ from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.motion import Displacement, Velocity
 from napari_elsplus.processing.tracking.prediction import UNEVEN, surprise_of, unevenly
 from napari_elsplus.processing.tracking.registration import Registrar
-from napari_elsplus.processing.tracking.second_look import DOUBT, SecondLook
+from napari_elsplus.processing.tracking.second_look import DOUBT, SecondLook, unlit
 from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION, needed_times
 from napari_elsplus.processing.tracking.warp_prior import warp_prior
 from napari_elsplus.simulation.scenes import picture
@@ -199,10 +199,10 @@ def _looks(
     """Link two frames both ways; each time the link at first sight, and the one in the end."""
     spread = (spread_px / registrar.grid.shutter.rows_per_frame,) * 2
     link = registrar.link(*pair, known.expected, spread)
-    yield link, (link.evidence < DOUBT and second.link(*pair, known)) or link
+    yield link, link if link.evidence >= DOUBT else second.link(*pair, known) or unlit(link)
     found = registrar.search(*pair, known.expected, spread, 2 * SMOOTH_PX)
     if found is not None:
-        yield found, (found.evidence < DOUBT and second.search(*pair, known, 2 * SMOOTH_PX)) or found
+        yield found, found if found.evidence >= DOUBT else second.search(*pair, known, 2 * SMOOTH_PX) or unlit(found)
 
 
 def _velocities(rig: SimulatedRig, path: Trajectory, frames: int, grid: Grid) -> NDArray[np.float64]:

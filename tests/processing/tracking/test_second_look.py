@@ -185,3 +185,13 @@ def test_a_link_between_turned_frames_is_asked_again_upright() -> None:
     second = SecondLook(registrar)
     seen = [second.confirmed(link, *pair, velocities, 0.5, scratch).again for link in (right, turned)]
     assert seen[0] > 5 * max(seen[1], 1)
+
+
+def test_soft_light_has_to_say_more_than_detail() -> None:
+    registrar, pair, moved = looked_at(texture(900, 2, 40.0))
+    warp = registrar.grid.shutter.warp(BEFORE, AFTER, moved)
+    for evidence, stands in ((0.2, False), (0.4, True)):
+        link = Link(warp, np.eye(4), 0.95, 0.9, evidence)
+        assert link.observed
+        again = SecondLook(registrar).confirmed(link, *pair, (BEFORE, AFTER), 0.5, registrar.view())
+        assert again.observed is stands

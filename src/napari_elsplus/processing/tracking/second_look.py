@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 DOUBT: Final = 1.0
 """Evidence for a link, nats per pixel, below which it is looked at again."""
+LEAST_OF_SOFT_LIGHT: Final = 0.3
+"""Evidence, nats per pixel, that a link needs where nothing fine is to be seen."""
 HIGH_PASS_PX: Final = 8.0
 """Sigma of what is taken away, pixels of full resolution."""
 _LEAST_FINE: Final = 0.3
@@ -40,6 +42,14 @@ _ALIKE_PX: Final = 1.5
 _COARSE_PX: Final = 2 ** (LEVELS - 1)
 _LEAST_CORRELATION: Final = 0.3
 """Of a candidate of the search, at half resolution."""
+
+
+def unlit(link: Link) -> Link:
+    """Judge a doubtful link between frames in which nothing fine is to be seen: soft light has to say more.
+
+    What is left of out-of-focus light in an empty view agrees at shifts that are wrong.
+    """
+    return link._replace(again=link.evidence / LEAST_OF_SOFT_LIGHT)
 
 
 class SecondLook:
@@ -115,7 +125,7 @@ class SecondLook:
         Parameters
         ----------
         link : Link
-            Returned as it is where it leaves no doubt, or where there is nothing fine to be seen.
+            Returned as it is where it leaves no doubt.
         earlier, later : View
             Prepared frames.
         velocities : tuple of Velocity
@@ -135,7 +145,7 @@ class SecondLook:
             before = AT_REST
         again = self.link(earlier, later, warp_prior(shutter, (before, after), moved, spread_px))
         if again is None:
-            return link
+            return unlit(link)
         alike = hypot(again.warp.b - link.warp.b, again.warp.d - link.warp.d) < _ALIKE_PX
         return link._replace(again=again.again if alike else 0.0)
 

@@ -19,7 +19,7 @@ from napari_elsplus.processing.tracking.ladder import Rung, turned_by
 from napari_elsplus.processing.tracking.motion import Displacement, Velocity
 from napari_elsplus.processing.tracking.prediction import AT_REST, Motion, unevenly
 from napari_elsplus.processing.tracking.registration import Link, Registrar, View
-from napari_elsplus.processing.tracking.second_look import DOUBT, SecondLook
+from napari_elsplus.processing.tracking.second_look import DOUBT, SecondLook, unlit
 from napari_elsplus.processing.tracking.warp_prior import WarpPrior, velocity_sigma, warp_prior
 
 if TYPE_CHECKING:
@@ -299,7 +299,7 @@ class Tracker:
         if self._motion.known:
             link = self.registrar.link(earlier.view, here.view, expected, self._spread)
             if link.evidence < DOUBT:
-                link = self._second.link(earlier.view, here.view, self._known(earlier, here, ahead)) or link
+                link = self._second.link(earlier.view, here.view, self._known(earlier, here, ahead)) or unlit(link)
             if link.correlation > SURE_CORRELATION and self._accepted(link, here):
                 return link
             turned = self._suddenly_turned(earlier, here, ahead, link)
@@ -308,7 +308,7 @@ class Tracker:
         found = self.registrar.search(earlier.view, here.view, expected, self._spread, self._reach(here))
         if found is not None and found.evidence < DOUBT:
             known = self._known(earlier, here, ahead)
-            again = self._second.search(earlier.view, here.view, known, self._reach(here)) or found
+            again = self._second.search(earlier.view, here.view, known, self._reach(here)) or unlit(found)
             if not self._motion.known and not found.stands(needed_times(self._motion.spread)):
                 return None
             found = again
