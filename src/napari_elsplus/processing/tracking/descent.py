@@ -26,7 +26,7 @@ CORRELATED_PX: Final = 20.0
 _STAGES: Final = (
     (2, 1, False, 12, 0.2),
     (1, 2, False, 10, 0.1),
-    (0, 6, True, 4, 0.04),
+    (0, 6, True, 4, 0.1),
     (0, 2, True, 1, 0.0),
 )
 """Down the pyramid: level, every how many rows are used, whether they are sampled finely, largest number of steps, and
