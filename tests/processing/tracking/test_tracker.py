@@ -85,6 +85,16 @@ def test_a_short_blackout_is_bridged_and_said() -> None:
     assert np.abs(place - (truth.positions - truth.positions[0])).max() < 1.0
 
 
+def test_a_first_frame_that_shows_nothing_is_lost() -> None:
+    """Nothing was linked to it: it has no place among the others, which are one segment."""
+    truth = record(fibres(1200, 300, 4), smooth_path(16, 20.0, 1200, 5))
+    truth.frames[0] = 0
+    states = [row.state for row in track(truth).rows]
+    assert states[0] == "lost"
+    assert set(states[1:]) == {"tracked"}
+    assert {row.segment for row in track(truth).rows[1:]} == {0}
+
+
 def test_a_long_blackout_splits_the_track_and_a_known_place_joins_it_again() -> None:
     """The probe runs along a line and back: the second segment shows what the first one saw."""
     there = np.linspace((500.0, 350.0), (500.0, 650.0), 17)

@@ -53,7 +53,7 @@ def refine(
         One for every frame. Segments that were recognised as one carry the earlier one's number; predicted frames lie
         between tracked ones, and those after the last of a segment are lost.
     """
-    settled = with_origins(settle(poses), links, registrar.grid.shutter)
+    settled = with_origins(settle(poses, links), links, registrar.grid.shutter)
     tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is State.TRACKED}
     stretch = _LINK_STRETCH_PX / registrar.grid.shutter.rows_per_frame
     if rung is Rung.TRANSLATION:
@@ -103,12 +103,18 @@ def _relaid(poses: Sequence[Pose], edges: Sequence[Edge], tracked: dict[int, int
     return result
 
 
-def settle(poses: Sequence[Pose]) -> list[Pose]:
-    """Call lost what was predicted and never linked to a later frame of its segment."""
+def settle(poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, Link]]) -> list[Pose]:
+    """Call lost what has no place among the others, now that it is known what came after.
+
+    That is what was predicted and never linked to a later frame of its segment; and a first frame to which nothing was
+    linked, where anything was to another: the probe was lifted then, or elsewhere.
+    """
     last = {pose.segment: k for k, pose in enumerate(poses) if pose.state is State.TRACKED}
+    linked = {frame for earlier, later, *_ in links for frame in (earlier, later)}
     return [
         pose._replace(row=np.nan, col=np.nan, velocity=_NOWHERE, state=State.LOST)
-        if pose.state is State.PREDICTED and k > last.get(pose.segment, -1)
+        if (pose.state is State.PREDICTED and k > last.get(pose.segment, -1))
+        or (pose.state is State.TRACKED and linked and k not in linked)
         else pose
         for k, pose in enumerate(poses)
     ]
