@@ -13,7 +13,7 @@ from napari_elsplus.processing.tracking.ladder import Rung
 from napari_elsplus.processing.tracking.paper import PaperTracker
 from napari_elsplus.processing.tracking.refinement import refine
 from napari_elsplus.processing.tracking.shutter_timing import RowsPerFrame, estimate_rows_per_frame
-from napari_elsplus.processing.tracking.tracker import Pose, Tracker
+from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.processing.tracking.grid import Grid
+    from napari_elsplus.processing.tracking.pose import Pose
     from napari_elsplus.processing.tracking.registration import Link, View
 
 _KEPT_VIEWS: Final = 300

@@ -13,7 +13,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.processing.tracking.tracker import Pose, State
+from napari_elsplus.processing.tracking.pose import Pose, State
 from napari_elsplus.tracking_methods import OurTracking, PapersTracking, Tracking
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import numpy as np
 
 from napari_elsplus.acquisition import shared
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Tile
-from napari_elsplus.processing.tracking.tracker import State
+from napari_elsplus.processing.tracking.pose import State
 
 if TYPE_CHECKING:
     from multiprocessing.shared_memory import SharedMemory

@@ -9,7 +9,7 @@ import numpy as np
 from napari_elsplus.processing.mosaicing.kept import Kept, KeptFrames
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, around_all, tile_rectangle
-from napari_elsplus.processing.tracking.tracker import State
+from napari_elsplus.processing.tracking.pose import State
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.mosaic_board import MosaicBoard
     from napari_elsplus.processing.tracking.correction import Corrections
-    from napari_elsplus.processing.tracking.tracker import Pose
+    from napari_elsplus.processing.tracking.pose import Pose
     from napari_elsplus.tracking_pipeline import Pipeline
 
     Where = tuple[int, tuple[int, int]]

@@ -10,7 +10,7 @@ import numpy as np
 
 from napari_elsplus.acquisition import shared
 from napari_elsplus.acquisition.board_tables import BOARD_BYTES, CHANGES, FREE, STATES, Tables
-from napari_elsplus.processing.tracking.tracker import State
+from napari_elsplus.processing.tracking.pose import State
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

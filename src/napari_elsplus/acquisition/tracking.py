@@ -18,7 +18,7 @@ from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.correction import Corrections, Path
 from napari_elsplus.processing.tracking.grid import FIELD
-from napari_elsplus.processing.tracking.tracker import State
+from napari_elsplus.processing.tracking.pose import State
 from napari_elsplus.processing.tracking.trail import Trail
 from napari_elsplus.tracking_pipeline import Method, Pipeline
 

@@ -12,7 +12,7 @@ from napari_elsplus.io import open_recording, read_calibration, write_mosaic, wr
 from napari_elsplus.pipelined import Pipelined
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.processing.tracking.tracker import State
+from napari_elsplus.processing.tracking.pose import State
 from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline, RawPairs, picture, with_timing
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.processing.tracking.descent import CORRELATED_PX
 from napari_elsplus.processing.tracking.evidence import rival_evidence
 from napari_elsplus.processing.tracking.frontend import FrontEnd
+from napari_elsplus.processing.tracking.pose import State
 from napari_elsplus.processing.tracking.registration import Link, Registrar, View
-from napari_elsplus.processing.tracking.tracker import State, Tracker
+from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
     from collections.abc import Callable

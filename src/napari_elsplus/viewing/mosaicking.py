@@ -13,7 +13,7 @@ from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.processing.mosaicing.coverage import coverage_maps
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.grid import FIELD
-from napari_elsplus.processing.tracking.tracker import State
+from napari_elsplus.processing.tracking.pose import State
 from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline, RawPairs, with_timing
 from napari_elsplus.viewing.growing import GrowingImage
 from napari_elsplus.viewing.track import fastest_px_per_frame
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.processing.sectioning import Frames
-    from napari_elsplus.processing.tracking.tracker import Pose
+    from napari_elsplus.processing.tracking.pose import Pose
 
     Watch = Callable[[Iterable[int]], Iterable[int]]
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.processing.tracking.paper import SIDE_PX, TEMPLATE_PX
-from napari_elsplus.processing.tracking.tracker import FARTHEST, State
+from napari_elsplus.processing.tracking.pose import State
+from napari_elsplus.processing.tracking.tracker import FARTHEST
 from napari_elsplus.tracking_pipeline import Method
 
 if TYPE_CHECKING:

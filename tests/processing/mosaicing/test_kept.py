@@ -7,7 +7,7 @@ import pytest
 
 from napari_elsplus.processing.mosaicing.kept import FIRST_SPACING, LAST_SPACING, KeptFrames
 from napari_elsplus.processing.tracking.motion import Velocity
-from napari_elsplus.processing.tracking.tracker import Pose, State
+from napari_elsplus.processing.tracking.pose import Pose, State
 
 DIAMETER = 200.0
 IMAGE = np.zeros((4, 4), np.float32)

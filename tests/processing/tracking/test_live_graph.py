@@ -11,8 +11,9 @@ from napari_elsplus.processing.tracking.correction import Correction, Correction
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.processing.tracking.live_graph import LiveGraph
 from napari_elsplus.processing.tracking.motion import Velocity
+from napari_elsplus.processing.tracking.pose import Pose, State
 from napari_elsplus.processing.tracking.registration import Registrar
-from napari_elsplus.processing.tracking.tracker import Pose, State, Tracker
+from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.processing.tracking.trail import Node, Trail
 from recordings import Truth, record, texture
 

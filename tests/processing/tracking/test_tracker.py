@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.processing.tracking.tracker import State
+from napari_elsplus.processing.tracking.pose import State
 from napari_elsplus.simulation.trajectories import Recorded
 from napari_elsplus.tracking_pipeline import Pipeline, RawPairs
 from recordings import Truth, fibres, record, smooth_path, texture

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.tracker import Pose
+    from napari_elsplus.processing.tracking.pose import Pose
 
 FIRST_SPACING: Final = 0.05
 """Path between frames that are kept, in bundle diameters, to begin with."""
@@ -74,7 +74,7 @@ class KeptFrames:
     Examples
     --------
     >>> from napari_elsplus.processing.tracking.motion import Velocity
-    >>> from napari_elsplus.processing.tracking.tracker import Pose, State
+    >>> from napari_elsplus.processing.tracking.pose import Pose, State
     >>> kept, image = KeptFrames(100.0, most=20), np.ones((4, 4), np.float32)
     >>> for frame in range(40):
     ...     _ = kept.keep(frame, Pose(0, 0.0, 3.0 * frame, Velocity(0.0, 3.0), 1.0, 0.1, State.TRACKED), image)

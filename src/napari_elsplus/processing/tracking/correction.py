@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.tracker import Pose
+    from napari_elsplus.processing.tracking.pose import Pose
 
 
 class Correction(NamedTuple):
@@ -31,7 +31,7 @@ class Correction(NamedTuple):
     Examples
     --------
     >>> from napari_elsplus.processing.tracking.motion import Velocity
-    >>> from napari_elsplus.processing.tracking.tracker import Pose, State
+    >>> from napari_elsplus.processing.tracking.pose import Pose, State
     >>> pose = Pose(3, 10.0, 20.0, Velocity(1.0, 0.0), 0.9, 0.1, State.TRACKED)
     >>> Correction(0, row=-1.5).of(pose)[:3]
     (0, 8.5, 20.0)
@@ -73,7 +73,7 @@ class Corrections:
     Examples
     --------
     >>> from napari_elsplus.processing.tracking.motion import Velocity
-    >>> from napari_elsplus.processing.tracking.tracker import Pose, State
+    >>> from napari_elsplus.processing.tracking.pose import Pose, State
     >>> drifted = Corrections({2: [(10, Correction(0, 5.0)), (20, Correction(0, 7.0))]})
     >>> pose = Pose(2, 100.0, 0.0, Velocity(1.0, 0.0), 0.9, 0.1, State.TRACKED)
     >>> [drifted.of(frame, pose).row for frame in (0, 15, 30)]

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from napari_elsplus.processing.tracking.motion import Displacement
+    from napari_elsplus.processing.tracking.pose import Pose
     from napari_elsplus.processing.tracking.registration import Link, Registrar, View
-    from napari_elsplus.processing.tracking.tracker import Pose
 
     Found = tuple[int, int, Displacement, Link]
 

@@ -20,8 +20,8 @@ from napari_elsplus.processing.tracking.loops import AWAY, LINKS_PER_KEY, REACH,
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from napari_elsplus.processing.tracking.pose import Pose
     from napari_elsplus.processing.tracking.registration import Registrar, View
-    from napari_elsplus.processing.tracking.tracker import Pose
     from napari_elsplus.processing.tracking.trail import Node
 
 RECALLED: Final = 6

@@ -14,14 +14,15 @@ import numpy as np
 from napari_elsplus.processing.tracking.graph import Edge
 from napari_elsplus.processing.tracking.ladder import Rung, turned_by
 from napari_elsplus.processing.tracking.motion import Displacement, Velocity, Warp
+from napari_elsplus.processing.tracking.pose import State
 from napari_elsplus.processing.tracking.second_look import SecondLook
-from napari_elsplus.processing.tracking.tracker import FALL_OF_CORRELATION, State
+from napari_elsplus.processing.tracking.tracker import FALL_OF_CORRELATION
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from napari_elsplus.processing.tracking.pose import Pose
     from napari_elsplus.processing.tracking.registration import Link, Registrar, View
-    from napari_elsplus.processing.tracking.tracker import Pose
 
 KEY_SPACING: Final = 0.25
 """Distance between key frames, in bundle diameters."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from napari_elsplus.processing.tracking.grid import FIELD, Grid
 from napari_elsplus.processing.tracking.motion import RollingShutter, Velocity
-from napari_elsplus.processing.tracking.tracker import Pose, State
+from napari_elsplus.processing.tracking.pose import Pose, State
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

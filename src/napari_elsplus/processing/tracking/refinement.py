@@ -11,7 +11,7 @@ from napari_elsplus.processing.tracking.hindsight import hindsight, turned_links
 from napari_elsplus.processing.tracking.ladder import Rung
 from napari_elsplus.processing.tracking.loops import LoopCloser, edge_covariance
 from napari_elsplus.processing.tracking.motion import Velocity
-from napari_elsplus.processing.tracking.tracker import Pose, State
+from napari_elsplus.processing.tracking.pose import Pose, State
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -9,14 +9,14 @@ that no link reaches are predicted for a while, then lost; a new segment starts 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from math import hypot, inf, isfinite, nan
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.tracking.climb import Climb
 from napari_elsplus.processing.tracking.evidence import stretch_and_shear_variance
 from napari_elsplus.processing.tracking.ladder import Rung, turned_by
 from napari_elsplus.processing.tracking.motion import Displacement, Velocity
+from napari_elsplus.processing.tracking.pose import Pose, State
 from napari_elsplus.processing.tracking.prediction import AT_REST, Motion, unevenly
 from napari_elsplus.processing.tracking.registration import Link, Registrar, View
 from napari_elsplus.processing.tracking.second_look import DOUBT, SecondLook, unlit
@@ -34,53 +34,6 @@ PATIENCE_FRAMES: Final = 5
 """Frames without a link that are predicted before the track is lost."""
 FARTHEST: Final = 0.6
 """Predicted displacement, in bundle diameters, beyond which no link is tried."""
-
-
-class State(StrEnum):
-    """How much is known of a frame's position."""
-
-    TRACKED = "tracked"
-    """Linked to other frames by what they show."""
-    PREDICTED = "predicted"
-    """Not linked; the position is what the motion before suggests."""
-    LOST = "lost"
-    """Unknown."""
-
-
-class Pose(NamedTuple):
-    """Where the probe was while one frame was read; pixels of the tracking grid.
-
-    Parameters
-    ----------
-    segment : int
-        Positions are comparable within a segment.
-    row, col : float
-        Position when the bundle's middle row is read, relative to the segment's first frame; nan if lost.
-    velocity : Velocity
-        Pixels per frame period.
-    score : float
-        Correlation of the overlap with the frame that this one was linked to.
-    sigma : float
-        Larger axis of the position's uncertainty relative to that frame, one standard deviation.
-    state : State
-        Tracked, predicted or lost.
-    angle : float
-        Of the probe against the segment's first frame, radians, from rows towards columns; zero until asked for.
-    scale : float
-        Pixels of the first frame per pixel of this one.
-    """
-
-    segment: int
-    row: float
-    col: float
-    velocity: Velocity
-    score: float
-    sigma: float
-    state: State
-    angle: float = 0.0
-    scale: float = 1.0
-
-
 SURE_CORRELATION: Final = 0.9
 """Correlation below which a predicted link is compared with all other shifts."""
 SMOOTH_MOTION_PX: Final = 5.0

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.grid import Grid
+    from napari_elsplus.processing.tracking.pose import Pose
     from napari_elsplus.processing.tracking.registration import Link
-    from napari_elsplus.processing.tracking.tracker import Pose
 
 _STRETCH_PX: Final = 0.2
 """What the velocity of the later frame of a link is trusted to, pixels per frame period."""
