@@ -52,7 +52,7 @@ def test_the_live_mosaic_grows_rests_is_undone_saved_and_cleared(viewer, panel, 
     assert layer.scale == pytest.approx([2.66, 2.66])
     assert panel.live
     qtbot.waitUntil(lambda: "mm/s of at most" in panel.form.speed.text, timeout=10_000)
-    qtbot.waitUntil(lambda: panel.form.going_live.text == "Rest" and panel.form.going_live.enabled, timeout=10_000)
+    qtbot.waitUntil(lambda: panel.form.going_live.text == "Stop live" and panel.form.going_live.enabled, timeout=10_000)
     panel.save(tmp_path / "live.ome.tif")
     qtbot.waitUntil(lambda: not panel.work.busy and panel.form.going_live.enabled, timeout=30_000)
     rows = read_track(tmp_path / "live.track.csv")

@@ -121,7 +121,7 @@ class MosaicPanel(EnginePanel):
         return track is not None and track.running
 
     def toggle_live(self) -> None:
-        """Lay the live stream into a mosaic, connecting and starting first where that is needed; or let it rest."""
+        """Lay the live stream into a mosaic, connecting and starting first where that is needed; or stop that."""
         self._goes_live = True
         client = self.connection.client
         if client is not None and client.status.progress is not None:

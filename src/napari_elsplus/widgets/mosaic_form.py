@@ -129,10 +129,10 @@ class MosaicForm:
         live, calibrating : bool
             Whether the engine lays one, or calibrates.
         """
-        self.going_live.text = "Cancel calibration" if calibrating else "Rest" if live else "Live mosaic"
+        self.going_live.text = "Cancel calibration" if calibrating else "Stop live" if live else "Live mosaic"
         self.going_live.enabled = calibrating or not (busy or asking)
         self.going_live.tooltip = (
-            f"Close the last loops and let the live mosaic rest ({KEYS['live']})"
+            f"Close the last loops and lay no more frames; the mosaic stays ({KEYS['live']})"
             if live
             else f"Lay the frames of the connected rig into mosaics of the images that are ticked ({KEYS['live']})"
         )
