@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from functools import cache
 
 import numpy as np
@@ -53,6 +55,26 @@ def test_a_stream_without_end_is_tracked_alike_in_bounded_memory(monkeypatch: py
         feed.close()
         live.close()
     live.add(frames[0], stamp(FRAMES))  # a frame that was on its way
+
+
+def test_nothing_is_left_to_compile_when_frames_come() -> None:
+    """In a process of its own: here other tests have compiled all of it."""
+    script = """
+from napari_elsplus.acquisition.tracking import rehearse
+from napari_elsplus.evaluation.rig import simulated_rig
+from napari_elsplus.processing.tracking import climb, descent, evidence, ladder, local_evidence
+from napari_elsplus.tracking_pipeline import Pipeline
+
+rig = simulated_rig()
+rehearse(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)
+called = (
+    descent.link_levels, descent.align_candidate, descent.fill_coarser, evidence.weakest_direction,
+    evidence.evidence_between, ladder.unexplained, climb.told, local_evidence.look_again, local_evidence.look_at_half,
+)
+print([kernel.__name__ for kernel in called if not kernel.signatures])
+"""
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert said.strip() == "[]"
 
 
 def test_a_stream_that_starts_again_goes_on_counting() -> None:

@@ -291,14 +291,20 @@ class LiveTrack:
 
 
 def rehearse(pipeline: Pipeline, frame_shape: tuple[int, int]) -> None:
-    """Let a pipeline go once through all that may happen to it: motion, a jump, darkness, and light again."""
+    """Let a pipeline go once through all that may happen to it: motion, a jump, darkness, light again, a lone fibre.
+
+    What is compiled when it is needed first is compiled here, before frames come.
+    """
     rows, cols = frame_shape
-    texture = np.random.default_rng(0).integers(0, 255, (rows + 200, cols), np.uint8)
+    random = np.random.default_rng(0)
+    texture = random.integers(0, 255, (rows + 200, cols), np.uint8)
     texture = cv2.normalize(cv2.GaussianBlur(texture, (0, 0), 6), None, 0, 200, cv2.NORM_MINMAX)
     dark = np.zeros(frame_shape, np.uint8)
     moving = [texture[top : top + rows] for top in (0, 3, 7, 12, 120, 124, 128)]
     half = cols // 2
-    for number, raw in enumerate((*moving, *[dark] * 8, *moving)):
+    noise = [random.integers(0, 9, frame_shape, np.uint8) for _ in range(4)]
+    fibres = [cv2.line(noise[k], (0, 4 * k), (cols, 4 * k + rows), 200, 7) for k in range(4)]
+    for number, raw in enumerate((*moving, *[dark] * 8, *moving, *[dark] * 8, *fibres)):
         frame = raw.copy()
         frame[:, half:] //= 2  # so that the two views differ, and something is left of their difference
         pipeline.add(frame, number, number / 240)
