@@ -31,7 +31,7 @@ OFF_PX: Final = 0.5
 OFF_AT_REST_PX: Final = 0.1
 """The same when it has come to rest, or the stream has ended."""
 RESTING_S: Final = 1.0
-SHARE: Final = 0.05
+SHARE: Final = 0.02
 """Part of the time that is spent on solving and laying anew, at most."""
 SHORT_OF_TIME: Final = 4
 """With more nodes waiting than this, other segments are not searched."""
