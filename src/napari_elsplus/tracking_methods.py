@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
@@ -14,6 +13,7 @@ from napari_elsplus.processing.tracking.paper import PaperTracker
 from napari_elsplus.processing.tracking.refinement import refine
 from napari_elsplus.processing.tracking.shutter_timing import RowsPerFrame, estimate_rows_per_frame
 from napari_elsplus.processing.tracking.tracker import Tracker
+from napari_elsplus.processing.tracking.views import RecentViews
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -128,16 +128,10 @@ class OurTracking:
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         """Return better poses, once all frames are there."""
         registrar = self._tracker.registrar
-        views: OrderedDict[int, View] = OrderedDict()
+        views = RecentViews(registrar, _KEPT_VIEWS)
 
         def view(index: int) -> View:
-            if index in views:
-                views.move_to_end(index)
-                return views[index]
-            oldest = views.popitem(last=False)[1] if len(views) >= _KEPT_VIEWS else registrar.view()
-            oldest.image[:] = image(index)
-            views[index] = registrar.prepare(oldest)
-            return oldest
+            return views.get(index) or views.add(index, lambda out: np.copyto(out, image(index)))
 
         return refine(poses, self._tracker.links, registrar, view, self._tracker.rung)
 

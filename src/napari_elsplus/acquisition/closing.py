@@ -8,7 +8,6 @@ once, and the tiles on which frames lie wrong are laid anew, one by one.
 from __future__ import annotations
 
 import time
-from collections import OrderedDict
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.processing.tracking.live_graph import LiveGraph
 from napari_elsplus.processing.tracking.registration import Registrar, View
+from napari_elsplus.processing.tracking.views import RecentViews
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -98,7 +98,7 @@ class Closing(Thread):
         self._registrar = Registrar(grid)
         self._graph = LiveGraph(self._registrar, self._view)
         self._kept: dict[int, Kept] = {}
-        self._views: OrderedDict[int, View] = OrderedDict()
+        self._views = RecentViews(self._registrar, _VIEWS)
         self._todo: SimpleQueue[Seen | Event | int | None] = SimpleQueue()
         self._due_s = 0.0
         self._news = False
@@ -178,13 +178,6 @@ class Closing(Thread):
 
     def _view(self, number: int) -> View | None:
         """Return the prepared view of a node, if its frame is still kept."""
-        if number in self._views:
-            self._views.move_to_end(number)
-            return self._views[number]
+        view = self._views.get(number)
         kept = self._kept.get(self._graph.nodes[number].frame)
-        if kept is None:
-            return None
-        view = self._views.popitem(last=False)[1] if len(self._views) >= _VIEWS else self._registrar.view()
-        kept.image(view.image)
-        self._views[number] = self._registrar.prepare(view)
-        return view
+        return view if view is not None or kept is None else self._views.add(number, kept.image)

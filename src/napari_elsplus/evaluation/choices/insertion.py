@@ -11,7 +11,7 @@ from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
 from napari_elsplus.processing.mosaicing.mosaic import STILL, Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.grid import Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion import Velocity
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Straight
@@ -109,9 +109,7 @@ def _ours(insertion: Insertion, *, unshear: bool = True) -> Callable[[Case], Cal
 
 def field_mask(grid: Grid) -> NDArray[np.uint8]:
     """Return the 90 % disc of a grid's images, (side, side), 0 or 1."""
-    first, last = grid.spans()
-    columns = np.arange(grid.side)
-    return np.asarray((columns >= first[:, None]) & (columns < last[:, None]), np.uint8)
+    return lit_pixels(*grid.spans()).astype(np.uint8)
 
 
 def _copied(case: Case) -> Callable[[Stroke], Canvas]:

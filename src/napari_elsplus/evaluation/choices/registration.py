@@ -16,7 +16,7 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.evaluation.harness import Benchmark, Case, Claim, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import jumps, simulated_rig, tissue
-from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.grid import Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion import Warp
 from napari_elsplus.processing.tracking.paper import TEMPLATE_PX
 from napari_elsplus.processing.tracking.registration import Link, Registrar, View
@@ -163,9 +163,7 @@ def skimage_phase(pair: Pair) -> Shift:
 
 
 def _skimage_masked(case: Case) -> Callable[[Pair], Shift]:
-    first, last = case.context.spans()
-    columns = np.arange(case.context.side)
-    inside = (columns >= first[:, None]) & (columns < last[:, None])
+    inside = lit_pixels(*case.context.spans())
 
     def register(pair: Pair) -> Shift:
         (row, col), _, _ = phase_cross_correlation(

@@ -16,7 +16,7 @@ import numpy as np
 from napari_elsplus.compiled import lean_kernel
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, exposure, overlap_sums
 from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
-from napari_elsplus.processing.tracking.grid import FIELD
+from napari_elsplus.processing.tracking.grid import FIELD, lit_pixels
 from napari_elsplus.processing.tracking.ladder import turned_by, unsheared, upright
 from napari_elsplus.processing.tracking.motion import Velocity
 from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours
@@ -106,9 +106,7 @@ class Mosaic(TiledCanvas):
         self.exposure = 1.0
         self._turned = np.zeros((grid.side, grid.side), np.float32)
         self._exposed_image = np.zeros_like(self._turned)
-        columns = np.arange(grid.side)
-        inside = (columns >= self._spans[0][:, None]) & (columns < self._spans[1][:, None])
-        self._whole_weight = float(self._weights[inside].sum()) / ROW_STEP
+        self._whole_weight = float(self._weights[lit_pixels(*self._spans)].sum()) / ROW_STEP
 
     def insert(
         self,

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 RIVAL_PX: Final = 4.0
 """Distance of the nearest rivals of a shift."""
-_HELD: Final = 1e8
+HELD: Final = 1e8
+"""Information that holds a rival where it is."""
 _BEST_CORRELATION: Final = 0.995
 _ROW_STEP: Final = 2
 _STEPS: Final = 2
@@ -76,9 +77,9 @@ def rival_evidence(
     held, scratch, rival, start = equations[3], equations[4], equations[5, 0], equations[5, 1]
     held[:] = 0.0
     held[0, 0], held[2, 2] = stiffness
-    held[1, 1] = 4 * _HELD * across * across  # in pixels of half resolution
-    held[1, 3] = held[3, 1] = 4 * _HELD * across * along
-    held[3, 3] = 4 * _HELD * along * along
+    held[1, 1] = 4 * HELD * across * across  # in pixels of half resolution
+    held[1, 3] = held[3, 1] = 4 * HELD * across * along
+    held[3, 3] = 4 * HELD * along * along
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), start)
     rho, count = correlation(template, image, first, last, middle, start, _ROW_STEP)
     if count == 0:

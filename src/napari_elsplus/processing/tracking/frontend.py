@@ -16,7 +16,7 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.binning import is_blank, scratch, subtract_views
-from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.grid import Grid, lit_pixels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -56,9 +56,8 @@ class FrontEnd:
         sign = {Mode.LS: 0.0, Mode.RESIDUAL: 1.0, Mode.ELS: -1.0, Mode.ELSA: -1.0}[mode]
         self._residual = _Binning(grid, to_residual, frame_shape, sign / gain / q**2)
         self._work = scratch(grid.side, frame_shape[1])
-        self.lit = first, last = grid.spans(1.0)
-        columns = np.arange(grid.side)
-        inside = ((columns >= first[:, None]) & (columns < last[:, None])).astype(np.float32)
+        self.lit = grid.spans(1.0)
+        inside = lit_pixels(*self.lit).astype(np.float32)
         weights = _smooth(inside)
         if calibration.flat is not None:
             weights = np.maximum(_smooth(inside * self._binned_flat(calibration.flat)), _LOWEST_FLAT * weights)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from napari_elsplus.processing.tracking.ladder import turned_by
+from napari_elsplus.processing.tracking.ladder import Rung, turned_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -64,6 +64,13 @@ class Place(NamedTuple):
     col: float
     angle: float = 0.0
     scale: float = 1.0
+
+
+def least_squares(edges: Sequence[Edge], fixed: int, rung: Rung) -> dict[int, Place]:
+    """Where frames lie by what is modelled: :func:`least_squares_positions`, or with angles and scales."""
+    if rung is Rung.TRANSLATION:
+        return {frame: Place(*where) for frame, where in least_squares_positions(edges, fixed).items()}
+    return least_squares_places(edges, fixed)
 
 
 def least_squares_places(edges: Sequence[Edge], fixed: int = 0) -> dict[int, Place]:

@@ -96,6 +96,12 @@ class Grid:
         return (self.centre[0] - (scale - 1) / 2) / scale
 
 
+def lit_pixels(first: NDArray[np.int32], last: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Which pixels of an (n, n) image lie in the lit columns of their rows: from `first` to before `last`, (n,)."""
+    columns = np.arange(len(first))
+    return (columns >= first[:, None]) & (columns < last[:, None])
+
+
 def overlap_of_discs(diameters: float) -> float:
     """Share of a disc that another of its size covers, whose centre lies so many diameters away.
 

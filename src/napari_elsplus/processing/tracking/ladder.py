@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.tracking.lucas_kanade import fitted_tone
 from napari_elsplus.processing.tracking.motion import Warp
 from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours, row_shift
 
@@ -342,8 +343,4 @@ def tone_between(
             tt += t * t
             ti += t * i
         count += end - begin
-    spread = tt * count - t1 * t1
-    if not spread > 0:
-        return 1.0, 0.0
-    gain = (ti * count - t1 * i1) / spread
-    return gain, (i1 - gain * t1) / count
+    return fitted_tone(count, t1, i1, tt, ti)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.tracking.correction import Correction, Corrections
-from napari_elsplus.processing.tracking.graph import Edge, Place, least_squares_places, least_squares_positions
+from napari_elsplus.processing.tracking.graph import Edge, least_squares
 from napari_elsplus.processing.tracking.ladder import Rung, turned_by
 from napari_elsplus.processing.tracking.loops import AWAY, LINKS_PER_KEY, REACH, Bridge, LoopCloser
 
@@ -117,7 +117,7 @@ class LiveGraph:
                 continue
             first = self.places[int(members[0])]
             base = Correction(group, first.row, first.col, first.angle, first.scale)
-            for number, place in self._solved(edges, int(members[0])).items():
+            for number, place in least_squares(edges, int(members[0]), self._rung).items():
                 self.places[number] = base.of(self.places[number]._replace(**place._asdict()))
             self._where[members, :2] = [(self.places[k].row, self.places[k].col) for k in members.tolist()]
         return bool(groups)
@@ -159,11 +159,6 @@ class LiveGraph:
         if b.angle != 0 or b.scale != 1:
             row, col = (turned_by(-b.angle, 1 / b.scale) @ (row, col)).tolist()
         return Edge(earlier, later, (row, col), node.covariance, b.angle - a.angle, b.scale / a.scale, node.turn_sigma)
-
-    def _solved(self, edges: list[Edge], first: int) -> dict[int, Place]:
-        if self._rung is not Rung.TRANSLATION:
-            return least_squares_places(edges, first)
-        return {number: Place(*where) for number, where in least_squares_positions(edges, first).items()}
 
     def _revisits(self, number: int) -> list[Edge]:
         """Links with nodes of the same segment that lie beside this one but far back along the path."""

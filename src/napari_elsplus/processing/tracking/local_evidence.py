@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.compiled import lean_kernel
-from napari_elsplus.processing.tracking.evidence import in_pixels_of, weakest_direction
-from napari_elsplus.processing.tracking.lucas_kanade import align
+from napari_elsplus.processing.tracking.descent import CORRELATED_PX
+from napari_elsplus.processing.tracking.evidence import HELD, in_pixels_of, weakest_direction
+from napari_elsplus.processing.tracking.lucas_kanade import align, fitted_tone
 from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours, row_shift
 
 if TYPE_CHECKING:
@@ -32,15 +33,12 @@ LEAST_EVERYWHERE: Final = 0.15
 little in many blocks."""
 BLOCK_PX: Final = 8
 """Side of the blocks, pixels of half resolution."""
-_CORRELATED_PX: Final = 20.0
-"""Pixels of full resolution that share one noise value."""
 _STRUCTURE: Final = 0.01
 _FLOOR: Final = 0.3
 """Unexplained variance that is no evidence: that part of the brightest block's, and so many squared grey levels."""
 _LEAST_PIXELS: Final = 20
 _LEAST_NOISE: Final = 1e-6
 _RIVALS_PX: Final = (-8.0, -6.0, -4.0, 4.0, 6.0, 8.0)
-_HELD: Final = 1e8
 _STEPS: Final = (8, 12, 16)
 _TOLERANCE_PX: Final = (0.02, 0.02, 0.05)
 _ROW_STEPS: Final = (2, 2, 1)
@@ -115,7 +113,7 @@ def look_again(
         correlation, count = align(
             earlier[level], later[level], first[level], last[level], middles[level], _ROW_STEPS[level], _STEPS[level],
             _TOLERANCE_PX[level], level == 0, middle_of_prior, stiff,
-            _CORRELATED_PX / _ROW_STEPS[level] / 4**level, scaled, information, work,
+            CORRELATED_PX / _ROW_STEPS[level] / 4**level, scaled, information, work,
         )  # fmt: skip
         if correlation == 0.0:
             return 0.0, count, 0.0
@@ -147,7 +145,7 @@ def look_at_half(
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), scaled)
     correlation, count = align(
         earlier, later, first, last, middle, _ROW_STEPS[1], _STEPS[1], _TOLERANCE_PX[1], False, middle_of_prior, stiff,
-        _CORRELATED_PX / 8, scaled, equations[4], work,
+        CORRELATED_PX / 8, scaled, equations[4], work,
     )  # fmt: skip
     in_pixels_of(0.5, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
     return correlation, count * _ROW_STEPS[1]
@@ -206,12 +204,12 @@ def _against_rivals(
             start,
         )
         hold(2.0, prior, held)
-        held[1, 1] += 4 * _HELD * across * across
-        held[1, 3] += 4 * _HELD * across * along
-        held[3, 1] += 4 * _HELD * across * along
-        held[3, 3] += 4 * _HELD * along * along
+        held[1, 1] += 4 * HELD * across * across
+        held[1, 3] += 4 * HELD * across * along
+        held[3, 1] += 4 * HELD * across * along
+        held[3, 3] += 4 * HELD * along * along
         align(
-            template, image, first, last, middle, 2, _RIVAL_STEPS, 0.02, False, start, held, _CORRELATED_PX / 8, rival,
+            template, image, first, last, middle, 2, _RIVAL_STEPS, 0.02, False, start, held, CORRELATED_PX / 8, rival,
             equations[4], work,
         )  # fmt: skip
         smallest = min(smallest, local_evidence(template, image, first, last, middle, found, rival, sums))
@@ -291,7 +289,7 @@ def local_evidence(
         if n > 0:
             unexplained += sums[1, block]
             otherwise += sums[2, block]
-            values = n / (_CORRELATED_PX / 4)
+            values = n / (CORRELATED_PX / 4)
             nats += 0.5 * values * np.log((sums[2, block] + n * least) / (sums[1, block] + n * least))
     everywhere = 0.5 * np.log((otherwise + _LEAST_NOISE * pixels) / (unexplained + _LEAST_NOISE * pixels))
     return float(min(nats / LEAST_NATS, everywhere / LEAST_EVERYWHERE))
@@ -322,8 +320,4 @@ def _tone(
             tt += t * t
             ti += t * i
         count += end - begin
-    spread = tt * count - t1 * t1
-    if not spread > 0:
-        return 1.0, 0.0
-    gain = (ti * count - t1 * i1) / spread
-    return gain, (i1 - gain * t1) / count
+    return fitted_tone(count, t1, i1, tt, ti)

@@ -32,6 +32,8 @@ AWAY: Final = 1.0
 """Path between two frames, in bundle diameters, after which they close a loop."""
 LINKS_PER_KEY: Final = 3
 JOIN_OVERLAP: Final = 0.3
+LINK_STRETCH_PX: Final = 0.2
+"""What the velocity of the later frame of a tracker's link is trusted to, pixels per frame period."""
 _VELOCITY_SIGMA: Final = 0.5
 """What the velocities of tracked frames are trusted to, pixels per frame period."""
 _DRIFT: Final = 0.01

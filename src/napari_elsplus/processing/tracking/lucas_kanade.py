@@ -164,6 +164,16 @@ def accumulate(
 
 
 @lean_kernel
+def fitted_tone(count: float, t1: float, i1: float, tt: float, ti: float) -> tuple[float, float]:
+    """Gain and offset of an image i against a template t, from sums over pixels; 1 and 0 where these are even."""
+    spread = tt * count - t1 * t1
+    if not spread > 0:
+        return 1.0, 0.0
+    gain = (ti * count - t1 * i1) / spread
+    return gain, (i1 - gain * t1) / count
+
+
+@lean_kernel
 def correlation(
     template: NDArray[np.float32],
     image: NDArray[np.float32],

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
-from napari_elsplus.processing.tracking.grid import FIELD, Grid
+from napari_elsplus.processing.tracking.grid import FIELD, Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion import RollingShutter, Velocity
 from napari_elsplus.processing.tracking.pose import Pose, State
 
@@ -59,9 +59,7 @@ class PaperTracker:
         self.scale = side / SIDE_PX
         middle = (SIDE_PX - 1) / 2
         self.grid = Grid(SIDE_PX, 1, (0, 0), (middle, middle), diameter_px / self.scale, RollingShutter(np.inf))
-        first, last = self.grid.spans(FIELD)
-        columns = np.arange(SIDE_PX)
-        self._inside = ((columns >= first[:, None]) & (columns < last[:, None])).astype(np.float32)
+        self._inside = lit_pixels(*self.grid.spans(FIELD)).astype(np.float32)
         self._median = takes_median(diameter_px)
         self._template: NDArray[np.float32] | NDArray[np.uint8] | None = None
         self._row, self._col = 0, 0

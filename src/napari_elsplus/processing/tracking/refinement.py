@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.tracking.graph import Edge, Place, least_squares_places, least_squares_positions
+from napari_elsplus.processing.tracking.graph import Edge, Place, least_squares, least_squares_places
 from napari_elsplus.processing.tracking.hindsight import hindsight, turned_links
 from napari_elsplus.processing.tracking.ladder import Rung
-from napari_elsplus.processing.tracking.loops import LoopCloser, edge_covariance
+from napari_elsplus.processing.tracking.loops import LINK_STRETCH_PX, LoopCloser, edge_covariance
 from napari_elsplus.processing.tracking.motion import Velocity
 from napari_elsplus.processing.tracking.pose import Pose, State
 
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.registration import Link, Registrar, View
 
 _NOWHERE: Final = Velocity(np.nan, np.nan)
-_LINK_STRETCH_PX: Final = 0.2
-"""What the velocity of the later frame of a link is trusted to, pixels per frame period."""
 
 
 def refine(
@@ -55,7 +53,7 @@ def refine(
     """
     settled = with_origins(settle(poses, links), links, registrar.grid.shutter)
     tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is State.TRACKED}
-    stretch = _LINK_STRETCH_PX / registrar.grid.shutter.rows_per_frame
+    stretch = LINK_STRETCH_PX / registrar.grid.shutter.rows_per_frame
     if rung is Rung.TRANSLATION:
         rung = hindsight(links, registrar, view)
     if rung is not Rung.TRANSLATION:
@@ -81,16 +79,10 @@ def refine(
     places: dict[int, Place] = {}
     for group in set(belongs.values()):
         first = min(k for k, segment in tracked.items() if belongs[segment] == group)
-        places |= _solved(edges, first, rung)
+        places |= least_squares(edges, first, rung)
     number = {group: n for n, group in enumerate(sorted(set(belongs.values())))}
     moved = [_moved(pose, places.get(k), number, belongs) for k, pose in enumerate(settled)]
     return interpolate(moved)
-
-
-def _solved(edges: Sequence[Edge], first: int, rung: Rung) -> dict[int, Place]:
-    if rung is Rung.TRANSLATION:
-        return {frame: Place(*where) for frame, where in least_squares_positions(edges, first).items()}
-    return least_squares_places(edges, first)
 
 
 def _relaid(poses: Sequence[Pose], edges: Sequence[Edge], tracked: dict[int, int]) -> list[Pose]:

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.processing.tracking.descent import LEVELS, fill_coarser
+from napari_elsplus.processing.tracking.grid import lit_pixels
 from napari_elsplus.processing.tracking.local_evidence import blocks, look_again, look_at_half
 from napari_elsplus.processing.tracking.motion import Warp
 from napari_elsplus.processing.tracking.prediction import AT_REST
@@ -69,8 +70,8 @@ class SecondLook:
         self._middles = tuple(grid.middle(level) for level in range(LEVELS))
         self._pixels = [float((last - first).sum()) for first, last in spans]
         self._sums = blocks(grid.side)
-        self._lit = [_disc(*grid.spans(1.0, level), grid.side >> level) for level in (0, LEVELS - 1)]
-        self._used = _disc(*spans[1], grid.side >> 1) > 0
+        self._lit = [lit_pixels(*grid.spans(1.0, level)).astype(np.float32) for level in (0, LEVELS - 1)]
+        self._used = lit_pixels(*spans[1])
         self._weight = np.maximum(_blurred(self._lit[1]), 1e-3)
 
     def link(self, earlier: View, later: View, known: WarpPrior) -> Link | None:
@@ -177,11 +178,6 @@ class SecondLook:
             there, left = (float(levels[1][self._used].var()) for levels in (view.levels, bare))
             view.bare = bare if left > _LEAST_FINE * there else ()
         return view.bare
-
-
-def _disc(first: NDArray[np.int32], last: NDArray[np.int32], side: int) -> NDArray[np.float32]:
-    columns = np.arange(side)
-    return ((columns >= first[:, None]) & (columns < last[:, None])).astype(np.float32)
 
 
 def _blurred(image: NDArray[np.float32]) -> NDArray[np.float32]:

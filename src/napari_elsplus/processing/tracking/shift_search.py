@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from scipy import fft
 
+from napari_elsplus.processing.tracking.grid import lit_pixels
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -37,9 +39,8 @@ class ShiftSearch:
 
     def __init__(self, first: NDArray[np.int32], last: NDArray[np.int32], scale: float) -> None:
         side = len(first)
-        columns = np.arange(side)
         self._scale = scale
-        self._mask = ((columns >= first[:, None]) & (columns < last[:, None])).astype(np.float32)
+        self._mask = lit_pixels(first, last).astype(np.float32)
         self._size = cv2.getOptimalDFTSize(2 * side)
         self._mask_spectrum = fft.rfft2(self._mask, (self._size, self._size))
         self._overlap = self._correlate(self._mask_spectrum, self._mask_spectrum)

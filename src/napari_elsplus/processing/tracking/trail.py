@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.tracking.loops import KEY_SPACING, edge_covariance
+from napari_elsplus.processing.tracking.loops import KEY_SPACING, LINK_STRETCH_PX, edge_covariance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.pose import Pose
     from napari_elsplus.processing.tracking.registration import Link
 
-_STRETCH_PX: Final = 0.2
-"""What the velocity of the later frame of a link is trusted to, pixels per frame period."""
 _DRIFT: Final = 0.001
 """Part of the path by which links may be off in one direction; rows per frame wrong by 3 % make it so much."""
 
@@ -57,7 +55,7 @@ class Trail:
 
     def __init__(self, grid: Grid) -> None:
         self._spacing_px = KEY_SPACING * grid.diameter
-        self._stretch = _STRETCH_PX / grid.shutter.rows_per_frame
+        self._stretch = LINK_STRETCH_PX / grid.shutter.rows_per_frame
         self._before: Pose | None = None
         self._newest: tuple[int, int, Link] | None = None
         self._node: tuple[int, int, Link] | None = None
