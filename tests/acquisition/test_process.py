@@ -106,14 +106,23 @@ def test_images_and_status_cross_the_processes(client: EngineClient, calibration
     assert client.status.dropped == {}
 
 
+def test_whoever_has_the_reply_knows_what_the_command_changed(client: EngineClient) -> None:
+    for _ in range(5):
+        client.start().result(60)
+        assert client.status.live
+        client.stop().result(60)
+        assert not client.status.live
+
+
 def test_the_ring_follows_the_calibration(client: EngineClient, calibration: Calibration) -> None:
     client.start().result(60)
-    until(lambda: client.display() is not None)
     without = client.display()
     assert without is not None
     assert [name for name, _, _ in without.layout.fields] == ["raw"]
     client.use(calibration).result(60)
-    until(lambda: (ring := client.display()) is not None and len(ring.layout.fields) == 5)
+    by_it = client.display()
+    assert by_it is not None
+    assert len(by_it.layout.fields) == 5
     client.stop().result(60)
     if Path("/dev/shm").is_dir():
         assert len(segments(client.pid)) == 1
@@ -161,7 +170,7 @@ def test_the_mosaic_crosses_the_processes(client: EngineClient, calibration: Cal
         assert feed.canvases == {}
         assert len(feed.rows) == rest
         client.clear_mosaic().result(60)
-        until(lambda: client.status.track is None)
+        assert client.status.track is None
         if Path("/dev/shm").is_dir():
             assert not [path for path in segments(client.pid) if path.name.startswith(track.board)]
     finally:
@@ -272,7 +281,7 @@ def test_a_procedure_can_be_cancelled(client: EngineClient, log: Path) -> None:
     with pytest.raises(InputError, match="cancelled"):
         sweeping.result(60)
     assert log.read_text().split()[-1] == "park"
-    until(lambda: client.status.progress is None)
+    assert client.status.progress is None
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")

@@ -2,8 +2,9 @@
 
 A frozen or killed napari then neither loses frames nor leaves the mirror moving. The process is told a key on its
 standard input, says on its standard output where it listens, and then takes commands over one connection: the name of a
-method of :class:`Server` or of the engine, and its arguments. Ten times a second it says its status. When the
-connection ends, so does the process, in order: mirror parked, recording finished, memory given back.
+method of :class:`Server` or of the engine, and its arguments. Ten times a second it says its status, and before each
+reply, so that whoever has the reply knows what the command changed. When the connection ends, so does the process, in
+order: mirror parked, recording finished, memory given back.
 """
 
 from __future__ import annotations
@@ -157,7 +158,7 @@ class Server:
         except Exception as error:  # noqa: BLE001 a defect of ours: the other side shall hear of it, not wait for ever
             sys.excepthook(type(error), error, error.__traceback__)
             reply = Reply(command.number, error=RuntimeError(f"{type(error).__name__} in {command.name}: {error}"))
-        self._send(reply)
+        self._send(self._status, lambda: reply)
 
     def _method(self, name: str) -> Callable[..., Any]:
         own: dict[str, Callable[..., Any]] = {
@@ -227,14 +228,19 @@ class Server:
 
     def _tell(self) -> None:
         while not self._ended.wait(STATUS_PERIOD_S):
-            engine, mosaic = self._engine, self._mosaic
-            status = Status() if engine is None else engine.status()
-            self._send(replace(status, progress=self._progress, track=None if mosaic is None else mosaic.state))
+            self._send(self._status)
 
-    def _send(self, message: object) -> None:
+    def _status(self) -> Status:
+        engine, mosaic = self._engine, self._mosaic
+        status = Status() if engine is None else engine.status()
+        return replace(status, progress=self._progress, track=None if mosaic is None else mosaic.state)
+
+    def _send(self, *making: Callable[[], object]) -> None:
+        """Send messages that are made while no other may be sent: an older status never comes after a newer one."""
         try:
             with self._sending:
-                self._connection.send(message)
+                for make in making:
+                    self._connection.send(make())
         except OSError:  # the other side is gone; `serve` notices by itself
             self._ended.set()
 
