@@ -15,7 +15,7 @@ SIDE = 40
 
 
 @lean_kernel
-def between_four(image, above, down, left, across, work):  # type: ignore[no-untyped-def] # noqa: ANN
+def between_four(image, above, down, left, across, work):
     size = len(work[0])
     corners, weights = neighbours(image, above, left, size), bilinear(down, across)
     for k in range(size):
@@ -23,7 +23,7 @@ def between_four(image, above, down, left, across, work):  # type: ignore[no-unt
 
 
 @lean_kernel
-def through_six(image, above, down, left, across, work):  # type: ignore[no-untyped-def] # noqa: ANN
+def through_six(image, above, down, left, across, work):
     size = work.shape[1] - 5
     corners, weights = finely_sampled(image, above, down, left, across, size, work)
     for k in range(size):
