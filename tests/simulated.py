@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.tracking_pipeline import Pipeline, RawPairs
+from napari_elsplus.tracking_pipeline import Pipeline
 
 if TYPE_CHECKING:
     from napari_elsplus.simulation.trajectories import Trajectory

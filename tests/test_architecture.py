@@ -28,6 +28,7 @@ ROOMS = (
     "io",
     "pipeline",
     "tracking_methods",
+    "timing",
     "tracking_pipeline",
     "mosaic_plan",
     "pipelined",

@@ -32,8 +32,9 @@ from napari_elsplus.io import (
     write_stack,
     write_track,
 )
-from napari_elsplus.pipeline import Images
+from napari_elsplus.pipeline import Images, RawPairs
 from napari_elsplus.processing.calibration.calibrate import measure
+from napari_elsplus.processing.mosaicing.picture import picture
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.simulation import calibration_scenes as bench
 from napari_elsplus.simulation.instrument import Instrument
@@ -41,7 +42,7 @@ from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Straight, trajectory
 from napari_elsplus.simulation.truth import motion
-from napari_elsplus.tracking_pipeline import Pipeline, RawPairs, picture
+from napari_elsplus.tracking_pipeline import Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,43 @@ if TYPE_CHECKING:
 
 _DARKEST_FLAT = 0.1
 """Where the flat field is darker than this share of its mean, dividing by it would only show noise."""
+
+
+class RawPairs:
+    """A recording as pairs of raw frames: the one that the confocal view is taken from, and the residual's.
+
+    Parameters
+    ----------
+    frames : Frames
+        Raw frames.
+    mode : Mode or str
+        ELSA takes the residual from the following frame, and every second frame only; the others take both from one.
+
+    Raises
+    ------
+    InputError
+        If the recording is too short for a single pair.
+    """
+
+    def __init__(self, frames: Frames, mode: Mode | str) -> None:
+        self._frames = frames
+        self._step = 2 if Mode(mode) is Mode.ELSA else 1
+        if len(self) == 0:
+            raise InputError(
+                f"{Mode(mode).value} needs {self._step} frames, the recording has {len(frames)}", "record more frames"
+            )
+
+    def __len__(self) -> int:
+        return len(self._frames) // self._step
+
+    def frame(self, index: int) -> int:
+        """Index of the confocal view's frame in the recording."""
+        return self._step * index
+
+    def __call__(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the frames of the confocal and of the residual view."""
+        raw = self._frames[self.frame(index)]
+        return raw, raw if self._step == 1 else self._frames[self.frame(index) + 1]
 
 
 class Images:
@@ -60,13 +97,8 @@ class Images:
         flat_field: bool = False,
     ) -> None:
         self.mode = Mode(mode)
-        frames_per_image = 2 if self.mode is Mode.ELSA else 1
-        if len(raw) < frames_per_image:
-            raise InputError(
-                f"{self.mode.value} needs {frames_per_image} frames, the recording has {len(raw)}", "record more frames"
-            )
         self._raw = raw
-        self._count = len(raw) // frames_per_image
+        self._count = len(RawPairs(raw, self.mode))
         rows, cols = raw[0].shape
         self.sectioner = Sectioner(calibration, (rows, cols))
         self._finish = finishing(calibration, self.sectioner, cores=cores, flat_field=flat_field)

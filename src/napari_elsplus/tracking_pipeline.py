@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from napari_elsplus.calibration import OpticsSection
-from napari_elsplus.errors import InputError
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.sectioning import Mode
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.processing.mosaicing.tiles import TileStore
-    from napari_elsplus.processing.sectioning import Frames
     from napari_elsplus.processing.tracking.grid import Grid
     from napari_elsplus.processing.tracking.ladder import Rung
     from napari_elsplus.processing.tracking.registration import Link
@@ -31,7 +28,6 @@ if TYPE_CHECKING:
 
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
 """What to say of a track of which less than two frames are tracked."""
-_TIMING_FRAMES = 600
 
 
 class Method(StrEnum):
@@ -257,113 +253,3 @@ class Pipeline:
         return TrackPoint(
             frame, time_s, pose.segment, row, col, row * um, col * um, pose.score, pose.sigma * scale, pose.state.value
         )
-
-
-def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) -> tuple[Calibration, str]:
-    """Give a calibration the rows per frame that it lacks, from the motion in a recording.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Returned as it is where it knows the rows per frame.
-    raw_pair : RawPairs
-        The recording; its first frames are tracked.
-    mode : Mode or str
-        Which image is tracked.
-
-    Returns
-    -------
-    calibration : Calibration
-        With the rows per frame, if the motion tells them.
-    said : str
-        What was found, in words; empty if they were known.
-    """
-    known = calibration.optics
-    if known is not None and known.rows_per_frame is not None:
-        return calibration, ""
-    shape = raw_pair(0)[0].shape
-    assumed = _with_rows(calibration, float(shape[0]))
-    tracking = OurTracking(assumed, (shape[0], shape[1]), Mode(mode))
-    for index in range(min(len(raw_pair), _TIMING_FRAMES)):
-        tracking.track(*raw_pair(index))
-    found = tracking.rows_per_frame()
-    if found is None:
-        return (
-            calibration,
-            "rows per frame unknown, and the motion does not tell them: the rolling shutter is not corrected; "
-            "give them with `calibrate --rows-per-frame`",
-        )
-    said = f"rows per frame estimated from the motion: {found.rows:.1f} +- {found.sigma:.1f}"
-    return _with_rows(calibration, found.rows), said
-
-
-def _with_rows(calibration: Calibration, rows: float) -> Calibration:
-    optics = (calibration.optics or OpticsSection()).model_copy(update={"rows_per_frame": rows})
-    return calibration.model_copy(update={"optics": optics})
-
-
-def picture(mosaics: list[Mosaic], gap_px: int = 16) -> NDArray[np.float32]:
-    """Put the mosaics of all segments below one another, the largest first.
-
-    Parameters
-    ----------
-    mosaics : list of Mosaic
-        At least one that was drawn on.
-    gap_px : int
-        Empty rows between them.
-
-    Returns
-    -------
-    numpy.ndarray
-        (rows, cols) float32; 0 where nothing was drawn.
-
-    Raises
-    ------
-    InputError
-        If nothing was drawn.
-    """
-    images = sorted((mosaic.read()[0] for mosaic in mosaics), key=lambda image: -image.size)
-    if not images:
-        raise InputError("no frame could be placed", "look at the frames: is the probe on the tissue?")
-    height = sum(len(image) + gap_px for image in images) - gap_px
-    canvas = np.zeros((height, max(image.shape[1] for image in images)), np.float32)
-    top = 0
-    for image in images:
-        canvas[top : top + len(image), : image.shape[1]] = image
-        top += len(image) + gap_px
-    return canvas
-
-
-class RawPairs:
-    """A recording as pairs of raw frames: the one that the confocal view is taken from, and the residual's.
-
-    Parameters
-    ----------
-    frames : Frames
-        Raw frames.
-    mode : Mode or str
-        ELSA takes the residual from the following frame, and every second frame only; the others take both from one.
-
-    Raises
-    ------
-    InputError
-        If the recording is too short for a single pair.
-    """
-
-    def __init__(self, frames: Frames, mode: Mode | str) -> None:
-        self._frames = frames
-        self._step = 2 if Mode(mode) is Mode.ELSA else 1
-        if len(self) == 0:
-            raise InputError(f"the recording has {len(frames)} frames", f"{Mode(mode).value} needs {self._step}")
-
-    def __len__(self) -> int:
-        return len(self._frames) // self._step
-
-    def frame(self, index: int) -> int:
-        """Index of the confocal view's frame in the recording."""
-        return self._step * index
-
-    def __call__(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return the frames of the confocal and of the residual view."""
-        raw = self._frames[self.frame(index)]
-        return raw, raw if self._step == 1 else self._frames[self.frame(index) + 1]

@@ -7,9 +7,10 @@ import pytest
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.mosaic_plan import MosaicPlan
+from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.tracking_pipeline import Method, Pipeline, RawPairs
+from napari_elsplus.tracking_pipeline import Method, Pipeline
 from napari_elsplus.viewing.mosaicking import StackMosaics, images_as_they_are
 from recordings import Truth, record, smooth_path, texture
 

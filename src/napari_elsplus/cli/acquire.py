@@ -21,7 +21,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import beside, read_calibration, replacing, write_mosaic, write_track
 from napari_elsplus.optics import PRESETS
-from napari_elsplus.tracking_pipeline import picture
+from napari_elsplus.processing.mosaicing.picture import picture
 
 if TYPE_CHECKING:
     from pathlib import Path

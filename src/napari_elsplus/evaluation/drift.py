@@ -10,11 +10,12 @@ from napari_elsplus.acquisition.ring import Stamp
 from napari_elsplus.acquisition.tracking import LiveTrack
 from napari_elsplus.evaluation.rig import measured
 from napari_elsplus.evaluation.stability.pairs import ELECTRONS_OF_WHITE, WHITE_DN
+from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Recorded, Straight
-from napari_elsplus.tracking_pipeline import Pipeline, RawPairs
+from napari_elsplus.tracking_pipeline import Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,13 +11,14 @@ from napari_elsplus.evaluation.against_truth import CalibrationErrors, TrackErro
 from napari_elsplus.evaluation.choices.sectioning import Moment, judge
 from napari_elsplus.evaluation.rig import SimulatedRig, measured
 from napari_elsplus.processing.calibration.calibrate import Findings, measure
+from napari_elsplus.processing.mosaicing.picture import picture
 from napari_elsplus.processing.quality import USED_DIAMETER, contrast
 from napari_elsplus.processing.sectioning import Mode, Sectioner, disc
 from napari_elsplus.simulation import calibration_scenes as scenes
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import HandHeld, Raster
-from napari_elsplus.tracking_pipeline import Method, Pipeline, picture
+from napari_elsplus.tracking_pipeline import Method, Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

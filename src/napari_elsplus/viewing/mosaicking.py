@@ -10,11 +10,13 @@ import numpy as np
 
 from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.mosaicing.coverage import coverage_maps
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.pose import State
-from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline, RawPairs, with_timing
+from napari_elsplus.timing import with_timing
+from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline
 from napari_elsplus.viewing.growing import GrowingImage
 from napari_elsplus.viewing.track import fastest_px_per_frame
 

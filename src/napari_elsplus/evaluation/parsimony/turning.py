@@ -8,11 +8,12 @@ import numpy as np
 
 from napari_elsplus.evaluation.against_truth import TrackErrors, track_errors
 from napari_elsplus.evaluation.rig import simulated_rig, tissue
+from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.processing.tracking.ladder import Rung, turned_by
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.trajectories import Turning, trajectory
-from napari_elsplus.tracking_pipeline import Pipeline, RawPairs
+from napari_elsplus.tracking_pipeline import Pipeline
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -1,0 +1,46 @@
+"""One picture of the mosaics of all segments."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.mosaicing.mosaic import Mosaic
+
+
+def picture(mosaics: list[Mosaic], gap_px: int = 16) -> NDArray[np.float32]:
+    """Put the mosaics of all segments below one another, the largest first.
+
+    Parameters
+    ----------
+    mosaics : list of Mosaic
+        At least one that was drawn on.
+    gap_px : int
+        Empty rows between them.
+
+    Returns
+    -------
+    numpy.ndarray
+        (rows, cols) float32; 0 where nothing was drawn.
+
+    Raises
+    ------
+    InputError
+        If nothing was drawn.
+    """
+    images = sorted((mosaic.read()[0] for mosaic in mosaics), key=lambda image: -image.size)
+    if not images:
+        raise InputError("no frame could be placed", "look at the frames: is the probe on the tissue?")
+    height = sum(len(image) + gap_px for image in images) - gap_px
+    canvas = np.zeros((height, max(image.shape[1] for image in images)), np.float32)
+    top = 0
+    for image in images:
+        canvas[top : top + len(image), : image.shape[1]] = image
+        top += len(image) + gap_px
+    return canvas
