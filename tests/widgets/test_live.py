@@ -39,7 +39,7 @@ def panel(viewer, qtbot, tmp_path):
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Live")
     client = panel.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
     client.use(runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()).result(60)
-    panel.folder.value = tmp_path
+    panel.form.folder.value = tmp_path
     return panel
 
 
@@ -49,15 +49,17 @@ def ended(panel):
 
 
 def start(panel, qtbot):
-    panel.start.native.click()
+    panel.form.start.native.click()
     qtbot.waitUntil(
-        lambda: panel.live and len(panel.layers.images) >= 2 and panel.snapping.enabled and panel.record.enabled,
+        lambda: (
+            panel.live and len(panel.layers.images) >= 2 and panel.form.snapping.enabled and panel.form.record.enabled
+        ),
         timeout=30_000,
     )
 
 
 def stop(panel, qtbot):
-    panel.start.native.click()
+    panel.form.start.native.click()
     qtbot.waitUntil(lambda: not panel.live and not panel.asking.busy, timeout=30_000)
 
 
@@ -82,11 +84,11 @@ def test_live_layers_fill_and_are_kept_as_the_user_has_set_them(viewer, panel, q
 
 def test_a_blocked_window_loses_nothing(viewer, panel, qtbot, tmp_path):
     start(panel, qtbot)
-    panel.record.native.click()
+    panel.form.record.native.click()
     qtbot.waitUntil(lambda: panel.connection.client.status.recording is not None, timeout=30_000)
     time.sleep(5.0)
     qtbot.wait(300)
-    panel.record.native.click()
+    panel.form.record.native.click()
     qtbot.waitUntil(lambda: ended(panel), timeout=30_000)
     assert panel.connection.client.status.dropped == {}
     (path,) = tmp_path.glob("recording-*.ome.tif")
@@ -97,7 +99,7 @@ def test_a_blocked_window_loses_nothing(viewer, panel, qtbot, tmp_path):
 
 def test_a_snap_is_one_frame(panel, qtbot, tmp_path):
     start(panel, qtbot)
-    panel.snapping.native.click()
+    panel.form.snapping.native.click()
     qtbot.waitUntil(lambda: list(tmp_path.glob("snap-*.calibration.json")) != [], timeout=30_000)
     qtbot.waitUntil(lambda: ended(panel), timeout=30_000)
     (path,) = tmp_path.glob("snap-*.ome.tif")
@@ -107,18 +109,18 @@ def test_a_snap_is_one_frame(panel, qtbot, tmp_path):
 
 def test_what_is_shown_follows_the_boxes(viewer, panel, qtbot):
     start(panel, qtbot)
-    panel.kinds["ls"].value = False
-    panel.kinds["elsa"].value = True
+    panel.form.kinds["ls"].value = False
+    panel.form.kinds["elsa"].value = True
     qtbot.waitUntil(lambda: "elsa" in panel.layers.images, timeout=30_000)
     assert {layer.name for layer in viewer.layers if layer.visible} == {"live ELS+", "live ELSA"}
-    panel.side_by_side.value = False
+    panel.form.side_by_side.value = False
     qtbot.waitUntil(lambda: {layer.translate[1] for layer in viewer.layers if layer.visible} == {0.0}, timeout=30_000)
     assert recall("live")["kinds"] == ["els", "elsa"]
 
 
 def test_a_view_that_cannot_be_made_is_said_and_the_stream_goes_on(panel, qtbot, said):
     start(panel, qtbot)
-    panel.flat_field.value = True
+    panel.form.flat_field.value = True
     qtbot.waitUntil(lambda: any("no flat field" in words for _, words in said()), timeout=30_000)
     assert panel.live
 
@@ -131,7 +133,7 @@ def test_a_killed_engine_is_said_once_the_layers_stay_and_it_can_start_again(vie
     qtbot.wait(600)
     assert sum("SIGKILL" in words for _, words in said()) == 1
     assert len(viewer.layers) == 2
-    panel.start.native.click()
+    panel.form.start.native.click()
     qtbot.waitUntil(lambda: panel.connection.client is not None and not panel.asking.busy, timeout=30_000)
     assert len(small_engine) == 2
 
@@ -176,7 +178,7 @@ def test_stop_acts_while_the_window_still_waits_for_its_answer(panel, qtbot, tmp
     start(panel, qtbot)
     qtbot.waitUntil(lambda: panel.connection.client.status.scanning, timeout=30_000)
     asked_s = time.perf_counter()
-    panel.start.native.click()
+    panel.form.start.native.click()
     returned_s = time.perf_counter() - asked_s
     log = tmp_path / "mirror.log"
     while not log.read_text().endswith("park\n"):
@@ -191,10 +193,10 @@ def test_stop_acts_while_the_window_still_waits_for_its_answer(panel, qtbot, tmp
 
 
 def test_a_recording_ends_after_so_many_frames(panel, qtbot, tmp_path):
-    assert panel.frames.native.text() == "no limit"
-    panel.frames.value = 12
+    assert panel.form.frames.native.text() == "no limit"
+    panel.form.frames.value = 12
     start(panel, qtbot)
-    panel.record.native.click()
+    panel.form.record.native.click()
     qtbot.waitUntil(lambda: list(tmp_path.glob("recording-*.calibration.json")) != [], timeout=30_000)
     qtbot.waitUntil(lambda: ended(panel), timeout=30_000)
     (path,) = tmp_path.glob("recording-*.ome.tif")
@@ -205,7 +207,7 @@ def test_a_recording_ends_after_so_many_frames(panel, qtbot, tmp_path):
 def test_what_the_panel_does_runs_as_a_script(panel, qtbot, tmp_path, monkeypatch, small_engine):
     file = write_calibration(tmp_path / "cal.json", panel.connection.calibration)
     panel.connection.take(panel.connection.calibration, file).result(60)
-    panel.frames.value, panel.average.value, panel.cores.value = 7, 2, "median"
+    panel.form.frames.value, panel.form.average.value, panel.form.cores.value = 7, 2, "median"
     panel.copy_script()
     text = QApplication.clipboard().text()
     panel.connection.disconnect()
@@ -226,11 +228,11 @@ def test_a_script_needs_the_file_of_a_real_rigs_calibration(panel, said):
 
 def test_live_frames_can_be_taken_for_an_axial_response(viewer, panel, qtbot):
     _, axial = viewer.window.add_plugin_dock_widget(PLUGIN, "Axial response")
-    panel.kinds["raw"].value = True
+    panel.form.kinds["raw"].value = True
     start(panel, qtbot)
     qtbot.waitUntil(lambda: "live raw" in axial.live.choices, timeout=30_000)
     axial.live.value = "live raw"
-    panel.kinds["raw"].value = False  # the frame is the newest one also where it is hidden
+    panel.form.kinds["raw"].value = False  # the frame is the newest one also where it is hidden
     qtbot.waitUntil(lambda: not viewer.layers["live raw"].visible, timeout=30_000)
     before = int(viewer.layers["live raw"].data[0, :8].view(np.int64)[0])
     qtbot.waitUntil(lambda: int(viewer.layers["live raw"].data[0, :8].view(np.int64)[0]) > before, timeout=30_000)
@@ -291,13 +293,13 @@ def test_a_full_disk_and_an_unplugged_camera_are_said_once_and_it_can_go_on(pane
     for words in ("No space left", "unplugged"):
         (tmp_path / "mirror.log").with_suffix(".fault").write_text(words)
         if words == "No space left":
-            panel.record.native.click()
+            panel.form.record.native.click()
         qtbot.waitUntil(lambda words=words: any(words in said_ for _, said_ in said()), timeout=30_000)
         qtbot.wait(600)
         assert sum(words in said_ for _, said_ in said()) == 1
         assert panel.live == (words == "No space left")
     (tmp_path / "mirror.log").with_suffix(".fault").unlink()
-    panel.start.native.click()
+    panel.form.start.native.click()
     qtbot.waitUntil(lambda: panel.live, timeout=30_000)
     assert panel.connection.client is client
 

@@ -211,6 +211,17 @@ def test_finished_images_are_laid_as_they_are(viewer, panel, qtbot):
     assert "<b>10</b> of 10" in panel.form.status.text()
 
 
+def test_layers_that_are_used_again_take_the_scale_of_the_new_mosaic(viewer, panel, qtbot):
+    make(panel, qtbot)
+    scene = 100 * texture(500, 3)
+    images = np.stack([scene[100 + 4 * k :][:200, 50 + 7 * k :][:, :200] for k in range(10)])
+    viewer.add_layer(Image(images, name="my images", scale=(1, 5, 5), units=("s", "um", "um")))
+    panel.form.recording.value = "my images"
+    make(panel, qtbot)
+    for kind in ("ELS+", "track", "track marks"):
+        assert viewer.layers[f"mosaic {kind}"].scale == pytest.approx([5, 5])
+
+
 def test_scripts_settings_and_themes(viewer, panel, qtbot, scan):
     panel.form.method.value = "paper"
     panel.form.insertion.value = "feathered"

@@ -93,7 +93,7 @@ def measure(seconds: float, canvas_px: int, most: int) -> None:
 
 
 def _measure(panel: Live, client: EngineClient, layers: int, seconds: float) -> Rate:
-    for place, box in enumerate(reversed(panel.kinds.values())):  # ELSA, ELS+, residual, LS, raw
+    for place, box in enumerate(reversed(panel.form.kinds.values())):  # ELSA, ELS+, residual, LS, raw
         box.value = place < layers
     _until(lambda: sum(layer.visible for layer in panel.layers.images.values()) == layers)
     panel.viewer.reset_view()

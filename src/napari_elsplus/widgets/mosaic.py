@@ -306,7 +306,7 @@ class MosaicPanel(EnginePanel):
         return chosen_image(self.viewer, self.form.recording, "stack")
 
     def _hide_others(self) -> None:
-        ours = set(self.layers.ours.values())
+        ours = set(self.layers.own.present.values())
         for layer in self.viewer.layers:
             if layer.visible and layer not in ours:
                 layer.visible = False
