@@ -218,7 +218,7 @@ def test_layers_that_are_used_again_take_the_scale_of_the_new_mosaic(viewer, pan
     viewer.add_layer(Image(images, name="my images", scale=(1, 5, 5), units=("s", "um", "um")))
     panel.form.recording.value = "my images"
     make(panel, qtbot)
-    for kind in ("ELS+", "track", "track marks"):
+    for kind in ("my images", "track", "track marks"):
         assert viewer.layers[f"mosaic {kind}"].scale == pytest.approx([5, 5])
 
 
