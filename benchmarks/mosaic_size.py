@@ -26,7 +26,7 @@ from napari_elsplus.processing.tracking.grid import Grid
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.mosaic_files import save_mosaics
-from napari_elsplus.viewing.mosaicking import MosaicScale
+from napari_elsplus.viewing.mosaics import MosaicScale
 from napari_elsplus.widgets.mosaic_layers import MosaicLayers
 
 STEP_PX = 40.0

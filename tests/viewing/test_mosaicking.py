@@ -11,7 +11,8 @@ from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.tracking_pipeline import Method, Pipeline
-from napari_elsplus.viewing.mosaicking import StackMosaics, images_as_they_are
+from napari_elsplus.viewing.mosaicking import StackMosaics
+from napari_elsplus.viewing.trackable import images_as_they_are
 from recordings import Truth, record, smooth_path, texture
 
 FRAMES = 24

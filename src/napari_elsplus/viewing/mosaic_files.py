@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.mosaic_plan import MosaicPlan
-    from napari_elsplus.viewing.mosaicking import Mosaics
+    from napari_elsplus.viewing.mosaics import Mosaics
     from napari_elsplus.viewing.stack import Stack
 
 ENDINGS: Final = (".ome.tif", ".ome.tiff", ".tif", ".tiff")

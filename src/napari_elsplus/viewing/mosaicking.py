@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from contextlib import nullcontext
 from math import nan
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.calibration import Calibration
-from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.mosaicing.coverage import coverage_maps
 from napari_elsplus.processing.sectioning import Mode
@@ -18,13 +16,14 @@ from napari_elsplus.processing.tracking.pose import State
 from napari_elsplus.timing import with_timing
 from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline
 from napari_elsplus.viewing.growing import GrowingImage
+from napari_elsplus.viewing.mosaics import MosaicScale, without_last_segment
 from napari_elsplus.viewing.track import fastest_px_per_frame
+from napari_elsplus.viewing.trackable import TrackableFrames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from napari_elsplus.calibration import Calibration
     from napari_elsplus.io import TrackPoint
     from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.mosaicing.tiles import Canvas
@@ -32,55 +31,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.pose import Pose
 
     Watch = Callable[[Iterable[int]], Iterable[int]]
-
-_RIM_PX: Final = 4
-
-
-class Mosaics(Protocol):
-    """What is looked at while it grows: a track and mosaics, made here or by a running engine."""
-
-    @property
-    def rows(self) -> Sequence[TrackPoint]:
-        """The track so far, a row for every frame."""
-
-    @property
-    def canvases(self) -> Mapping[Mode, Mapping[int, Canvas]]:
-        """The segments of each mode."""
-
-    @property
-    def revision(self) -> int:
-        """Another number once what was there before has changed."""
-
-    @property
-    def scale(self) -> MosaicScale:
-        """How large things are."""
-
-
-@dataclass(frozen=True)
-class MosaicScale:
-    """How large the pixels of a mosaic are, and how far a frame reaches.
-
-    Attributes
-    ----------
-    camera_px_per_pixel : float
-        Camera pixels per pixel of the mosaic.
-    camera_um_per_px : float or None
-        Scale of a camera pixel.
-    radius_px : float
-        Of what is used of a frame, pixels of the mosaic.
-    fastest_px : float
-        Camera pixels per frame that can be followed.
-    """
-
-    camera_px_per_pixel: float
-    camera_um_per_px: float | None
-    radius_px: float
-    fastest_px: float
-
-    @property
-    def um_per_px(self) -> float | None:
-        """Scale of a pixel of the mosaic."""
-        return None if self.camera_um_per_px is None else self.camera_um_per_px * self.camera_px_per_pixel
 
 
 class StackMosaics:
@@ -118,7 +68,7 @@ class StackMosaics:
         self.plan, self.calibration = plan, calibration
         self.notes: list[str] = []
         self.revision = 0
-        self._frames = _Checked(frames)
+        self._frames = TrackableFrames(frames)
         self._pairs = RawPairs(self._frames, plan.tracked)
         self._frames.look()
         self._times_s = times_s
@@ -176,11 +126,8 @@ class StackMosaics:
         checkpoint : callable
             Called whenever a frame is read; what it raises ends the run, too.
         """
-        self._frames.checkpoint = checkpoint or _go_on
-        try:
+        with nullcontext() if checkpoint is None else self._frames.with_checkpoint(checkpoint):
             self._run(watch)
-        finally:
-            self._frames.checkpoint = _go_on
 
     def undo(self) -> bool:
         """Take the last segment away, and call its frames lost; whether there was one."""
@@ -238,83 +185,3 @@ class StackMosaics:
             return float(self._times_s[frame])
         period_s = self.calibration.frame_period_s
         return nan if period_s is None else frame * period_s
-
-
-def without_last_segment(
-    canvases: Mapping[Mode, Mapping[int, Canvas]], rows: Sequence[TrackPoint]
-) -> tuple[dict[Mode, dict[int, Canvas]], list[TrackPoint]] | None:
-    """Return mosaics and track without the last segment, its frames called lost; None if there is no segment."""
-    numbers = {number for segments in canvases.values() for number in segments}
-    if not numbers:
-        return None
-    last = max(numbers)
-    kept = {
-        mode: {number: canvas for number, canvas in segments.items() if number != last}
-        for mode, segments in canvases.items()
-    }
-    return kept, [_lost(row) if row.segment == last else row for row in rows]
-
-
-def images_as_they_are(frames: Frames, um_per_px: float | None = None) -> Calibration:
-    """Make a calibration for finished images of one bundle, whose disc touches the image's edges.
-
-    Raises
-    ------
-    CalibrationError
-        If the images are too small to be tracked.
-    """
-    rows, cols = frames[0].shape
-    diameter = min(rows, cols) - _RIM_PX
-    if diameter < 2 * _RIM_PX:
-        raise CalibrationError(f"the images have {rows} x {cols} pixels", "choose a stack of larger ones")
-    centre = [(rows - 1) / 2, (cols - 1) / 2]
-    bundle = {
-        "confocal_centre": centre,
-        "residual_centre": centre,
-        "diameter_px": diameter,
-        "residual_to_confocal": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
-    }
-    return Calibration.parse({"bundle": bundle, **({} if um_per_px is None else {"optics": {"um_per_px": um_per_px}})})
-
-
-class _Checked:
-    """Frames that are refused, with their number, where nothing can be made of them."""
-
-    def __init__(self, frames: Frames) -> None:
-        self._frames = frames
-        self.checkpoint: Callable[[], None] = _go_on
-        if len(frames) < 2:
-            raise InputError(
-                f"the stack has {len(frames)} frame{'s' * (len(frames) != 1)}", "choose one of at least two"
-            )
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def __getitem__(self, index: int) -> NDArray[Any]:
-        self.checkpoint()
-        frame = np.asarray(self._frames[index])
-        if frame.ndim != 2:
-            raise InputError(f"a frame has shape {frame.shape}", "choose a stack (T, rows, cols) of grey levels")
-        if frame.dtype.kind == "f" and not np.isfinite(frame).all():
-            raise InputError(f"frame {index} holds NaN or infinity", "mend it, or choose another stack")
-        return frame
-
-    def look(self) -> None:
-        """Refuse a stack whose frames show nothing."""
-        chosen = [self[index] for index in sorted({0, len(self) // 2, len(self) - 1})]
-        if all(frame.min() == frame.max() for frame in chosen):
-            raise InputError(
-                f"the frames are constant (grey level {chosen[0].flat[0]:g})",
-                "is the laser on, and the probe on tissue?",
-            )
-
-
-def _go_on() -> None:
-    """Let the run go on."""
-
-
-def _lost(row: TrackPoint) -> TrackPoint:
-    return replace(
-        row, row_px=nan, col_px=nan, row_um=nan, col_um=nan, score=nan, sigma_px=nan, state=State.LOST.value
-    )  # fmt: skip

@@ -14,7 +14,7 @@ from napari_elsplus.widgets.track_layers import SCORES
 
 if TYPE_CHECKING:
     from napari_elsplus.viewing.growing import GrowingImage
-    from napari_elsplus.viewing.mosaicking import Mosaics
+    from napari_elsplus.viewing.mosaics import Mosaics
     from napari_elsplus.widgets.own_layers import OwnLayers
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.sectioning import Mode
     from napari_elsplus.viewing.growing import Change
-    from napari_elsplus.viewing.mosaicking import Mosaics
+    from napari_elsplus.viewing.mosaics import Mosaics
 
 GAP_PX: Final = 40
 _FILLED: Final = 0.9

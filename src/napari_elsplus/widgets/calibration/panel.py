@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QTimer
 
 from napari_elsplus.acquisition.guided import GuidedCalibration
 from napari_elsplus.acquisition.status import Settings
-from napari_elsplus.errors import ElsPlusError, InputError, MeasurementError
+from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.rigs import SIMULATED
-from napari_elsplus.io import open_recording, read_calibration, read_volts, write_calibration
+from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.processing.calibration.draft import Draft, Setup, State, Step, step_of
-from napari_elsplus.processing.calibration.stepwise import measure_step, setup_of
 from napari_elsplus.settings import put_in_force, recall, remember
 from napari_elsplus.viewing.calibration_script import Source, calibration_script
 from napari_elsplus.viewing.outlines import summary
@@ -25,25 +23,25 @@ from napari_elsplus.widgets.calibration.bundle_layers import show_bundle
 from napari_elsplus.widgets.calibration.explained import EXPLAINED, PREPARE
 from napari_elsplus.widgets.calibration.explained import SIMULATED as SIMULATED_TARGETS
 from napari_elsplus.widgets.calibration.form import Form
-from napari_elsplus.widgets.calibration.pictures import picture
+from napari_elsplus.widgets.calibration.measuring import Watching, measure_live, measure_recorded
 from napari_elsplus.widgets.calibration.session import Session, Shown
+from napari_elsplus.widgets.calibration.sharing import Sharing
 from napari_elsplus.widgets.connection import join
 from napari_elsplus.widgets.panel import Panel, copy_as_script, told
 from napari_elsplus.widgets.window_end import WindowEnd
 from napari_elsplus.widgets.work import Work
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from concurrent.futures import Future
 
     import napari.viewer
 
-    from napari_elsplus.calibration import Calibration
+    T = TypeVar("T")
 
 POLL_MS: Final = 50
 NUMBERS_EVERY: Final = 8
 """Readings from one renewal of the numbers to the next: nobody reads them with both hands on the mirror."""
-LOOK_S: Final = 0.04
-"""The engine measures the offset in every frame; nobody reads more than so often."""
 SECTION: Final = "calibration"
 
 
@@ -61,16 +59,13 @@ class CalibrationPanel(Panel):
         self.session = Session()
         self.step = Step.OFFSET
         self._setup: Setup | None = None
-        self._watched: Shown | str | None = None
-        self._watching = self._left = False
+        self._watching: Watching | None = None
+        self._left = False
         self._window_end = WindowEnd(self, self.cleanup)
-        self._refused: BaseException | None = None
         self._stale: dict[str, str] = {}
-        self._readings = 0
         self._changed = False
-        self._shared: Calibration | None = None
-        self._asked: Future[None] | None = None
         self.connection = join()
+        self.sharing = Sharing(self.connection)
         self.work = Work(self._work_ended, self._cancel)
         self.form = Form(self, self.work, viewer.theme)
         self._wire()
@@ -118,71 +113,34 @@ class CalibrationPanel(Panel):
         """Measure the step live, in a thread of its own."""
         with told():
             guided = GuidedCalibration(self.connection.require(), self.form.voltages.value())
-            step, draft, target_um, source = self.step, self.draft, self.form.target.value(), self._live_source()
-
-            def work() -> Shown:
-                setup = guided.setup()
-                try:
-                    found = guided.measure(step, draft)
-                except ElsPlusError as error:
-                    self._excuse(error)
-                    raise
-                return Shown(found, setup, picture(found, draft, setup, target_um), source)
-
-            self.work.begin(0, work, self._found)
+            measured = partial(measure_live, guided, self.step, self.draft, self.form.target_um, self._live_source())
+            self.work.begin(0, self._excusing(measured), self._found)
         self._refresh()
 
     def watch(self) -> None:
         """Measure the slit offset again and again until pressed once more; the last one may then be accepted."""
-        if self._watching:
-            self._watching = False
+        if self._watching is not None:
+            self._watching.stop()
             return
         with told():
-            guided, draft, source = GuidedCalibration(self.connection.require()), self.draft, self._live_source()
-            self._watching, self._watched, self._readings = True, None, 0
-
-            def work() -> None:
-                setup, begun = guided.setup(), perf_counter()
-                try:
-                    for count, found in guided.watch_offset(draft, lambda: self._watching):
-                        if count == 1:
-                            begun = perf_counter()
-                        if isinstance(found, MeasurementError):
-                            self._watched = str(found)
-                        else:
-                            shown = picture(found, draft, setup, self.form.target_um)
-                            rate = f"{(count - 1) / max(perf_counter() - begun, 1e-3):.0f} measurements a second"
-                            self._watched = Shown(found, setup, replace(shown, lines=[*shown.lines, rate]), source)
-                        sleep(LOOK_S)
-                except ElsPlusError as error:
-                    self._excuse(error)
-                    raise
-
-            self.work.begin(0, work, lambda _: None)
+            guided = GuidedCalibration(self.connection.require())
+            self._watching = Watching(guided, self.draft, self.form.target_um, self._live_source())
+            self.work.begin(0, self._excusing(self._watching.run), lambda _: None)
         self._refresh()
 
     def measure_file(self, path: str | Path, volts: str | Path | None = None) -> None:
         """Measure the step from a recording, in a thread of its own."""
-        step, draft, target_um = self.step, self.draft, self.form.target.value()
-
-        def work() -> Shown:
-            with open_recording(path) as frames:
-                if len(frames) == 0:
-                    raise InputError(f"{Path(path).name} holds 0 frames", "choose another file")
-                given = None if volts is None else read_volts(volts)
-                setup = setup_of(frames)
-                found = measure_step(step, frames, draft, given, self.work.watch)
-            source = Source(step, Path(path), None if volts is None else Path(volts))
-            return Shown(found, setup, picture(found, draft, setup, target_um), source)
-
-        self.work.begin(0, work, self._found)
+        given = None if volts is None else Path(volts)
+        form, watch = self.form, self.work.watch
+        measured = partial(measure_recorded, Path(path), given, self.step, self.draft, form.target_um, watch)
+        self.work.begin(0, measured, self._found)
         self._refresh()
 
     def accept(self) -> None:
         """Take what was found into the calibration, and the calibration into force."""
         with told():
             if self.session.accept(self.step):
-                self._share()
+                self.sharing.offer(self.draft.calibration)
         self._refresh()
 
     def discard(self) -> None:
@@ -193,7 +151,7 @@ class CalibrationPanel(Panel):
     def undo(self) -> None:
         """Go back to the calibration before the last step was accepted."""
         if self.session.undo():
-            self._share()
+            self.sharing.offer(self.draft.calibration)
         self._refresh()
 
     def load(self, path: str | Path) -> None:
@@ -201,7 +159,7 @@ class CalibrationPanel(Panel):
         with told():
             calibration = read_calibration(path)
             self.session.begin_with(calibration)
-            self._share(Path(path))
+            self.sharing.offer(self.draft.calibration, Path(path))
             put_in_force(path)
             show_info(f"{Path(path).name}: {summary(calibration)}")
         self._refresh()
@@ -211,7 +169,7 @@ class CalibrationPanel(Panel):
         with told():
             written = write_calibration(path, self.draft.calibration, force=True)
             put_in_force(written)
-            self._share(written)
+            self.sharing.offer(self.draft.calibration, written)
             show_info(f"saved {written.name}: {summary(self.draft.calibration)}")
 
     def save_plots(self, path: str | Path) -> None:
@@ -273,10 +231,18 @@ class CalibrationPanel(Panel):
     def _step_clicked(self) -> None:
         self.choose(next(step for step, button in self.form.steps.items() if button is self.sender()))
 
-    def _excuse(self, error: ElsPlusError) -> None:
-        """In the thread: say nothing of an error that the user has asked for, by Cancel or by closing the panel."""
-        if isinstance(error, InputError) or self._left:
-            self.work.stop_if_cancelled()
+    def _excusing(self, work: Callable[[], T]) -> Callable[[], T]:
+        """Make work for the thread that says nothing of an error which the user has asked for, by Cancel or the end."""
+
+        def excused() -> T:
+            try:
+                return work()
+            except ElsPlusError as error:
+                if isinstance(error, InputError) or self._left:
+                    self.work.stop_if_cancelled()
+                raise
+
+        return excused
 
     def _work_ended(self) -> None:
         if self._left:  # the dock is gone, and only the work still held the panel
@@ -286,7 +252,7 @@ class CalibrationPanel(Panel):
 
     def _connected(self, setup: Setup) -> None:
         self._setup = setup
-        self._share()
+        self.sharing.offer(self.draft.calibration)
 
     def _set_up_anew(self, done: Future[Setup]) -> None:
         """Not in the window's thread: note that another panel has changed how frames are taken."""
@@ -297,38 +263,23 @@ class CalibrationPanel(Panel):
         self.choose(step_of(shown.found))
         self.session.candidate = shown
 
-    def _share(self, path: Path | None = None) -> None:
-        """Let the other panels and the engine work by the draft."""
-        if self.draft.calibration.bundle is not None:
-            self._asked = self.connection.take(self.draft.calibration, path)
-            self._asked.add_done_callback(lambda done: setattr(self, "_refused", done.exception()))
-
-    def _follow(self) -> None:
-        """Take over a calibration that another panel has loaded or measured."""
-        shared = self.connection.calibration
-        if shared is self._shared or self.work.busy or not (self._asked is None or self._asked.done()):
-            return
-        self._shared = shared
-        if shared is None or shared is self.draft.calibration:
-            return
-        self.session.begin_with(shared)
-        self._refresh()
-
     def _cancel(self) -> None:
-        self._watching = False
+        if self._watching is not None:
+            self._watching.stop()
         client = self.connection.client
         if client is not None and self.work.busy:
             client.cancel()
 
     def _look(self) -> None:
         """Ask how far it is, and what the line does; twenty times a second."""
-        self._follow()
-        if self._refused is not None:
-            error, self._refused = self._refused, None
-            show_error(str(error))
+        if not self.work.busy and (shared := self.sharing.news(self.draft.calibration)) is not None:
+            self.session.begin_with(shared)
+            self._refresh()
+        if (refusal := self.sharing.refusal()) is not None:
+            show_error(str(refusal))
         client = self.connection.client
         progress = None if client is None else client.status.progress
-        if self._watching:
+        if self._watching is not None:
             self.work.tell("watching", 0, 0)
         elif self.work.busy and progress is not None:
             self.work.tell(progress.step, progress.done, progress.total)
@@ -339,19 +290,23 @@ class CalibrationPanel(Panel):
         if self._changed:
             self._changed = False
             self._refresh()
-        watched, self._watched = self._watched, None
+        if self._watching is not None:
+            self._show_watched(self._watching)
+
+    def _show_watched(self, watching: Watching) -> None:
+        watching.target_um = self.form.target_um
+        watched = watching.newest()
         if isinstance(watched, str):
             self.form.say(watched)
         elif watched is not None and self.step is Step.OFFSET:
             self.session.candidate = watched
-            self._readings += 1
-            self.form.show_picture(watched.picture, numbers=self._readings % NUMBERS_EVERY == 1)
+            self.form.show_picture(watched.picture, numbers=watching.readings % NUMBERS_EVERY == 1)
 
     def _refresh(self) -> None:
         """Show the step, its state, and what may be done now."""
         form, busy = self.form, self.work.busy
         if not busy:
-            self._watching = False
+            self._watching = None
         connected = self.connection.client is not None
         form.show_states({step: self.draft.state(step, self._setup) for step in Step}, self.step)
         prepare = PREPARE[self.step]
@@ -364,7 +319,7 @@ class CalibrationPanel(Panel):
             step=self.step,
             connected=connected,
             busy=busy,
-            watching=self._watching,
+            watching=self._watching is not None,
             needs=self.draft.needs(self.step),
             candidate=self.candidate is not None,
             past=self.session.past,

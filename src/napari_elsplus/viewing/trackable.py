@@ -1,0 +1,99 @@
+"""What a stack must be to be tracked: frames that show something, and a calibration, if only a made-up one."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from napari_elsplus.calibration import Calibration
+from napari_elsplus.errors import CalibrationError, InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.sectioning import Frames
+
+_RIM_PX: Final = 4
+
+
+class TrackableFrames:
+    """Frames that are refused, with their number, where nothing can be made of them.
+
+    Parameters
+    ----------
+    frames : Frames
+        (T, rows, cols), raw, or finished images.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two frames, or one that is read is no image.
+    """
+
+    def __init__(self, frames: Frames) -> None:
+        self._frames = frames
+        self._checkpoint: Callable[[], None] = _go_on
+        if len(frames) < 2:
+            raise InputError(
+                f"the stack has {len(frames)} frame{'s' * (len(frames) != 1)}", "choose one of at least two"
+            )
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> NDArray[Any]:
+        self._checkpoint()
+        frame = np.asarray(self._frames[index])
+        if frame.ndim != 2:
+            raise InputError(f"a frame has shape {frame.shape}", "choose a stack (T, rows, cols) of grey levels")
+        if frame.dtype.kind == "f" and not np.isfinite(frame).all():
+            raise InputError(f"frame {index} holds NaN or infinity", "mend it, or choose another stack")
+        return frame
+
+    @contextmanager
+    def with_checkpoint(self, checkpoint: Callable[[], None]) -> Iterator[None]:
+        """Meanwhile, call something whenever a frame is read; what it raises ends the reading."""
+        self._checkpoint = checkpoint
+        try:
+            yield
+        finally:
+            self._checkpoint = _go_on
+
+    def look(self) -> None:
+        """Refuse a stack whose frames show nothing."""
+        chosen = [self[index] for index in sorted({0, len(self) // 2, len(self) - 1})]
+        if all(frame.min() == frame.max() for frame in chosen):
+            raise InputError(
+                f"the frames are constant (grey level {chosen[0].flat[0]:g})",
+                "is the laser on, and the probe on tissue?",
+            )
+
+
+def images_as_they_are(frames: Frames, um_per_px: float | None = None) -> Calibration:
+    """Make a calibration for finished images of one bundle, whose disc touches the image's edges.
+
+    Raises
+    ------
+    CalibrationError
+        If the images are too small to be tracked.
+    """
+    rows, cols = frames[0].shape
+    diameter = min(rows, cols) - _RIM_PX
+    if diameter < 2 * _RIM_PX:
+        raise CalibrationError(f"the images have {rows} x {cols} pixels", "choose a stack of larger ones")
+    centre = [(rows - 1) / 2, (cols - 1) / 2]
+    bundle = {
+        "confocal_centre": centre,
+        "residual_centre": centre,
+        "diameter_px": diameter,
+        "residual_to_confocal": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+    }
+    return Calibration.parse({"bundle": bundle, **({} if um_per_px is None else {"optics": {"um_per_px": um_per_px}})})
+
+
+def _go_on() -> None:
+    """Let the reading go on."""
