@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.evaluation.random_rigs import Rig
 from napari_elsplus.evaluation.sectioning import weigh_offset
 from napari_elsplus.evaluation.trade import line_as_seen, weigh
 from napari_elsplus.processing.calibration.line import locate_line

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
@@ -21,8 +21,12 @@ if TYPE_CHECKING:
     from napari_elsplus.io import TrackPoint
     from napari_elsplus.simulation.instrument import Instrument
 
-_SMOOTHING_PX = 1.5
+SMOOTHING_PX: Final = 1.5
 """Sigma of the Gaussian under which images are compared: it hides the cores, not the structure."""
+
+
+WRONG_PX: Final = 3.0
+"""A link this far off, in camera pixels, puts the frame in the wrong place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +84,30 @@ def calibration_errors(calibration: Calibration, instrument: Instrument) -> Cali
     )
 
 
+def unexplained(seen: NDArray[np.floating], expected: NDArray[np.floating]) -> float:
+    """Tell which part of what is seen the truth does not explain, whatever their brightness.
+
+    Parameters
+    ----------
+    seen, expected : numpy.ndarray
+        (n,) pixels of an image, and of what would be seen if nothing were lost.
+
+    Returns
+    -------
+    float
+        Square root of one minus the squared correlation: 0 is perfect, 1 is nothing in common.
+
+    Examples
+    --------
+    >>> unexplained(np.array([1.0, 2.0, 4.0]), np.array([30.0, 50.0, 90.0])) < 1e-6
+    True
+    >>> round(unexplained(np.array([1.0, 2.0, 3.0]), np.array([1.0, 3.0, 2.0])), 3)
+    0.866
+    """
+    rho = float(np.corrcoef(seen, expected)[0, 1])
+    return float(np.sqrt(max(1 - rho**2, 0.0)))
+
+
 def correlation_with_focal_plane(
     raw: NDArray[np.generic], in_focus: NDArray[np.generic], calibration: Calibration, mode: Mode
 ) -> float:
@@ -104,7 +132,7 @@ def correlation_with_focal_plane(
     used = disc(sectioner.side, USED_DIAMETER * sectioner.diameter_px)
     image = sectioner.image([raw], 0, mode)
     expected = sectioner.ls(in_focus)
-    pair = [cv2.GaussianBlur(picture, (0, 0), _SMOOTHING_PX)[used] for picture in (image, expected)]
+    pair = [cv2.GaussianBlur(picture, (0, 0), SMOOTHING_PX)[used] for picture in (image, expected)]
     return float(np.corrcoef(*pair)[0, 1])
 
 
@@ -133,9 +161,6 @@ class TrackErrors:
     wrong_links: int
     end_error_percent_of_path: float
     path_px: float
-
-
-WRONG_PX = 3.0
 
 
 def track_errors(rows: Sequence[TrackPoint], true_px: NDArray[np.float64]) -> TrackErrors:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.evaluation.rigs import Rig
+    from napari_elsplus.evaluation.random_rigs import Rig
 
     Floats = NDArray[np.float64]
 

@@ -8,11 +8,10 @@ import numpy as np
 
 from napari_elsplus.acquisition.ring import Stamp
 from napari_elsplus.acquisition.tracking import LiveTrack
-from napari_elsplus.evaluation.rig import measured
-from napari_elsplus.evaluation.stability.pairs import ELECTRONS_OF_WHITE, WHITE_DN
+from napari_elsplus.evaluation.rig import dim
+from napari_elsplus.evaluation.stability.pairs import ELECTRONS_OF_WHITE
 from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Recorded, Straight
 from napari_elsplus.tracking_pipeline import Pipeline
@@ -73,7 +72,7 @@ def drift(scene_name: str, *, back: bool, frames: int = 230) -> Drift:
     frames : int
         How many.
     """
-    rig = measured(Instrument.of("240hz", electrons_per_dn=ELECTRONS_OF_WHITE / WHITE_DN, read_noise_e=2.0))
+    rig = dim(ELECTRONS_OF_WHITE)
     path: Trajectory = rounds(rig, frames) if back else Straight(SPEED_UM_S)
     raw = rig.recording(scene(scene_name), path, frames, seed=1)
     pairs, pipeline = RawPairs(raw, Mode.ELS), Pipeline(rig.calibration, rig.instrument.frame_shape)

@@ -5,17 +5,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from napari_elsplus.errors import ElsPlusError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
 
 
 class Role(StrEnum):
@@ -226,6 +224,38 @@ class Benchmark:
     remarks: str = ""
     seconds: float = 0.4
     waits: bool = False
+
+
+def plain(answer: Callable[[Any], Any]) -> Callable[[Case], Callable[[Any], Any]]:
+    """Return the preparation of a method that needs none."""
+    return lambda _: answer
+
+
+Stresses = Mapping[str, tuple[Sequence[float], Callable[[float], Case]]]
+"""Name of each stress, with its unit, to its levels and what makes the case of a level."""
+
+
+def stressed(stresses: Stresses, *, worst: int | None = None) -> list[Case]:
+    """Make a case for each level of each stress, named and grouped after it.
+
+    Parameters
+    ----------
+    stresses : mapping
+        What there is; levels grow worse.
+    worst : int, optional
+        Only so many of the last levels of each.
+
+    Examples
+    --------
+    >>> made = stressed({"electrons": ((300, 3), lambda level: Case("", [level]))}, worst=1)
+    >>> [(case.name, case.level, case.items) for case in made]
+    [('electrons: 3', 3, [3])]
+    """
+    return [
+        replace(make(level), name=f"{group}: {level:g}", level=level, group=group)
+        for group, (levels, make) in stresses.items()
+        for level in (levels if worst is None else levels[-worst:])
+    ]
 
 
 def named(methods: Sequence[Method], names: Sequence[str]) -> tuple[Method, ...]:

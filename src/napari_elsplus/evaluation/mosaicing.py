@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.evaluation.against_truth import TrackErrors, track_errors
-from napari_elsplus.evaluation.rig import StopAndGo, simulated_rig
+from napari_elsplus.evaluation.rig import StopAndGo, simulated_rig, without_timing
 from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.sectioning import Mode
@@ -94,9 +94,7 @@ def _outcome(
 ) -> Outcome:
     calibration = rig.calibration
     if method == TRANSLATION:
-        assert calibration.optics is not None
-        untimed = calibration.optics.model_copy(update={"rows_per_frame": None})
-        calibration, method = calibration.model_copy(update={"optics": untimed}), Method.ELSPLUS.value
+        calibration, method = without_timing(calibration), Method.ELSPLUS.value
     pairs = RawPairs(raw, Mode.ELS)
     pipeline = Pipeline(calibration, rig.instrument.frame_shape, method=method)
     for index in range(len(pairs)):

@@ -49,13 +49,15 @@ class SimulatedRig:
         renderer = Renderer(self.instrument, looked_at, path, seed=seed, noise=noise)
         return np.stack([renderer.render(k) for k in range(frames)])
 
+    def periods_at_middle(self, frames: int) -> NDArray[np.float64]:
+        """When the bundle's middle row is read in each frame, (T,), in frame periods."""
+        rows_per_frame = self.instrument.optics.rows_per_frame
+        return np.arange(frames, dtype=np.float64) + self.instrument.left_centre[0] / rows_per_frame
+
     def positions_px(self, path: Trajectory, frames: int) -> NDArray[np.float64]:
         """Where the probe was, in camera pixels (T, 2), when the bundle's middle row was read."""
-        optics = self.instrument.optics
-        periods = np.arange(frames, dtype=np.float64) + self.instrument.left_centre[0] / optics.rows_per_frame
-        return np.asarray(
-            path.positions_um(np.asarray(periods * optics.frame_period_s, np.float64)) / optics.um_per_px, np.float64
-        )
+        times_s = self.periods_at_middle(frames) * self.instrument.optics.frame_period_s
+        return np.asarray(path.positions_um(times_s) / self.um_per_px, np.float64)
 
     def tracking_images(self, raw: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> list[Image]:
         """Images of the front end, one for each raw frame."""
@@ -83,6 +85,19 @@ def measured(instrument: Instrument) -> SimulatedRig:
     )
     flat = measure_flat(list(transmission(lit, seed=2)), known)
     return SimulatedRig(instrument, known.model_copy(update={"flat": flat}))
+
+
+@cache
+def dim(electrons_of_white: float) -> SimulatedRig:
+    """Return a rig in dim light: so many electrons in a pixel that the camera shows as white, little read noise."""
+    electrons_per_dn = electrons_of_white / Instrument.of("240hz").light_dn
+    return measured(Instrument.of("240hz", electrons_per_dn=electrons_per_dn, read_noise_e=2.0))
+
+
+def without_timing(calibration: Calibration) -> Calibration:
+    """Return the calibration without rows per frame: frames are then taken as if all rows were read at once."""
+    assert calibration.optics is not None
+    return calibration.model_copy(update={"optics": calibration.optics.model_copy(update={"rows_per_frame": None})})
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def _take_turns(runners: list[_Runner], seconds: float) -> None:
     while waiting:
         for runner in waiting:
             runner.round()
-        waiting = [runner for runner in reversed(waiting) if runner.spent < seconds]
+        waiting = [runner for runner in reversed(waiting) if runner.spent_s < seconds]
 
 
 @dataclass
@@ -82,14 +82,14 @@ class _Runner:
     warms_up: bool
     seconds: list[float] = field(default_factory=list)
     judgements: list[Judgement] = field(default_factory=list)
-    spent: float = 0.0
+    spent_s: float = 0.0
 
     def __post_init__(self) -> None:
         start = perf_counter()
         self._call = self.method.prepare(self.case)
         if self.warms_up:
             self._timed(self.case.items[0])
-        self.warm_up = perf_counter() - start
+        self.warm_up_s = perf_counter() - start
 
     def round(self) -> None:
         """Answer every item once; the answers of the first round are judged."""
@@ -97,7 +97,7 @@ class _Runner:
         for item in self.case.items:
             answer, seconds = self._timed(item)
             self.seconds.append(seconds)
-            self.spent += seconds
+            self.spent_s += seconds
             if first:
                 self.judgements.append(REFUSED if isinstance(answer, ElsPlusError) else self.judge(item, answer))
 
@@ -127,7 +127,7 @@ class _Runner:
             level=self.case.level,
             cost_us=float(middle),
             cost_spread_us=float(high - low) / 2,
-            warm_up_ms=1e3 * self.warm_up,
+            warm_up_ms=1e3 * self.warm_up_s,
             error=float(np.quantile(error, 0.5, method="lower")),
             error_p90=float(np.quantile(error, 0.9, method="lower")),
             items=len(self.judgements),

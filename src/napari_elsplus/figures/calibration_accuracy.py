@@ -15,7 +15,7 @@ from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.evaluation.calibration_accuracy import CENTRE, GAIN, OFFSET, QUANTITIES, Survey, survey
 from napari_elsplus.evaluation.choices.line import BENCHMARK, frame
 from napari_elsplus.evaluation.photographs import Photograph, look_at
-from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.evaluation.random_rigs import Rig
 from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill, require_marks
 

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.evaluation.random_rigs import Rig
 from napari_elsplus.processing.calibration.bundle import locate_bundle, locate_pair
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError, MeasurementError
 from napari_elsplus.evaluation.calibration_accuracy import AIMED, survey
-from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.evaluation.random_rigs import Rig
 from napari_elsplus.figures.calibration_accuracy import FIRST_SEED
 from napari_elsplus.processing.calibration.calibrate import (
     map_galvo,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.evaluation.random_rigs import Rig
 from napari_elsplus.processing.calibration.calibrate import measure_offset
 from napari_elsplus.processing.calibration.live_offset import SEARCH_AGAIN, OffsetFollower
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.evaluation.random_rigs import Rig
 from napari_elsplus.processing.calibration.bundle import locate_pair
 from napari_elsplus.processing.calibration.core_matching import PairModel
 from napari_elsplus.processing.calibration.pair import Alignment, align_pair

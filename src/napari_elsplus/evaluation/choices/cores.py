@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from napari_elsplus.evaluation.against_truth import unexplained
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
@@ -75,7 +76,6 @@ def judge(item: View, answer: Image) -> Judgement:
     """Part of the image that the scene does not explain; honeycomb left; detail kept."""
     side = len(answer)
     inside = disc(side, _JUDGED_DIAMETER * side)
-    rho = float(np.corrcoef(answer[inside], item.scene[inside])[0, 1])
     window = np.outer(np.hanning(side) ** 2, np.hanning(side) ** 2)
     seen, before, true = (np.fft.rfft2((x - x[inside].mean()) * window) for x in (answer, item.image, item.scene))
     pitches = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)) * item.pitch_px
@@ -87,7 +87,9 @@ def judge(item: View, answer: Image) -> Judgement:
 
     left = np.abs(seen[ring]).sum() / gain(seen, coarse) / (np.abs(before[ring]).sum() / gain(before, coarse))
     kept = gain(seen, detail) / gain(seen, coarse)
-    return Judgement(float(np.sqrt(1 - rho**2)), details={"honeycomb left": float(left), "detail kept": kept})
+    return Judgement(
+        unexplained(answer[inside], item.scene[inside]), details={"honeycomb left": float(left), "detail kept": kept}
+    )
 
 
 def _ours(cores: CoreFilter, *, flat_field: bool = False) -> Callable[[Case], Callable[[View], Image]]:

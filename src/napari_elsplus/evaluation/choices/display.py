@@ -69,6 +69,8 @@ def _measured(size_px: int, most: int, seconds: float) -> list[dict[str, Any]]:
             done = subprocess.run(
                 program, env={**os.environ, **own}, capture_output=True, text=True, timeout=_PATIENCE_S, check=True
             )
+        except subprocess.TimeoutExpired:
+            raise Absent(f"no window came to its end within {_PATIENCE_S} s", "is the machine busy?") from None
         except subprocess.CalledProcessError as error:
             said = error.stderr.strip().splitlines() or [str(error)]
             raise Absent(f"no window opens here ({said[-1]})", "see `napari-elsplus doctor`") from None

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from napari_elsplus.evaluation.against_truth import unexplained
 from napari_elsplus.evaluation.choices.sectioning import Crop
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role
 from napari_elsplus.evaluation.rig import simulated_rig
@@ -79,7 +80,7 @@ def judge(item: Raw, answer: Small) -> Judgement:
     y, x = (np.arange(side) - c for c in answer.centre)
     inside = np.hypot(y[:, None], x) * um < _JUDGED_UM
     seen, expected = (cv2.GaussianBlur(image, (0, 0), _SMOOTHING_UM / um)[inside] for image in (answer.image, true))
-    return Judgement(float(np.sqrt(1 - np.corrcoef(seen, expected)[0, 1] ** 2)))
+    return Judgement(unexplained(seen, expected))
 
 
 def _fused(case: Case) -> Callable[[Raw], Small]:
@@ -96,10 +97,15 @@ def _small(image: Image | NDArray[np.uint8], um_per_px: float) -> Small:
     return Small(np.asarray(small, np.float32), um_per_px * scale, ((SIDE_PX - 1) / 2,) * 2)
 
 
-def papers(case: Case) -> Callable[[Raw], Small]:
+def papers(case: Case) -> Callable[[NDArray[np.uint8]], Small]:
     """Prepare the paper's chain as it is written in OpenCV, in eight bits; the image is converted at the end."""
     um, chain = case.context.um_per_px, papers_chain(case)
-    return lambda item: _small(chain(item.frame), um)
+    return lambda frame: _small(chain(frame), um)
+
+
+def _papers(case: Case) -> Callable[[Raw], Small]:
+    make = papers(case)
+    return lambda item: make(item.frame)
 
 
 def papers_chain(case: Case, *, down_sampled: bool = False) -> Callable[[NDArray[np.uint8]], NDArray[np.uint8]]:
@@ -141,7 +147,7 @@ def _sectioned(case: Case) -> Callable[[Raw], Small]:
 
 METHODS = (
     Method("fused", Role.DEFAULT, _fused),
-    Method("OpenCV, saturating", Role.PAPER, papers),
+    Method("OpenCV, saturating", Role.PAPER, _papers),
     Method("numpy and OpenCV, float32, median", Role.OPTION, _floats),
     Method("full-resolution ELS+, flat, resize", Role.OPTION, _sectioned),
 )

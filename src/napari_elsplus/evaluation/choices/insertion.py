@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from napari_elsplus.evaluation.against_truth import unexplained
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
@@ -52,7 +53,7 @@ def stroke(rig: SimulatedRig, name: str, path: Trajectory, frames: int) -> Strok
     """Record a scene along a path and make tracking images of it."""
     binning = Grid.of(rig.calibration).binning
     images = rig.tracking_images(rig.recording(scene(name), path, frames))
-    periods = np.arange(frames, dtype=np.float64) + rig.instrument.left_centre[0] / rig.instrument.optics.rows_per_frame
+    periods = rig.periods_at_middle(frames)
     px = binning * rig.um_per_px
     period_s = rig.instrument.optics.frame_period_s
 
@@ -86,7 +87,7 @@ def judge(item: Stroke, answer: Canvas) -> Judgement:
     inside = cv2.erode(answer.covered.astype(np.uint8), disc).astype(bool)
     seen, expected = (cv2.GaussianBlur(image, (0, 0), _SMOOTHING_PX)[inside] for image in (answer.image, true))
     rho = float(np.corrcoef(seen, expected)[0, 1])
-    return Judgement(float(np.sqrt(1 - rho**2)), details={"correlation": rho})
+    return Judgement(unexplained(seen, expected), details={"correlation": rho})
 
 
 def _ours(insertion: Insertion, *, unshear: bool = True) -> Callable[[Case], Callable[[Stroke], Canvas]]:

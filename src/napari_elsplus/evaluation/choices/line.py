@@ -1,6 +1,6 @@
 """Where the laser line stands: one tilted Gaussian for all columns against a profile, a mean, a centroid, a maximum.
 
-Frames are those of rigs drawn at random (:mod:`napari_elsplus.evaluation.rigs`), which share nothing with the
+Frames are those of rigs drawn at random (:mod:`napari_elsplus.evaluation.random_rigs`), which share nothing with the
 estimators: cores of unequal brightness, a halo, tilts up to 2 degrees.
 """
 
@@ -14,21 +14,17 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import OptimizeWarning, curve_fit
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role
-from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, plain
+from napari_elsplus.evaluation.random_rigs import Rig
 from napari_elsplus.processing.calibration.line import locate_line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
 
 WRONG_ROWS = 1.0
 """A slit of three rows that is a row off the line loses a good part of the light."""
-
-
 TYPICAL_WIDTH_ROWS = 2.5
 
 
@@ -82,27 +78,29 @@ def gaussian_of_profile(item: Frame) -> float:
 
 def gaussian_of_mean(item: Frame) -> float:
     """Fit a Gaussian to the mean of the middle columns."""
-    return _gaussian(_middle(item).mean(axis=1))
+    return _gaussian(mean_profile(item))
 
 
 def centroid_of_mean(item: Frame) -> float:
     """Centre of mass above half the maximum of the mean of the middle columns."""
-    profile = _middle(item).mean(axis=1)
+    profile = mean_profile(item)
     above = np.clip(profile - 0.5 * profile.max(), 0, None)
     return float((above * np.arange(len(above))).sum() / above.sum())
 
 
 def matched_filter(item: Frame) -> float:
     """Correlate the mean of the middle columns with a line of a typical width; a parabola refines the maximum."""
-    response = gaussian_filter1d(_middle(item).mean(axis=1), TYPICAL_WIDTH_ROWS)
+    response = gaussian_filter1d(mean_profile(item), TYPICAL_WIDTH_ROWS)
     peak = int(np.clip(response.argmax(), 1, len(response) - 2))
     before, at, after = (float(value) for value in response[peak - 1 : peak + 2])
     return peak + 0.5 * (before - after) / (before - 2 * at + after)
 
 
-def _middle(item: Frame) -> NDArray[np.float32]:
+def mean_profile(item: Frame) -> NDArray[np.float32]:
+    """Mean of the middle columns, (rows,)."""
     half = item.view.shape[1] // 8
-    return item.view[:, item.column - half : item.column + half + 1]
+    mean: NDArray[np.float32] = item.view[:, item.column - half : item.column + half + 1].mean(axis=1)
+    return mean
 
 
 def _gaussian(profile: NDArray[np.float32]) -> float:
@@ -112,27 +110,24 @@ def _gaussian(profile: NDArray[np.float32]) -> float:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OptimizeWarning)  # only the covariance, which is not used
-            (_, centre, _), _ = curve_fit(_bell, rows, bright, p0=(profile[peak], peak, 2.0), maxfev=400)
+            (_, centre, _), _ = curve_fit(bell, rows, bright, p0=(profile[peak], peak, 2.0), maxfev=400)
     except RuntimeError:
         raise MeasurementError("no Gaussian fits the profile", "more light") from None
     return float(centre)
 
 
-def _bell(rows: Floats, height: float, centre: float, width: float) -> Floats:
+def bell(rows: Floats, height: float, centre: float, width: float) -> Floats:
+    """Return a Gaussian at some rows."""
     return np.asarray(height * np.exp(-((rows - centre) ** 2) / (2 * width**2)), np.float64)
 
 
-def _plain(function: Callable[[Frame], float]) -> Callable[[Case], Callable[[Frame], float]]:
-    return lambda _: function
-
-
 METHODS = (
-    Method("tilted Gaussian, all columns", Role.DEFAULT, _plain(tilted_gaussian), 6),
-    Method("Gaussian, one profile", Role.PAPER, _plain(gaussian_of_profile), 3),
-    Method("brightest pixel", Role.PAPER, _plain(brightest_pixel), 1),
-    Method("Gaussian, mean of columns", Role.OPTION, _plain(gaussian_of_mean), 3),
-    Method("centroid, mean of columns", Role.OPTION, _plain(centroid_of_mean), 1),
-    Method("matched filter, mean of columns", Role.OPTION, _plain(matched_filter), 1),
+    Method("tilted Gaussian, all columns", Role.DEFAULT, plain(tilted_gaussian), 6),
+    Method("Gaussian, one profile", Role.PAPER, plain(gaussian_of_profile), 3),
+    Method("brightest pixel", Role.PAPER, plain(brightest_pixel), 1),
+    Method("Gaussian, mean of columns", Role.OPTION, plain(gaussian_of_mean), 3),
+    Method("centroid, mean of columns", Role.OPTION, plain(centroid_of_mean), 1),
+    Method("matched filter, mean of columns", Role.OPTION, plain(matched_filter), 1),
 )
 
 BENCHMARK = Benchmark(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from napari_elsplus.evaluation.choices import insertion
-from napari_elsplus.evaluation.choices.frontend import Raw, papers, papers_chain
+from napari_elsplus.evaluation.choices.frontend import papers, papers_chain
 from napari_elsplus.evaluation.choices.insertion import Canvas, Stroke
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
@@ -116,7 +116,7 @@ def _papers(*, eight_bits: bool) -> Callable[[Case], Callable[[Live], TimedElsew
         stages: dict[str, float] = {}
 
         def front_end(raw: NDArray[np.uint8]) -> NDArray[np.uint8] | NDArray[np.float32]:
-            return eight(raw) if eight_bits else floats(Raw(raw, "", (0.0, 0.0))).image
+            return eight(raw) if eight_bits else floats(raw).image
 
         def tracker() -> PaperTracker:
             return PaperTracker(sectioner.diameter_px, sectioner.side)
@@ -154,7 +154,7 @@ def _pyfibrebundle(case: Case) -> Callable[[Live], TimedElsewhere]:
         other("start_mosaic", size=_CANVAS_PX, blend=True)
         for raw in item.raw:
             start = clock()
-            image = front_end(Raw(raw, "", (0.0, 0.0))).image
+            image = front_end(raw).image
             seconds += clock() - start
             seconds += other("add_to_mosaic", image=image).seconds
         canvas = other("mosaic").answer.astype(np.float32)

@@ -10,9 +10,9 @@ from skimage.filters import threshold_otsu
 from skimage.registration import phase_cross_correlation
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
+from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere, plain
 from napari_elsplus.evaluation.peers import peer
-from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.evaluation.random_rigs import Rig
 from napari_elsplus.processing.calibration.bundle import locate_pair
 from napari_elsplus.processing.calibration.calibrate import locate_pair as measure_pair
 
@@ -125,16 +125,12 @@ def _shift(shift: Floats) -> Floats:
     return np.column_stack([np.eye(2), shift])
 
 
-def _plain(function: Callable[[Lit], Floats]) -> Callable[[Case], Callable[[Lit], Floats]]:
-    return lambda _: function
-
-
 METHODS = (
-    Method("cores", Role.DEFAULT, _plain(by_cores), 6),
-    Method("circles", Role.OPTION, _plain(by_circles), 2),
-    Method("most lit row and column", Role.PAPER, _plain(by_rows_and_columns), 2),
-    Method("scikit-image phase", Role.PEER, _plain(by_phase), 2),
-    Method("OpenCV ECC, affine", Role.PEER, _plain(by_ecc), 6),
+    Method("cores", Role.DEFAULT, plain(by_cores), 6),
+    Method("circles", Role.OPTION, plain(by_circles), 2),
+    Method("most lit row and column", Role.PAPER, plain(by_rows_and_columns), 2),
+    Method("scikit-image phase", Role.PEER, plain(by_phase), 2),
+    Method("OpenCV ECC, affine", Role.PEER, plain(by_ecc), 6),
     Method("PyFibreBundle find_bundle", Role.PEER, _pyfibrebundle, 2),
 )
 

@@ -6,16 +6,16 @@ it. All methods are given the same flat-fielded tracking images.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
 from skimage.registration import phase_cross_correlation
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.evaluation.harness import Benchmark, Case, Claim, Judgement, Method, Role, TimedElsewhere
+from napari_elsplus.evaluation.harness import Benchmark, Case, Claim, Judgement, Method, Role, TimedElsewhere, plain
 from napari_elsplus.evaluation.peers import peer
-from napari_elsplus.evaluation.rig import jumps, simulated_rig, tissue
+from napari_elsplus.evaluation.rig import SimulatedRig, StopAndGo, jumps, simulated_rig, tissue
 from napari_elsplus.processing.tracking.grid import Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion import Warp
 from napari_elsplus.processing.tracking.paper import TEMPLATE_PX
@@ -27,10 +27,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from napari_elsplus.simulation.scenes import Scene
+
     Image = NDArray[np.float32]
 
 WRONG_PX = 3.0
-"""A shift this far off is no registration: the frame is laid down in the wrong place."""
+"""Pixels of the tracking images. A shift this far off is no registration: the frame would lie in the wrong place."""
 _PREDICTION_PX = 3.0
 _SPREAD = (1e-3, 1e-3)
 
@@ -55,16 +57,19 @@ class Shift(NamedTuple):
 def pairs(scene: str, px: float, count: int, seed: int = 0) -> list[Pair]:
     """Pairs of tracking images of a scene, the probe that many tracking pixels apart in random directions."""
     rig = simulated_rig()
-    binning = Grid.of(rig.calibration).binning
-    path = jumps(count, px, rig, binning, seed)
-    images = rig.tracking_images(rig.recording(tissue(scene, seed), path, 2 * count, seed=seed))
-    places = path.positions / (binning * rig.um_per_px)
-    random = np.random.default_rng(seed)
-    moved = [places[2 * k + 1] - places[2 * k] for k in range(count)]
-    return [
-        Pair(images[2 * k], images[2 * k + 1], moved[k], moved[k] + random.normal(0, _PREDICTION_PX, 2))
-        for k in range(count)
-    ]
+    path = jumps(count, px, rig, Grid.of(rig.calibration).binning, seed)
+    return pairs_along(rig, tissue(scene, seed), path, seed, np.random.default_rng(seed))
+
+
+def pairs_along(
+    rig: SimulatedRig, looked_at: Scene, path: StopAndGo, seed: int, random: np.random.Generator
+) -> list[Pair]:
+    """Record two frames at each pair of resting places; where they are expected is drawn at random."""
+    images = rig.tracking_images(rig.recording(looked_at, path, len(path.positions), seed=seed))
+    places = path.positions / (Grid.of(rig.calibration).binning * rig.um_per_px)
+    moved = places[1::2] - places[::2]
+    expected = moved + random.normal(0, _PREDICTION_PX, moved.shape)
+    return [Pair(*of) for of in zip(images[::2], images[1::2], moved, expected, strict=True)]
 
 
 def _cases(quick: bool) -> list[Case]:
@@ -205,11 +210,6 @@ def _pyfibrebundle(case: Case) -> Callable[[Pair], TimedElsewhere]:
         return TimedElsewhere(Shift(float(row), float(col)), seconds)
 
     return register
-
-
-def plain(function: Callable[[Pair], Any]) -> Callable[[Case], Callable[[Pair], Any]]:
-    """Return the preparation of a method that needs none."""
-    return lambda _: function
 
 
 METHODS = (

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from napari_elsplus.evaluation.against_truth import SMOOTHING_PX, unexplained
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
 from napari_elsplus.processing.quality import USED_DIAMETER
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 
     Image = NDArray[np.float32]
     Frame = NDArray[np.uint8]
-
-_SMOOTHING_PX = 1.5
-"""Sigma of the Gaussian under which images are compared: it hides the cores, not the structure."""
 
 
 class Moment(NamedTuple):
@@ -63,11 +61,11 @@ def judge(item: Moment, answer: Image) -> Judgement:
     """Part of the image that the focal plane does not explain; and the haze over it, as a share of white."""
     side = len(item.in_focus)
     inside = disc(side, USED_DIAMETER * side)
-    seen, true = (cv2.GaussianBlur(image, (0, 0), _SMOOTHING_PX)[inside] for image in (answer, item.in_focus))
+    seen, true = (cv2.GaussianBlur(image, (0, 0), SMOOTHING_PX)[inside] for image in (answer, item.in_focus))
     rho = float(np.corrcoef(seen, true)[0, 1])
     gain = rho * float(seen.std() / true.std())
     haze = float(seen.mean() - gain * true.mean()) / (gain * float(np.quantile(true, 0.999)))
-    return Judgement(float(np.sqrt(1 - rho**2)), details={"haze": haze})
+    return Judgement(unexplained(seen, true), details={"haze": haze})
 
 
 def _ours(mode: Mode) -> Callable[[Case], Callable[[Moment], Image]]:

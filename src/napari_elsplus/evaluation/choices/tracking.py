@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 
 from napari_elsplus.evaluation.against_truth import track_errors
-from napari_elsplus.evaluation.choices.frontend import Raw, papers
+from napari_elsplus.evaluation.choices.frontend import papers
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
-from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig, tissue
+from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig, tissue, without_timing
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.sectioning import Sectioner
 from napari_elsplus.processing.tracking.paper import SIDE_PX, PaperTracker
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
-
-    from napari_elsplus.calibration import Calibration
 
 _CANVAS_PX = 3000
 
@@ -98,7 +96,7 @@ def _papers_chain(case: Case) -> Callable[[Recorded], list[TrackPoint]]:
         tracker = PaperTracker(sectioner.diameter_px, sectioner.side)
         rows = []
         for k, raw in enumerate(item.raw):
-            pose = tracker.add(front_end(Raw(raw, "", (0.0, 0.0))).image)
+            pose = tracker.add(front_end(raw).image)
             px = pose.row * tracker.scale, pose.col * tracker.scale
             rows.append(_point(rig, k, px, pose.score))
         return rows
@@ -109,12 +107,6 @@ def _papers_chain(case: Case) -> Callable[[Recorded], list[TrackPoint]]:
 def _point(rig: SimulatedRig, frame: int, px: tuple[float, float], score: float) -> TrackPoint:
     um = px[0] * rig.um_per_px, px[1] * rig.um_per_px
     return TrackPoint(frame, np.nan, 0, *px, *um, score, np.nan, "tracked")
-
-
-def without_timing(calibration: Calibration) -> Calibration:
-    """Return the calibration without rows per frame: frames are then taken as if all rows were read at once."""
-    assert calibration.optics is not None
-    return calibration.model_copy(update={"optics": calibration.optics.model_copy(update={"rows_per_frame": None})})
 
 
 def _pyfibrebundle(case: Case) -> Callable[[Recorded], TimedElsewhere]:

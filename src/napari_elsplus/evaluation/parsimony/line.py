@@ -13,9 +13,9 @@ import numpy as np
 from scipy.optimize import OptimizeWarning, curve_fit
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.evaluation.choices.line import Frame, frame, judge, tilted_gaussian
+from napari_elsplus.evaluation.choices.line import Frame, bell, frame, judge, mean_profile, tilted_gaussian
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, Method, Role
-from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.evaluation.random_rigs import Rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,28 +40,23 @@ def _cases(quick: bool) -> list[Case]:
     return made
 
 
-def _bell(rows: Floats, height: float, centre: float, width: float) -> Floats:
-    return np.asarray(height * np.exp(-((rows - centre) ** 2) / (2 * width**2)), np.float64)
-
-
 def _on_floor(rows: Floats, height: float, centre: float, width: float, floor: float) -> Floats:
-    return np.asarray(_bell(rows, height, centre, width) + floor, np.float64)
+    return np.asarray(bell(rows, height, centre, width) + floor, np.float64)
 
 
 def _on_slope(rows: Floats, height: float, centre: float, width: float, floor: float, slope: float) -> Floats:
-    return np.asarray(_bell(rows, height, centre, width) + floor + slope * (rows - rows.mean()), np.float64)
+    return np.asarray(bell(rows, height, centre, width) + floor + slope * (rows - rows.mean()), np.float64)
 
 
 def _with_halo(
     rows: Floats, height: float, centre: float, width: float, floor: float, halo: float, reach: float
 ) -> Floats:
-    return np.asarray(_bell(rows, height, centre, width) + _bell(rows, halo, centre, reach) + floor, np.float64)
+    return np.asarray(bell(rows, height, centre, width) + bell(rows, halo, centre, reach) + floor, np.float64)
 
 
 def _fitted(model: Callable[..., Floats], more: tuple[float, ...]) -> Callable[[Case], Callable[[Frame], float]]:
     def locate(item: Frame) -> float:
-        half = item.view.shape[1] // 8
-        profile = item.view[:, item.column - half : item.column + half + 1].mean(axis=1).astype(float)
+        profile = mean_profile(item).astype(float)
         peak = int(profile.argmax())
         low, high = max(0, peak - _FITTED_ROWS // 2), min(len(profile), peak + _FITTED_ROWS // 2)
         rows = np.arange(low, high, dtype=float)
@@ -77,7 +72,7 @@ def _fitted(model: Callable[..., Floats], more: tuple[float, ...]) -> Callable[[
 
 
 METHODS = (
-    Method("Gaussian", Role.PAPER, _fitted(_bell, ()), 3),
+    Method("Gaussian", Role.PAPER, _fitted(bell, ()), 3),
     Method("and a floor", Role.OPTION, _fitted(_on_floor, (0.0,)), 4),
     Method("and its slope", Role.OPTION, _fitted(_on_slope, (0.0, 0.0)), 5),
     Method("all columns, floor, slope, tilt", Role.DEFAULT, lambda _: tilted_gaussian, 6),

@@ -75,9 +75,7 @@ def _recorded(walk: Walk) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArr
     rig = simulated_rig()
     path = Turning(trajectory(walk.path, speed_um_s=walk.speed_um_s, seed=walk.seed), walk.turn_deg_s, REACH_DEG)
     raw = rig.recording(tissue(walk.scene, walk.seed), path, walk.frames, seed=walk.seed)
-    optics = rig.instrument.optics
-    periods = np.arange(walk.frames) + rig.instrument.left_centre[0] / optics.rows_per_frame
-    angle = path.angles_rad(np.asarray(periods * optics.frame_period_s, np.float64))
+    angle = path.angles_rad(rig.periods_at_middle(walk.frames) * rig.instrument.optics.frame_period_s)
     place = rig.positions_px(path, walk.frames)
     return raw, (place - place[0]) @ turned_by(-float(angle[0])).T, angle - angle[0]
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from napari_elsplus.evaluation.choices.line import METHODS, frame, judge
-from napari_elsplus.evaluation.harness import Benchmark, Case, Chart
-from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, stressed
+from napari_elsplus.evaluation.random_rigs import Rig
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from napari_elsplus.evaluation.choices.line import Frame
 
 
@@ -38,12 +37,12 @@ def _cases(quick: bool) -> list[Case]:
         "distance from the centre / radii": ("rim", (0.5, 0.8, 0.95, 1.1)),
     }
     seeds = range(2 if quick else 12)
-    make: Callable[[str, float], list[Frame]] = lambda kind, level: [_stressed(seed, kind, level) for seed in seeds]  # noqa: E731
-    return [
-        Case(f"{group}: {level:g}", make(kind, level), level=level, group=group)
-        for group, (kind, levels) in stresses.items()
-        for level in (levels[-1:] if quick else levels)
-    ]
+
+    def case(kind: str, level: float) -> Case:
+        return Case("", [_stressed(seed, kind, level) for seed in seeds])
+
+    made = {group: (levels, partial(case, kind)) for group, (kind, levels) in stresses.items()}
+    return stressed(made, worst=1 if quick else None)
 
 
 BENCHMARK = Benchmark(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from napari_elsplus.evaluation.choices.pair import METHODS, Lit, judge
-from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, named
-from napari_elsplus.evaluation.rigs import Rig
+from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, named, stressed
+from napari_elsplus.evaluation.random_rigs import Rig
 
 _SHOWN = ("cores", "circles", "most lit row and column", "PyFibreBundle find_bundle")
 
@@ -39,11 +40,12 @@ def _cases(quick: bool) -> list[Case]:
         "brightness of the right view": ("gain", (0.8, 0.4, 0.1)),
     }
     seeds = range(1 if quick else 8)
-    return [
-        Case(f"{group}: {level:g}", [_stressed(seed, kind, level) for seed in seeds], level=level, group=group)
-        for group, (kind, levels) in stresses.items()
-        for level in (levels[-1:] if quick else levels)
-    ]
+
+    def case(kind: str, level: float) -> Case:
+        return Case("", [_stressed(seed, kind, level) for seed in seeds])
+
+    made = {group: (levels, partial(case, kind)) for group, (kind, levels) in stresses.items()}
+    return stressed(made, worst=1 if quick else None)
 
 
 BENCHMARK = Benchmark(

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.errors import ElsPlusError
-from napari_elsplus.evaluation.choices.registration import METHODS, WRONG_PX, Pair, judge
+from napari_elsplus.evaluation.choices.registration import METHODS, WRONG_PX, Pair, judge, pairs_along
 from napari_elsplus.evaluation.harness import Absent, Benchmark, Case, Chart, Claim, TimedElsewhere, named
-from napari_elsplus.evaluation.rig import StopAndGo, measured, tissue
+from napari_elsplus.evaluation.rig import StopAndGo, dim, measured, tissue
 from napari_elsplus.processing.tracking.grid import Grid
 from napari_elsplus.simulation.instrument import Instrument
 
@@ -27,15 +27,13 @@ SCENES: Final = ("fibres", "nuclei", "paper")
 ELECTRONS_OF_WHITE: Final = 100.0
 FARTHEST_PERCENT: Final = 60
 _BINS: Final = 3
-WHITE_DN: Final = 80.0
-_PREDICTION_PX: Final = 3.0
 _FIELD_UM: Final = 1500.0
 _SHOWN: Final = ("link, predicted", "link, searched", "template", "OpenCV phaseCorrelate", "PyFibreBundle")
 _SELDOM: Final = {"scikit-image masked"}
 """Takes a tenth of a second for each pair."""
 
 
-def pairs(scene: str, low: float, high: float, count: int, seed: int = 0) -> list[Pair]:
+def pairs(scene: str, low: float, high: float, count: int) -> list[Pair]:
     """Pairs of tracking images in dim light.
 
     Parameters
@@ -44,21 +42,19 @@ def pairs(scene: str, low: float, high: float, count: int, seed: int = 0) -> lis
         Name of a textured scene.
     low, high : float
         Limits of the shift, as parts of the disc's diameter; all shifts in between are equally likely.
-    count, seed : int
-        How many, and which.
+    count : int
+        How many.
     """
-    rig = measured(Instrument.of("240hz", electrons_per_dn=ELECTRONS_OF_WHITE / WHITE_DN, read_noise_e=2.0))
+    rig = dim(ELECTRONS_OF_WHITE)
     grid = Grid.of(rig.calibration)
-    random = np.random.default_rng((seed, round(100 * low)))
+    random = np.random.default_rng((0, round(100 * low)))
     px = grid.diameter * np.sqrt(random.uniform(low**2, high**2, count))
     angle = random.uniform(0, 2 * np.pi, count)
     moved = px[:, None] * np.column_stack([np.sin(angle), np.cos(angle)])
     start_um = random.uniform(-_FIELD_UM, _FIELD_UM, (count, 2))
     places = np.stack([start_um, start_um + moved * grid.binning * rig.um_per_px], axis=1).reshape(-1, 2)
     path = StopAndGo(places, rig.instrument.optics.frame_period_s)
-    images = rig.tracking_images(rig.recording(tissue(scene, seed), path, 2 * count, seed=seed))
-    expected = moved + random.normal(0, _PREDICTION_PX, (count, 2))
-    return [Pair(images[2 * k], images[2 * k + 1], moved[k], expected[k]) for k in range(count)]
+    return pairs_along(rig, tissue(scene), path, 0, random)
 
 
 def cases(quick: bool, count: int = 1000) -> list[Case]:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from napari_elsplus.evaluation.choices.registration import METHODS, Pair, judge
-from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, named
-from napari_elsplus.evaluation.rig import SimulatedRig, jumps, measured, simulated_rig
+from napari_elsplus.evaluation.choices.registration import METHODS, judge, pairs_along
+from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, named, stressed
+from napari_elsplus.evaluation.rig import SimulatedRig, dim, jumps, measured, simulated_rig
 from napari_elsplus.processing.tracking.grid import Grid
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.scenes import Plane, Scene, fibres
@@ -24,22 +24,16 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
 
 SHIFT_PX = 20.0
+_SEED = 3
 _SHOWN = (
     "link, predicted", "link, searched", "template", "OpenCV phaseCorrelate", "OpenCV ECC, predicted", "PyFibreBundle",
 )  # fmt: skip
 
 
-def _pairs(rig: SimulatedRig, looked_at: Scene, px: float, count: int, seed: int = 3) -> Case:
+def _pairs(rig: SimulatedRig, looked_at: Scene, px: float, count: int) -> Case:
     grid = Grid.of(rig.calibration)
-    path = jumps(count, px, rig, grid.binning, seed)
-    images = rig.tracking_images(rig.recording(looked_at, path, 2 * count, seed=seed))
-    places = path.positions / (grid.binning * rig.um_per_px)
-    random = np.random.default_rng(seed)
-    made = []
-    for k in range(count):
-        moved = places[2 * k + 1] - places[2 * k]
-        made.append(Pair(images[2 * k], images[2 * k + 1], moved, moved + random.normal(0, 3.0, 2)))
-    return Case("", made, context=grid)
+    path = jumps(count, px, rig, grid.binning, _SEED)
+    return Case("", pairs_along(rig, looked_at, path, _SEED, np.random.default_rng(_SEED)), context=grid)
 
 
 def _later(case: Case, change: Callable[[Image, np.random.Generator], Image]) -> Case:
@@ -94,10 +88,6 @@ def _saturated(factor: float, case: Case) -> Case:
     return _both(case, lambda image: np.minimum(image, np.quantile(image, 0.999) / np.float32(factor)))
 
 
-def _photons(electrons_per_dn: float) -> SimulatedRig:
-    return measured(Instrument.of("240hz", electrons_per_dn=electrons_per_dn, read_noise_e=2.0))
-
-
 def _sparse(per_mm2: float) -> Scene:
     return Scene((Plane(Fibres(per_mm2=per_mm2, seed=4)),))
 
@@ -117,7 +107,7 @@ def _cases(quick: bool) -> list[Case]:
         stresses = {
             "shift / px of 234": ((20, 60, 100, 140), lambda x: _pairs(rig, looked_at, x, count)),
             "electrons of white": (
-                (3200, 16, 4, 1), lambda x: _pairs(_photons(x / 80), looked_at, SHIFT_PX, count)
+                (3200, 16, 4, 1), lambda x: _pairs(dim(x), looked_at, SHIFT_PX, count)
             ),
             "fibres in a square mm": ((30, 8, 3, 1), lambda x: _pairs(rig, _sparse(x), SHIFT_PX, count)),
             "slit offset / um": (
@@ -127,12 +117,7 @@ def _cases(quick: bool) -> list[Case]:
                 (1, 6, 24), lambda x: _pairs(measured(Instrument.of("240hz", slit_rows=x)), looked_at, SHIFT_PX, count)
             ),
         } | stresses  # fmt: skip
-    chosen = {group: (levels[-2:] if quick else levels, make) for group, (levels, make) in stresses.items()}
-    return [
-        replace(make(level), name=f"{group}: {level:g}", level=level, group=group)
-        for group, (levels, make) in chosen.items()
-        for level in levels
-    ]
+    return stressed(stresses, worst=2 if quick else None)
 
 
 BENCHMARK = Benchmark(

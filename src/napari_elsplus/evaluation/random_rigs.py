@@ -19,9 +19,11 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Frame = NDArray[np.uint8]
 
-
 LASER_NOISE: Final = 0.003
 """Standard deviation of the light from one reading of the scan's signal to the next, as a fraction."""
+_SLIT_ROWS: Final = 3
+_SCANNED_FRAMES: Final = 4
+"""Over which a reading of the scan's signal is averaged."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,7 @@ class Rig:
         random = np.random.default_rng(self.seed + 1)
         return np.asarray(np.clip(random.normal(1, 0.15, len(self.cores)), 0.3, None), np.float64)
 
-    def line_row(self, row: float, column: float = 0.0) -> float:
+    def line_row(self, row: float) -> float:
         """Row in the right image, at its centre's column, of a line at a row about the left centre."""
         slope = np.tan(np.radians(self.tilt_deg))
         (a, b), (c, d) = self.left_to_right
@@ -182,9 +184,9 @@ class Rig:
         rows = (volts - self.volts_at_row_zero) / self.volts_per_row - self.left[0]
         return np.concatenate([self._noisy(self.lit_by_line(row)[None], 10 + k) for k, row in enumerate(rows)])
 
-    def volts(self, count: int = 400, beyond: float = 0.6) -> Floats:
+    def volts(self, count: int = 400) -> Floats:
         """Voltages that sweep the line over the bundle and past it, to 0.6 diameters from its centre."""
-        rows = self.left[0] + np.linspace(-beyond, beyond, count) * self.diameter_px
+        rows = self.left[0] + np.linspace(-0.6, 0.6, count) * self.diameter_px
         return np.asarray(self.volts_at_row_zero + self.volts_per_row * rows, np.float64)
 
     def bundle(self, count: int = 1) -> Frame:
@@ -195,8 +197,9 @@ class Rig:
         """Frames of the dark tube, (count, rows, cols)."""
         return self._noisy(np.zeros((count, *self.shape)), 4)
 
-    def scanned_signal(self, lead_rows: float, slit_rows: int = 3, frames: int = 4) -> float:
+    def scanned_signal(self, lead_rows: float) -> float:
         """Mean grey level of the left disc, the slit running over it and the line running ahead of it by a lead."""
+        slit_rows, frames = _SLIT_ROWS, _SCANNED_FRAMES
         y, x = self.cores.T
         sigma = 0.33 * self.pitch_px
         row = np.arange(-4, 5)[:, None] + np.rint(y)
