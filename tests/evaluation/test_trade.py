@@ -4,24 +4,38 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from napari_elsplus.evaluation.random_rigs import Rig
-from napari_elsplus.evaluation.sectioning import weigh_offset
-from napari_elsplus.evaluation.trade import line_as_seen, weigh
+from napari_elsplus.evaluation.sectioning import clipped_share
+from napari_elsplus.evaluation.trade import ELECTRONS_PER_DN, READ_NOISE_E, line_as_seen, weigh
 from napari_elsplus.processing.calibration.line import locate_line
-from napari_elsplus.simulation.axial_response import LINE_MODELS
+from napari_elsplus.simulation.axial_response import LINE_MODELS, line_response
+from napari_elsplus.simulation.instrument import Instrument
 
 LINE = LINE_MODELS["a"]
 
 
 @pytest.mark.parametrize("offset_um", [12.0, 29.0, 77.0])
-def test_the_quick_prediction_agrees_with_rendered_frames(offset_um: float) -> None:
-    quick, slow = weigh(-offset_um, 2.9, LINE, 80.0), weigh_offset(offset_um)
-    assert quick.drop_10db_um == pytest.approx(slow.drop_10db_um)
-    assert quick.signal_kept == pytest.approx(slow.signal_kept)
-    assert quick.contrast_to_noise == pytest.approx(slow.contrast_to_noise, rel=0.02)
-    assert quick.clipped == pytest.approx(slow.clipped, abs=0.008)
+def test_the_quick_prediction_of_the_clipped_field_agrees_with_rendered_frames(offset_um: float) -> None:
+    rendered = clipped_share(Instrument.of("120hz", offset_um=-offset_um))
+    assert weigh(-offset_um, 2.9, LINE, 80.0).clipped == pytest.approx(rendered, abs=0.008)
+
+
+def test_the_camera_that_is_assumed_is_the_simulated_one() -> None:
+    simulated = Instrument.of("120hz")
+    assert (simulated.electrons_per_dn, simulated.read_noise_e) == (ELECTRONS_PER_DN, READ_NOISE_E)
+
+
+def test_contrast_to_noise_is_signal_over_shot_and_read_noise_of_both_views() -> None:
+    kept = weigh(29.0, 2.9, LINE, 80.0)
+    confocal_e = 80.0 * ELECTRONS_PER_DN
+    aside_e = confocal_e * float(line_response(0.0, 29.0, 2.9, LINE) / line_response(0.0, 0.0, 2.9, LINE))
+    random = np.random.default_rng(0)
+    seen = [random.poisson(e, 100_000) + random.normal(0, READ_NOISE_E, 100_000) for e in (confocal_e, aside_e)]
+    difference = seen[0] - seen[1]
+    assert kept.contrast_to_noise == pytest.approx(difference.mean() / difference.std(), rel=0.01)
 
 
 def test_more_light_and_less_gain_for_as_many_grey_levels_mean_less_noise() -> None:

@@ -43,6 +43,7 @@ def test_the_figure_shows_each_image_on_the_same_scale(tmp_path: Path) -> None:
     figure = draw_comparison(compare(RAW, CALIBRATION), um_per_px=2.0)
     images = [axes.get_images()[0] for axes in figure.axes if axes.get_images()]
     assert [image.get_clim() for image in images] == [(0, 1)] * 3
+    assert [axes.texts[0].get_text() for axes in figure.axes[:3]] == ["20 \N{MICRO SIGN}m"] * 3  # of a disc of 100
     save_figure(figure, tmp_path / "c.png")
     assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(InputError, match="exists"):

@@ -18,6 +18,7 @@ from napari_elsplus.io import open_recording, read_volts, write_calibration
 from napari_elsplus.optics import BUNDLE_UM, PRESETS
 from napari_elsplus.processing.calibration.calibrate import Findings, measure
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
+from napari_elsplus.processing.quality import PAPER_ALIGNMENT_PERCENT
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -118,7 +119,7 @@ def summary(findings: Findings) -> Iterable[str]:
 
 
 def _bundle(findings: Findings) -> Iterator[str]:
-    pair, quality = findings.pair, findings.calibration.quality
+    pair, quality, (raw, filtered) = findings.pair, findings.calibration.quality, PAPER_ALIGNMENT_PERCENT
     if pair is None or quality is None:
         return
     for name, disc in (("confocal", pair.left), ("residual", pair.right)):
@@ -133,7 +134,7 @@ def _bundle(findings: Findings) -> Iterator[str]:
     )
     yield (
         f"alignment error: {100 * quality.alignment_error:.2f} %, "
-        f"{100 * quality.alignment_error_filtered:.2f} % after the core filter (paper: 5.5 %, 0.74 %)"
+        f"{100 * quality.alignment_error_filtered:.2f} % after the core filter (paper: {raw} %, {filtered} %)"
     )
 
 

@@ -65,11 +65,9 @@ class MovingFrames:
     in_focus: NDArray[np.uint8]
 
 
-def moving_frames(
-    preset: str, rate_hz: float | None, name: str, path: Trajectory, frames: int, *, offset_um: float = -29.0
-) -> MovingFrames:
-    """Record a scene along a path at a frame rate."""
-    rig = measured(Instrument.of(preset, offset_um=offset_um, rate_hz=rate_hz))
+def moving_frames(preset: str, rate_hz: float | None, name: str, path: Trajectory, frames: int) -> MovingFrames:
+    """Record a scene along a path at a frame rate, at the paper's usual slit offset."""
+    rig = measured(Instrument.of(preset, offset_um=-29.0, rate_hz=rate_hz))
     return MovingFrames(
         rig,
         rig.recording(scene(name), path, frames),
@@ -78,9 +76,9 @@ def moving_frames(
     )
 
 
-def lens_paper(frames: int = 4) -> MovingFrames:
+def lens_paper() -> MovingFrames:
     """Move a hand-held probe over lens paper at 10 Hz, as the paper shows ELSA's motion artefacts."""
-    return moving_frames("120hz", 10.0, "fibres", HandHeld(400.0, tremor_um=2.0, seed=2), frames)
+    return moving_frames("120hz", 10.0, "fibres", HandHeld(400.0, tremor_um=2.0, seed=2), 4)
 
 
 def lens_paper_mosaic(frames: int = 168) -> MovingFrames:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.axial import AxialResponse, axial_profiles, axial_response, contrast_to_noise
+from napari_elsplus.evaluation.trade import Trade, weigh
+from napari_elsplus.processing.axial import AxialResponse, axial_profiles, axial_response
 from napari_elsplus.processing.sectioning import Sectioner
-from napari_elsplus.simulation.axial_response import LINE_MODELS, drop_offs, line_response, signal_kept
+from napari_elsplus.simulation.axial_response import LINE_MODELS, drop_offs
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.calibration_scenes import background
 from napari_elsplus.simulation.instrument import Instrument
@@ -21,6 +22,9 @@ from napari_elsplus.simulation.truth import true_calibration
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+SLIT_UM: Final = 2.9
+WIDE_SLIT_UM: Final = 8.8
+AVERAGED_FRAMES: Final = 300
 CLIPPED_BELOW: Final = 0.5
 """Where the residual image has less than this share of its centre's brightness, the field counts as clipped."""
 
@@ -33,45 +37,14 @@ def measure_axial(instrument: Instrument, *, seed: int = 0) -> AxialResponse:
     return axial_response(scan.depths_um, *axial_profiles(scan, calibration))
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """What a slit offset costs and gives.
+def weigh_offset(offset_um: float) -> Trade:
+    """Work out what a slit offset costs and gives at the paper's usual slit and the 120 Hz preset's light level.
 
-    Parameters
-    ----------
-    offset_um : float
-        Slit offset.
-    drop_10db_um : float
-        ELS+ 10 dB drop-off distance, closed form.
-    signal_kept : float
-        ELS+ over LS in contact, closed form.
-    contrast_to_noise : float
-        Of an in-focus plane of brightness 1 in one pixel, shot and read noise of both views.
-    clipped : float
-        Share of the field whose residual image is clipped at the rim.
+    The clipped field is that of rendered frames.
     """
-
-    offset_um: float
-    drop_10db_um: float
-    signal_kept: float
-    contrast_to_noise: float
-    clipped: float
-
-
-def weigh_offset(offset_um: float, *, slit_um: float = 2.9) -> Choice:
-    """Work out what a slit offset costs and gives, at the 120 Hz preset's light level."""
-    instrument = Instrument.of("120hz", slit_um=slit_um, offset_um=-offset_um)
-    kept = signal_kept(offset_um=offset_um, slit_um=slit_um)
-    confocal_e = instrument.light_dn * instrument.electrons_per_dn
-    aside = line_response(0.0, offset_um, slit_um, instrument.line) / line_response(0.0, 0.0, slit_um, instrument.line)
-    both_read_e = np.sqrt(2) * instrument.read_noise_e
-    return Choice(
-        offset_um,
-        drop_offs(offset_um=offset_um, slit_um=slit_um).drop_10db_um,
-        kept,
-        float(contrast_to_noise(confocal_e, confocal_e * float(aside), both_read_e)),
-        clipped_share(instrument),
-    )
+    instrument = Instrument.of("120hz", slit_um=SLIT_UM, offset_um=-offset_um)
+    trade = weigh(offset_um, SLIT_UM, instrument.line, instrument.light_dn)
+    return replace(trade, clipped=clipped_share(instrument))
 
 
 def clipped_share(instrument: Instrument) -> float:
@@ -84,7 +57,7 @@ def clipped_share(instrument: Instrument) -> float:
     return float((residual < CLIPPED_BELOW * residual[centre].mean()).mean())
 
 
-def mean_residual(offset_um: float, *, frames: int = 300, slit_um: float = 8.8, seed: int = 0) -> NDArray[np.float32]:
+def mean_residual(offset_um: float) -> NDArray[np.float32]:
     """Average the residual images of a probe moving over stained paper, as the paper does to show its edge artefacts.
 
     Returns
@@ -92,27 +65,33 @@ def mean_residual(offset_um: float, *, frames: int = 300, slit_um: float = 8.8, 
     numpy.ndarray
         (n, n) float32 grey levels, the bundle's centre in the middle; the background is subtracted.
     """
-    instrument = Instrument.of("120hz", slit_um=slit_um, offset_um=offset_um, rate_hz=10.0)
+    instrument = Instrument.of("120hz", slit_um=WIDE_SLIT_UM, offset_um=offset_um, rate_hz=10.0)
     instrument = replace(instrument, light_dn=instrument.light_dn / 3)  # three times the usual slit
-    renderer = Renderer(instrument, paper(seed), Spiral(speed_um_s=3000.0), seed=seed)
-    calibration = true_calibration(instrument, background(instrument, seed=seed + 1))
+    renderer = Renderer(instrument, paper(), Spiral(speed_um_s=3000.0))
+    calibration = true_calibration(instrument, background(instrument, seed=1))
     sectioner = Sectioner(calibration, instrument.frame_shape)
     total = np.zeros((sectioner.side, sectioner.side), np.float32)
     raw = np.empty(instrument.frame_shape, np.uint8)
     image = np.empty_like(total)
-    for k in range(frames):
+    for k in range(AVERAGED_FRAMES):
         total += sectioner.residual(renderer.render(k, raw), image)
-    return total / np.float32(frames)
+    return total / np.float32(AVERAGED_FRAMES)
 
 
-def sharper_line_drop_offs(slits_um: NDArray[np.float64], offset_um: float = 77.0) -> NDArray[np.float64]:
-    """LS 3 dB, LS 10 dB, ELS+ 3 dB and ELS+ 10 dB of the sharper line against slit width, (slits, 4), closed form."""
+def sharper_line_drop_offs(slits_um: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Drop-off distances of the sharper line at an offset of 77 um, closed form.
+
+    Returns
+    -------
+    numpy.ndarray
+        (slits, 4): LS 3 dB, LS 10 dB, ELS+ 3 dB and ELS+ 10 dB.
+    """
     line = LINE_MODELS["b"]
     return np.array(
         [
             (
                 *drop_offs(offset_um=None, slit_um=slit, line=line),
-                *drop_offs(offset_um=offset_um, slit_um=slit, line=line),
+                *drop_offs(offset_um=77.0, slit_um=slit, line=line),
             )
             for slit in slits_um.tolist()
         ]

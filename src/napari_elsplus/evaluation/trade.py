@@ -44,7 +44,7 @@ class Trade:
     clipped: float
 
 
-def line_as_seen(seen: Line, slit_rows: float, um_per_px: float, model: LineModel = LINE_MODELS["a"]) -> LineModel:
+def line_as_seen(seen: Line, slit_rows: float, um_per_px: float) -> LineModel:
     """Return a line's model with its core as wide as it is seen; the halo, which no fit near the line tells, is kept.
 
     Parameters
@@ -55,9 +55,8 @@ def line_as_seen(seen: Line, slit_rows: float, um_per_px: float, model: LineMode
         Rows that are exposed at once; they widen what is seen.
     um_per_px : float
         Micrometres per camera pixel.
-    model : LineModel
-        What it starts from.
     """
+    model = LINE_MODELS["a"]
     core_rows = np.sqrt(max(seen.width_rows**2 - slit_rows**2 / 12, 0.0))
     core_um = float(np.clip(core_rows * um_per_px, _NARROWEST_CORE_UM, 0.9 * model.halo_um))
     return replace(model, core_um=core_um)

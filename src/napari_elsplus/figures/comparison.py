@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.figures.mosaic_picture import bar_length
 from napari_elsplus.processing.quality import USED_DIAMETER, contrast, white_level
 from napari_elsplus.processing.sectioning import Frames, Mode, Sectioner, disc
 
@@ -22,6 +23,7 @@ TITLES: Final = {Mode.LS: "LS", Mode.ELSA: "ELSA", Mode.ELS: "ELS+"}
 COLOURS: Final = {Mode.LS: "#0072b2", Mode.ELSA: "#e69f00", Mode.ELS: "#009e73"}
 """Okabe and Ito's, told apart by colour-blind eyes."""
 _PROFILE_WIDTH_PX: Final = 5
+_BAR_SHARE: Final = 0.25
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,8 @@ def _draw_profiles(axes: Axes, comparison: Comparison, um_per_px: float | None) 
     axes.margins(x=0)
 
 
-def _draw_scale_bar(axes: Axes, side: int, um_per_px: float, length_um: float = 100) -> None:
+def _draw_scale_bar(axes: Axes, side: int, um_per_px: float) -> None:
+    length_um = bar_length(_BAR_SHARE * side * um_per_px)
     length_px = length_um / um_per_px
     axes.plot([side * 0.97 - length_px, side * 0.97], [side * 0.97] * 2, color="white", linewidth=3)
     label = f"{length_um:g} \N{MICRO SIGN}m"

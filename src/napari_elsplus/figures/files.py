@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.figure import Figure
+
+DPI: Final = 120
+"""Pixels for an inch of a figure."""
 
 
 def save_figure(figure: Figure, path: Path, *, force: bool = False) -> None:
@@ -34,7 +37,7 @@ def save_figure(figure: Figure, path: Path, *, force: bool = False) -> None:
     """
     kind = refuse_format(path)
     with replacing(path, force=force) as unfinished:
-        figure.savefig(unfinished, format=kind, dpi=120)
+        figure.savefig(unfinished, format=kind, dpi=DPI)
 
 
 def refuse_format(path: Path) -> str:

@@ -9,19 +9,19 @@ import cv2
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from napari_elsplus.figures.files import DPI
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
 LONGEST_SIDE_PX: Final = 4000
-DPI: Final = 120
-"""Of :func:`napari_elsplus.figures.files.save_figure`, so that a pixel of the mosaic is one of the picture."""
 _BAR_SHARE: Final = 0.25
 _SHORTEST_SIDE_PX: Final = 300
 
 
 def draw_mosaic(image: NDArray[np.float32], um_per_px: float | None, white: float) -> Figure:
-    """Draw a mosaic.
+    """Draw a mosaic, so that its pixels are those of the picture once it is saved.
 
     Parameters
     ----------

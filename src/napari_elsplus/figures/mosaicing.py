@@ -134,10 +134,12 @@ def draw_gate(found: dict[tuple[int, bool], list[Judged]]) -> Figure:
     """How wrong links are against the evidence for them, and what other limits would catch and keep."""
     figure = Figure(figsize=(12, 3.6), layout="constrained")
     dots, *panels = figure.subplots(1, 3)
-    every = np.array(list(chain(*found.values())), float)
-    told = every[:, 6] > 0
+    every = _columns(list(chain(*found.values())))
+    told = every["told"] > 0
+    certainty = np.maximum(every["certainty"], 1e-2)
     for shown, colour, label in ((told, "C0", "the frames tell the shift"), (~told, "C1", "they do not")):
-        dots.loglog(np.maximum(every[shown, 2], 1e-2), every[shown, 3], ".", color=colour, markersize=3, label=label)
+        at = certainty[shown], every["error_px"][shown]
+        dots.loglog(*at, ".", color=colour, markersize=3, label=label)
     dots.axvline(1, color="black", linewidth=0.8)
     dots.set(xlabel="evidence / what is needed", ylabel="error of the link (camera px)")
     dots.legend(frameon=False, fontsize=8)
@@ -157,16 +159,20 @@ def draw_gate(found: dict[tuple[int, bool], list[Judged]]) -> Figure:
     return figure
 
 
+def _columns(links: list[Judged]) -> dict[str, Curve]:
+    return dict(zip(Judged._fields, np.array(links, float).T, strict=True))
+
+
 def characteristics(links: list[Judged]) -> dict[str, tuple[Curve, Curve]]:
     """Percent of the wrong links caught, and of the right ones kept, at every limit on three measures of a link."""
-    table = np.array(links, float)
+    of = _columns(links)
     curves = {}
     for name, measure, error in (
-        ("correlation", table[:, 0], table[:, 4]),
-        ("at first sight", table[:, 1], table[:, 4]),
-        ("in the end", np.where(table[:, 7] > SURE_CORRELATION, table[:, 2], -np.inf), table[:, 3]),
+        ("correlation", of["correlation"], of["first_error_px"]),
+        ("at first sight", of["first_certainty"], of["first_error_px"]),
+        ("in the end", np.where(of["last_correlation"] > SURE_CORRELATION, of["certainty"], -np.inf), of["error_px"]),
     ):
-        wrong, right = measure[error > WRONG_PX], measure[(error < WRONG_PX / 2) & (table[:, 6] > 0)]
+        wrong, right = measure[error > WRONG_PX], measure[(error < WRONG_PX / 2) & (of["told"] > 0)]
         limits = np.quantile(right, np.linspace(0, 1, 201), method="lower")
         caught = [100 * float((wrong < limit).mean()) for limit in limits] if len(wrong) else [100.0] * len(limits)
         curves[name] = np.array(caught), np.array([100 * float((right >= limit).mean()) for limit in limits])

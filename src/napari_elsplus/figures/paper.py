@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from napari_elsplus.evaluation import paper
 from napari_elsplus.figures.comparison import TITLES, compare, draw_comparison
 from napari_elsplus.figures.files import save_figure
-from napari_elsplus.processing.quality import contrast, white_level
+from napari_elsplus.processing.quality import PAPER_ALIGNMENT_PERCENT, contrast, white_level
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.tracking_pipeline import Method
@@ -75,7 +75,7 @@ def make(
     frames = paper.tissue(6 if quick else 60)
     single = paper.sectioned(frames, (Mode.LS, Mode.ELS))
     made = {"LS": paper.mosaic(frames, Mode.LS), "ELS+": paper.mosaic(frames, Mode.ELS)}
-    images = {f"{mode.value.upper()} frame": one.image for mode, one in single.items()}
+    images = {f"{TITLES[mode]} frame": one.image for mode, one in single.items()}
     images |= {f"{name} mosaic": m.image for name, m in made.items()}
     keep("tissue", draw_images(images, 2), mosaic_table(made))
     return tables
@@ -112,6 +112,7 @@ def calibration_table(found: Calibrated) -> str:
     assert galvo is not None
     assert bundle is not None
     assert quality is not None
+    papers, papers_filtered = PAPER_ALIGNMENT_PERCENT
     return _table(
         ("", "found", "off the truth by"),
         ("slit offset / rows", f"{offset.rows:.3f} +- {offset.uncertainty_rows:.3f}", f"{errors.offset_rows:+.4f}"),
@@ -120,8 +121,12 @@ def calibration_table(found: Calibrated) -> str:
         ("1 - R\N{SUPERSCRIPT TWO}", f"{1 - galvo.r_squared:.1e}", "(the paper: 0.01)"),
         ("right view onto the left / px", "", f"{errors.pair_alignment_px:.4f}"),
         ("brightness of the right view", f"{bundle.residual_gain:.4f}", f"{errors.residual_gain_percent:+.3f} %"),
-        ("alignment error", f"{100 * quality.alignment_error:.2f} %", "(the paper: 5.5 %)"),
-        ("the same, filtered", f"{100 * quality.alignment_error_filtered:.2f} %", "(the paper: 0.74 %)"),
+        ("alignment error", f"{100 * quality.alignment_error:.2f} %", f"(the paper: {papers} %)"),
+        (
+            "the same, filtered",
+            f"{100 * quality.alignment_error_filtered:.2f} %",
+            f"(the paper: {papers_filtered} %)",
+        ),
     )
 
 

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.evaluation import printed
 from napari_elsplus.evaluation.sectioning import mean_residual, measure_axial, weigh_offset
 from napari_elsplus.figures import physics_charts as charts
+from napari_elsplus.figures.axial import draw_axial_response
 from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill, require_marks
 from napari_elsplus.processing.axial import fit_saturation
@@ -21,11 +23,10 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.axial import AxialResponse
 
-OFFSETS_UM: Final = (12.0, 29.0, 40.0, 58.0, 77.0)
 SLITS_UM: Final = (1.9, 2.9, 5.8)
 SHARP_SLITS_UM: Final = (2.9, 5.8, 8.8)
 SEEDS: Final = 10
-WEIGHED_UM: Final = (3, 6, 9, 12, 16, 20, 25, 29, 35, 40, 50, 58, 67, 77, 90)
+WEIGHED_UM: Final = (3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 25.0, 29.0, 35.0, 40.0, 50.0, 58.0, 67.0, 77.0, 90.0)
 STRIPS_UM: Final = ((-295.0, -260.0), (-285.0, -275.0), (260.0, 295.0))
 EDGE_UM: Final = (-74.0, -12.0)
 TABLES: Final = ("offsets", "slits", "seeds", "edge")
@@ -46,18 +47,18 @@ def make(docs: Path) -> None:
     """
     page = docs / "physics.md"
     require_marks(page, TABLES)
-    by_offset = {offset: measure_axial(_instrument(offset)) for offset in OFFSETS_UM}
+    by_offset = {offset: measure_axial(_instrument(offset)) for offset in printed.OFFSETS_UM}
     by_slit = {slit: measure_axial(_instrument(29.0, slit)) for slit in SLITS_UM}
     sharp = {slit: measure_axial(_instrument(77.0, slit, "b")) for slit in SHARP_SLITS_UM}
     by_seed = [measure_axial(_instrument(29.0), seed=seed) for seed in range(SEEDS)]
     residuals = {offset: mean_residual(offset) for offset in EDGE_UM}
-    choices = [weigh_offset(float(offset)) for offset in WEIGHED_UM]
+    trades = {offset: weigh_offset(offset) for offset in WEIGHED_UM}
     figures = {
-        "axial": charts.representative(by_offset[29.0]),
+        "axial": draw_axial_response(by_offset[29.0]),
         "offset": charts.drop_off_against_offset(by_offset),
         "slit": charts.drop_off_against_slit(sharp),
         "kept": charts.kept_signal(by_offset),
-        "choice": charts.the_choice(choices),
+        "choice": charts.the_choice(trades),
         "edge": charts.edge_artefacts(residuals, _instrument(74.0).optics.um_per_px),
     }
     for name, figure in figures.items():
@@ -75,11 +76,12 @@ def _offset_table(measured: dict[float, AxialResponse]) -> list[str]:
     rows = [
         "| 3 dB / 10 dB (um) | paper | closed form | raw frames | raw frames off the paper |",
         "|---|---|---|---|---|",
-        f"| LS | 58 +- 3 / 550 +- 20 | {closed_ls.drop_3db_um:.1f} / {closed_ls.drop_10db_um:.0f} "
-        f"| {ls.ls_3db.um:.1f} / {ls.ls_10db.um:.0f} | {_off(ls.ls_3db.um, 58)} / {_off(ls.ls_10db.um, 550)} |",
+        f"| LS | {' / '.join(f'{um:.0f} +- {spread:.0f}' for um, spread in printed.LS_UM.values())} "
+        f"| {closed_ls.drop_3db_um:.1f} / {closed_ls.drop_10db_um:.0f} | {ls.ls_3db.um:.1f} / {ls.ls_10db.um:.0f} "
+        f"| {_off(ls.ls_3db.um, printed.LS_UM[3][0])} / {_off(ls.ls_10db.um, printed.LS_UM[10][0])} |",
     ]
     for offset, response in measured.items():
-        paper = [charts.paper_drop_off(offset, decibel) for decibel in (3, 10)]
+        paper = [printed.els_drop_off_um(offset, decibel) for decibel in (3, 10)]
         closed = drop_offs(offset_um=offset)
         rows.append(
             f"| ELS, offset {offset:.0f} | {paper[0]:.1f} / {paper[1]:.1f} "
@@ -92,7 +94,7 @@ def _offset_table(measured: dict[float, AxialResponse]) -> list[str]:
         for name in ("els_3db", "els_10db")
     ]
     ours = " / ".join(f"{fit.limit_um:.0f} (1 - exp(-{fit.rate_per_um:.4f} OF))" for fit in fits)
-    papers = " / ".join(f"{limit:.0f} (1 - exp(-{rate:.4f} OF))" for limit, rate in charts.PAPER_FITS.values())
+    papers = " / ".join(f"{limit:.0f} (1 - exp(-{rate:.4f} OF))" for limit, rate in printed.ELS_FITS.values())
     return [*rows, f"| ELS, fit over the offsets OF | {papers} | | {ours} | |"]
 
 
@@ -112,11 +114,10 @@ def _seed_table(measured: list[AxialResponse]) -> list[str]:
         f"| {SEEDS} seeds, offset 29 um, slit 2.9 um | mean | sd | lowest | highest | must lie in |",
         "|---|---|---|---|---|---|",
     ]
+    els_um = {decibel: round(printed.els_drop_off_um(29.0, decibel), 1) for decibel in printed.ELS_FITS}
     for name, field, low, high in (
-        ("LS 3 dB", "ls_3db", 55, 61),
-        ("LS 10 dB", "ls_10db", 530, 570),
-        ("ELS+ 3 dB", "els_3db", 35.1 * 0.95, 35.1 * 1.05),
-        ("ELS+ 10 dB", "els_10db", 118.9 * 0.95, 118.9 * 1.05),
+        *((f"LS {db} dB", f"ls_{db}db", um - spread, um + spread) for db, (um, spread) in printed.LS_UM.items()),
+        *((f"ELS+ {db} dB", f"els_{db}db", 0.95 * um, 1.05 * um) for db, um in els_um.items()),
     ):
         values = np.array([getattr(response, field).um for response in measured])
         rows.append(

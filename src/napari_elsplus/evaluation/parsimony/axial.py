@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import brentq, least_squares
 
 from napari_elsplus.errors import ElsPlusError
+from napari_elsplus.evaluation import printed
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, Judgement, Method, Role
 from napari_elsplus.simulation.axial_response import LineModel, line_response
 
@@ -36,11 +37,13 @@ class Target(NamedTuple):
 
 def paper_targets() -> list[Target]:
     """LS as printed, ELS+ from the printed fits at the offsets that were measured (panels a and b)."""
-    targets = [Target(None, 0.5, 58.0), Target(None, 0.1, 550.0)]
-    for offset in (12.0, 29.0, 40.0, 58.0, 77.0):
-        targets.append(Target(offset, 0.5, 58 * (1 - np.exp(-0.032 * offset))))
-        targets.append(Target(offset, 0.1, 550 * (1 - np.exp(-0.0084 * offset))))
-    return targets
+    shares = {3: 0.5, 10: 0.1}
+    ls = [Target(None, share, printed.LS_UM[decibel][0]) for decibel, share in shares.items()]
+    return ls + [
+        Target(offset_um, share, printed.els_drop_off_um(offset_um, decibel))
+        for offset_um in printed.OFFSETS_UM
+        for decibel, share in shares.items()
+    ]
 
 
 class HeldOut(NamedTuple):

@@ -14,6 +14,7 @@ from napari_elsplus.processing.calibration.calibrate import Background, SlitOffs
 from napari_elsplus.processing.calibration.draft import MOVED_ROWS, Draft, Flat, Found, LitPair, Setup, Step
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES, GalvoMap
 from napari_elsplus.processing.calibration.lag import ScanLag
+from napari_elsplus.processing.quality import PAPER_ALIGNMENT_PERCENT
 from napari_elsplus.widgets.plots import Band, Curve
 
 if TYPE_CHECKING:
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 TOLERANCE_UM: Final = 1.0
 """Half the width of the green band around the target."""
-PAPER_ERRORS: Final = (5.5, 0.74)
-"""Alignment error in per cent that the paper reports, before and after its core filter."""
 _SLIT_ROWS: Final = 3.0
 _FIT_WIDTHS: Final = 2.5
 """Standard deviations of the line to which its fit is drawn."""
@@ -230,7 +229,8 @@ def _pair(found: LitPair, draft: Draft, setup: Setup) -> Picture:
     if known.quality is not None:
         raw, filtered = 100 * known.quality.alignment_error, 100 * known.quality.alignment_error_filtered
         headline = f"alignment error {raw:.1f} %<br>{filtered:.2f} % after the filter"
-        lines.append(f"the paper's alignment error: {PAPER_ERRORS[0]} %, {PAPER_ERRORS[1]} % after its filter")
+        paper = PAPER_ALIGNMENT_PERCENT
+        lines.append(f"the paper's alignment error: {paper[0]} %, {paper[1]} % after its filter")
     return Picture(headline, lines, warnings, [_across(found)])
 
 
