@@ -18,7 +18,7 @@ import numpy as np
 from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.evaluation.machine import machine
-from napari_elsplus.io import TrackPoint
+from napari_elsplus.io import TrackPoint, TrackTable
 from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.sectioning import Mode
@@ -56,7 +56,7 @@ class Raster:
         self.scale = MosaicScale(float(grid.binning), um, 0.45 * grid.diameter, 0.6 * grid.diameter * grid.binning)
         self.mosaic = Mosaic(grid, insertion)
         self.canvases = {Mode.ELS: {0: self.mosaic}}
-        self.rows: list[TrackPoint] = []
+        self.rows = TrackTable()
         side = side_mm * 1000 / (um * grid.binning) - grid.diameter
         along, lines = np.arange(0, side, STEP_PX), np.arange(0, side, LINES_APART * grid.diameter)
         self.path = [(r, c) for k, r in enumerate(lines) for c in (along if k % 2 == 0 else along[::-1])]

@@ -99,7 +99,7 @@ def test_who_looks_has_the_same_mosaic_and_copies_only_what_changed(scribe: Scri
         assert max(dirty.shape) < 120
         assert feed.canvases[0][0].take_dirty() is None
         same(feed, scribe)
-        assert feed.rows == [point(k, 0 if k < 25 else 1) for k in range(41)]
+        assert list(feed.rows) == [point(k, 0 if k < 25 else 1) for k in range(41)]
     finally:
         feed.close()
 

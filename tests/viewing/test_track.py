@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.io import TrackPoint
-from napari_elsplus.viewing.track import BEGINS, LOST, MOST_LINES, PREDICTED, TrackDrawing, speed_of
+from napari_elsplus.io import TrackPoint, TrackTable
+from napari_elsplus.viewing import track as viewed
+from napari_elsplus.viewing.track import BEGINS, LOST, MOST_LINES, MOST_MARKS, PREDICTED, TrackDrawing, speed_of
 
 NAN = float("nan")
 
@@ -24,11 +25,12 @@ def track() -> list[TrackPoint]:
 
 
 def test_lines_follow_tracked_frames_only_and_marks_say_the_rest() -> None:
-    drawing = TrackDrawing(2.0)
-    rows = track()
-    for k in range(len(rows) + 1):
-        drawing.add(rows[:k])
-    assert not drawing.add(rows)
+    table = TrackTable()
+    drawing = TrackDrawing(table, 2.0)
+    for row in track():
+        table.append(row)
+        assert drawing.add()
+    assert not drawing.add()
     drawn = drawing.drawing(lambda segment: (100 * segment, 0))
     assert drawn.lines[:, 0].tolist() == [[0, 0], [0, 5], [0, 10], [0, 15], [100, 0], [105, 0]]
     assert drawn.lines[:, 1].tolist() == [[0, 5]] * 4 + [[5, 0]] * 2
@@ -40,27 +42,70 @@ def test_lines_follow_tracked_frames_only_and_marks_say_the_rest() -> None:
         ([0, 30], LOST, ""),
         ([100, 0], BEGINS, "2"),
     ]
-    assert drawing.counts == {"tracked": 9, "predicted": 1, "lost": 2}
+    assert table.counts == {"tracked": 9, "predicted": 1, "lost": 2}
     assert drawing.segments == 2
 
 
+def drawn_at_once(rows: list[TrackPoint]) -> TrackDrawing:
+    drawing = TrackDrawing(TrackTable(rows), 1.0)
+    while drawing.behind:
+        drawing.add()
+    return drawing
+
+
 def test_a_still_probe_costs_no_lines_and_its_worst_score_is_kept() -> None:
-    drawing = TrackDrawing(1.0)
     rows = [point(k, 0, 0.01 * k, score=0.3 if k == 50 else 0.9) for k in range(300)]
-    drawing.add(rows)
-    drawn = drawing.drawing(lambda _: (0, 0))
-    assert len(drawn.lines) == 1
-    assert drawn.score.tolist() == [0.3]
+    drawn = drawn_at_once(rows).drawing(lambda _: (0, 0))
+    assert drawn.lines[:, 1, 1] == pytest.approx([2.0, 0.99])  # the last one to where the probe is
+    assert drawn.score.tolist() == [0.3, 0.9]
 
 
 def test_a_long_track_is_thinned_and_still_whole() -> None:
-    drawing = TrackDrawing(1.0)
-    drawing.add([point(k, 0, 3.0 * k, score=0.2 if k == 7 else 0.9) for k in range(MOST_LINES + 2)])
-    drawn = drawing.drawing(lambda _: (0, 0))
-    assert len(drawn.lines) <= MOST_LINES / 2 + 1
+    rows = [point(k, 0, 3.0 * k, score=0.2 if k == 7 else 0.9) for k in range(3 * MOST_LINES)]
+    drawn = drawn_at_once(rows).drawing(lambda _: (0, 0))
+    assert MOST_LINES / 4 < len(drawn.lines) <= MOST_LINES + 1
     np.testing.assert_allclose(drawn.lines[1:, 0], drawn.lines[:-1].sum(axis=1))
-    assert drawn.lines[:, 1, 1].sum() == 3.0 * (MOST_LINES + 1)
+    assert drawn.lines[:, 1, 1].sum() == 3.0 * (3 * MOST_LINES - 1)
     assert drawn.score.min() == 0.2
+
+
+def test_frames_that_are_put_elsewhere_are_drawn_there_without_being_looked_at_again() -> None:
+    table = TrackTable(track())
+    drawing = TrackDrawing(table, 2.0)
+    drawing.add()
+    table.columns["row_px"] += 8
+    table.columns["segment"] = 0  # the second segment was found to lie in the first
+    drawn = drawing.drawing(lambda segment: (100 * segment, 0))
+    assert drawn.lines[:, 0].tolist() == [[4, 0], [4, 5], [4, 10], [4, 15], [4, 0], [9, 0]]
+    assert drawn.lines[:, 1].tolist() == [[0, 5]] * 4 + [[5, 0]] * 2
+    assert drawn.kinds.tolist() == [BEGINS, PREDICTED, LOST]
+    assert drawing.segments == 1
+    table.lose(0)
+    drawn = drawing.drawing(lambda _: (0, 0))
+    assert (len(drawn.lines), len(drawn.marks), drawing.segments) == (0, 0, 0)
+
+
+def test_many_marks_are_thinned_to_those_that_lie_apart() -> None:
+    rows = [point(k, 40.0 * (k // 1000), k % 1000, "tracked" if k % 4 else "predicted") for k in range(20_000)]
+    drawn = drawn_at_once(rows).drawing(lambda _: (0, 0))
+    assert MOST_MARKS / 8 < len(drawn.marks) <= MOST_MARKS + 1
+    assert drawn.marks[drawn.kinds == PREDICTED].min(axis=0) == pytest.approx((0, 0), abs=40)
+    assert drawn.marks[drawn.kinds == PREDICTED].max(axis=0) == pytest.approx((760, 996), abs=40)
+
+
+def test_rows_that_come_all_at_once_are_taken_in_piece_by_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewed, "ROWS_AT_ONCE", 3)
+    drawing = TrackDrawing(TrackTable(track()), 2.0)
+    steps = 0
+    while drawing.behind:
+        drawing.add()
+        steps += 1
+    whole = TrackDrawing(TrackTable(track()), 2.0)
+    monkeypatch.undo()
+    whole.add()
+    assert steps == 4
+    for one, other in zip(drawing.drawing(lambda _: (0, 0)), whole.drawing(lambda _: (0, 0)), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_speed_is_what_the_last_frames_say() -> None:

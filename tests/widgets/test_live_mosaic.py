@@ -40,7 +40,7 @@ def go_live(viewer, panel, qtbot, frames=20):
     panel.form.going_live.native.click()
     drawing = lambda: panel.layers.drawing  # noqa: E731
     qtbot.waitUntil(
-        lambda: "mosaic LS" in viewer.layers and drawing() is not None and drawing().counts["tracked"] > frames,
+        lambda: "mosaic LS" in viewer.layers and drawing() is not None and drawing().rows.counts["tracked"] > frames,
         timeout=60_000,
     )
 

@@ -2,18 +2,19 @@
 
 A board is a table of what there is: which tile lies where, how many rows the track has, and which rectangles changed of
 late. Tiles and rows lie in further segments that are added as the mosaic grows; their names follow from the board's.
+Rows lie in blocks, each with a count of how often it was written over: who looks reads again only those that were.
 """
 
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
 from napari_elsplus.acquisition import shared
+from napari_elsplus.io.track_table import ROW
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Tile
-from napari_elsplus.processing.tracking.pose import State
 
 if TYPE_CHECKING:
     from multiprocessing.shared_memory import SharedMemory
@@ -34,24 +35,31 @@ TILE: Final = np.dtype([("image", "<i4"), ("segment", "<i4"), ("row", "<i4"), ("
 CHANGE: Final = np.dtype(
     [("image", "<i4"), ("segment", "<i4"), ("top", "<i4"), ("left", "<i4"), ("bottom", "<i4"), ("right", "<i4")]
 )  # fmt: skip
-ROW: Final = np.dtype(
-    [
-        ("frame", "<i8"), ("time_s", "<f8"), ("segment", "<i8"), ("row_px", "<f8"), ("col_px", "<f8"),
-        ("row_um", "<f8"), ("col_um", "<f8"), ("score", "<f8"), ("sigma_px", "<f8"), ("state", "<i8"),
-    ]
-)  # fmt: skip
-STATES: Final = tuple(state.value for state in State)
-"""What a row's state is a number of."""
 _TILE_SHAPE: Final = (TILES_TOGETHER, 2, TILE_PX, TILE_PX)
 _TILES_BYTES: Final = TILES_TOGETHER * 2 * TILE_PX * TILE_PX * 4
 BOARD_BYTES: Final = HEAD.itemsize + MOST_TILES * TILE.itemsize + CHANGES * CHANGE.itemsize
+
+
+class Block(NamedTuple):
+    """Rows of the track that lie together.
+
+    Parameters
+    ----------
+    writings : numpy.ndarray
+        (1,) int64: goes up when rows that were there are written over, once before and once after; odd meanwhile.
+    rows : numpy.ndarray
+        Of the type `ROW`.
+    """
+
+    writings: NDArray[np.int64]
+    rows: Any
 
 
 class Tables:
     """The board's tables in a segment, and the segments that go with it."""
 
     rows_together: ClassVar = 1 << 14
-    """Rows of the track in one segment."""
+    """Rows of the track in one block."""
 
     def __init__(self, board: SharedMemory, *, owned: bool) -> None:
         self._board, self._owned = board, owned
@@ -62,7 +70,7 @@ class Tables:
             (CHANGES,), CHANGE, board.buf, HEAD.itemsize + MOST_TILES * TILE.itemsize
         )  # fmt: skip
         self._pixels: list[NDArray[np.float32]] = []
-        self._rows: list[Any] = []
+        self._blocks: list[Block] = []
 
     @property
     def name(self) -> str:
@@ -77,13 +85,14 @@ class Tables:
             self._pixels.append(np.ndarray(_TILE_SHAPE, np.float32, segment.buf))
         return Tile(*self._pixels[part][within])
 
-    def rows(self, index: int) -> tuple[Any, int]:
-        """Return the rows that lie with the one of that index, and its place among them."""
-        part, within = divmod(index, self.rows_together)
-        while len(self._rows) <= part:
-            segment = self._part(f"r{len(self._rows)}", self.rows_together * ROW.itemsize)
-            self._rows.append(np.ndarray((self.rows_together,), ROW, segment.buf))
-        return self._rows[part], within
+    def block(self, number: int) -> Block:
+        """Return the rows that begin with the one of that many times `rows_together`."""
+        while len(self._blocks) <= number:
+            nbytes = np.dtype(np.int64).itemsize
+            segment = self._part(f"r{len(self._blocks)}", nbytes + self.rows_together * ROW.itemsize)
+            writings = np.ndarray((1,), np.int64, segment.buf)
+            self._blocks.append(Block(writings, np.ndarray((self.rows_together,), ROW, segment.buf, nbytes)))
+        return self._blocks[number]
 
     def _part(self, suffix: str, nbytes: int) -> SharedMemory:
         name = f"{self.name}-{suffix}"
@@ -94,7 +103,7 @@ class Tables:
         """Let go of the memory; its owner deletes it."""
         del self.head, self.tiles, self.changes
         self._pixels.clear()
-        self._rows.clear()
+        self._blocks.clear()
         for segment in (*self._parts.values(), self._board):
             segment.close()
             if self._owned:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import astuple
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from napari_elsplus.acquisition import shared
-from napari_elsplus.acquisition.board_tables import BOARD_BYTES, CHANGES, FREE, STATES, Tables
-from napari_elsplus.processing.tracking.pose import State
+from napari_elsplus.acquisition.board_tables import BOARD_BYTES, CHANGES, FREE, Tables
+from napari_elsplus.io.track_table import lose, packed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,6 +18,9 @@ if TYPE_CHECKING:
 
     from napari_elsplus.io import TrackPoint
     from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile
+
+_MOVED_PX: Final = 1e-3
+"""Rows that belong no further than this from where they are said to lie are left alone."""
 
 
 class MosaicBoard:
@@ -47,9 +49,8 @@ class MosaicBoard:
         """Add a row to the track."""
         head = self._tables.head
         count = int(head["rows"][0])
-        rows, within = self._tables.rows(count)
-        *values, state = astuple(point)
-        rows[within] = (*values, STATES.index(state))
+        number, within = divmod(count, self._tables.rows_together)
+        self._tables.block(number).rows[within] = packed(point)
         head["rows"] = count + 1
 
     def changed(self, segment: int, part: Rectangle, image: int = 0) -> None:
@@ -63,38 +64,48 @@ class MosaicBoard:
         """Forget a segment in all images: its tiles are free again, its frames lost."""
         with self._repair():
             self._free_tiles(segment)
-            for rows in self._chunks():
-                gone = rows[rows["segment"] == segment]
-                for name in ("row_px", "col_px", "row_um", "col_um", "score", "sigma_px"):
-                    gone[name] = np.nan
-                gone["state"] = STATES.index(State.LOST.value)
-                rows[rows["segment"] == segment] = gone
+            for block in self.blocks:
+                with self._writing(block) as rows:
+                    lose(rows, segment)
 
     def release(self, segment: int) -> None:
         """Give the tiles of a segment back, whose frames were found to belong to another one."""
         with self._repair():
             self._free_tiles(segment)
 
+    @property
+    def blocks(self) -> list[slice]:
+        """Rows of the track that are written over together, as far as there are any."""
+        count, together = int(self._tables.head["rows"][0]), self._tables.rows_together
+        return [slice(first, min(first + together, count)) for first in range(0, count, together)]
+
     def relocate(
-        self, segment: NDArray[np.int64], row_px: NDArray[np.float64], col_px: NDArray[np.float64], um_per_px: float
+        self,
+        block: slice,
+        segment: NDArray[np.int64],
+        row_px: NDArray[np.float64],
+        col_px: NDArray[np.float64],
+        um_per_px: float,
     ) -> None:
-        """Say of the first frames of the track where they belong, camera pixels.
+        """Say of the frames of one block where they belong, camera pixels; nothing is done where none moves.
 
         Parameters
         ----------
+        block : slice
+            One of `blocks`.
         segment, row_px, col_px : numpy.ndarray
             (n,) one for each frame.
         um_per_px : float
             Of a camera pixel; NaN if unknown.
         """
-        self._tables.head["relocations"] += 1  # odd: under repair
-        for first, rows in zip(range(0, len(segment), self._tables.rows_together), self._chunks(), strict=False):
-            part = slice(first, min(first + self._tables.rows_together, len(segment)))
-            here = rows[: part.stop - first]
-            here["segment"] = segment[part]
-            for name, values in (("row", row_px[part]), ("col", col_px[part])):
-                here[f"{name}_px"], here[f"{name}_um"] = values, values * um_per_px
-        self._tables.head["relocations"] += 1
+        there = self._tables.block(block.start // self._tables.rows_together).rows[: block.stop - block.start]
+        moved = np.maximum(np.abs(there["row_px"] - row_px), np.abs(there["col_px"] - col_px)) > _MOVED_PX
+        if not (moved.any() or (there["segment"] != segment).any()):
+            return
+        with self._writing(block) as rows:
+            rows["segment"] = segment
+            for name, values in (("row", row_px), ("col", col_px)):
+                rows[f"{name}_px"], rows[f"{name}_um"] = values, values * um_per_px
 
     @contextmanager
     def _repair(self) -> Iterator[None]:
@@ -110,10 +121,14 @@ class MosaicBoard:
             tables.tiles[index] = (0, FREE, 0, 0)
             self._free.append(index)
 
-    def _chunks(self) -> Iterator[Any]:
-        """Go through the rows of the track as they lie together."""
-        for first in range(0, int(self._tables.head["rows"][0]), self._tables.rows_together):
-            yield self._tables.rows(first)[0]
+    @contextmanager
+    def _writing(self, block: slice) -> Iterator[Any]:
+        """Let everybody read the rows of a block again that are written over meanwhile."""
+        writings, rows = self._tables.block(block.start // self._tables.rows_together)
+        writings += 1
+        yield rows[: block.stop - block.start]
+        writings += 1
+        self._tables.head["relocations"] += 1
 
     def new_tile(self, segment: int, row: int, col: int, image: int = 0) -> Tile:
         """Give a segment a blank tile."""

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from napari_elsplus.acquisition import shared
-from napari_elsplus.acquisition.board_tables import CHANGES, FREE, MOST_TILES, STATES, TILE, Tables
-from napari_elsplus.io import TrackPoint
+from napari_elsplus.acquisition.board_tables import CHANGES, FREE, MOST_TILES, TILE, Tables
+from napari_elsplus.io import TrackTable
 from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, around_all, tile_rectangle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+ROWS_AT_ONCE: Final = 1 << 16
+"""Rows that are copied in one look, at most: five megabytes, a few milliseconds."""
 
 
 class Mirror(TiledCanvas):
@@ -53,12 +56,12 @@ class MosaicFeed:
 
     Attributes
     ----------
-    rows : list of TrackPoint
-        The track, as far as it was copied.
+    rows : TrackTable
+        The track, as far as it was copied; the same object all the time.
     canvases : dict of int to dict of int to Mirror
         Of each image the segments, as far as they were copied.
     revision : int
-        Changes when what was copied before does not hold any more.
+        Changes when a segment was dropped.
 
     Raises
     ------
@@ -69,55 +72,35 @@ class MosaicFeed:
     def __init__(self, name: str, *, blended: bool = False) -> None:
         self._tables = Tables(shared.attach(name), owned=False)
         self._blended = blended
-        self.rows: list[TrackPoint] = []
+        self.rows = TrackTable()
         self.canvases: dict[int, dict[int, Mirror]] = {}
-        self._generation = self._relocations = 0
+        self.revision = self._relocations = 0
+        self._writings: list[int] = []
+        self._turn = 0
         self._changes_seen = 0
         self._known = np.full(MOST_TILES, np.array((0, FREE, 0, 0), TILE))
         self._tiles: dict[tuple[int, int], dict[tuple[int, int], Tile]] = {}
 
-    @property
-    def revision(self) -> int:
-        """Another number once what was copied before has changed."""
-        return self._generation + self._relocations
+    def update(self, *, all_rows: bool = False) -> bool:
+        """Copy what is new; whether there was anything.
 
-    def update(self) -> bool:
-        """Copy what is new; whether there was anything."""
+        Parameters
+        ----------
+        all_rows : bool
+            All of the track, however long that takes; else what is much comes in several looks.
+        """
         head = self._tables.head[0].copy()
-        generation, relocations = int(head["generation"]), int(head["relocations"])
-        if generation % 2 or relocations % 2:
+        generation, count = int(head["generation"]), int(head["changes"])
+        if generation % 2:
             return False
-        if generation != self._generation:
+        if generation != self.revision:
             self._forget()
-            self._generation = generation
-        if relocations != self._relocations:
-            self.rows, self._relocations = [], relocations
-        count = int(head["changes"])
-        behind = count - self._changes_seen
-        if behind == 0 and int(head["rows"]) == len(self.rows):
-            return False
-        self._learn_tiles(int(self._tables.head["tiles"][0]))  # after the changes, which may lie on newer tiles
-        only_new = self._changes_seen and behind <= CHANGES // 2
-        if only_new:
-            parts = self._changed(range(self._changes_seen, count))
-        else:
-            parts = {
-                key: whole
-                for key, tiles in self._tiles.items()
-                if (whole := around_all(filter(None, map(_drawn, tiles, tiles.values())))) is not None
-            }
-        self._copy_rows(int(head["rows"]))
-        for (image, segment), part in parts.items():
-            mirrors = self.canvases.setdefault(image, {})
-            mirror = mirrors.get(segment) or Mirror(blended=self._blended)
-            if not only_new and mirror.extent is not None:
-                part = part.around(mirror.extent)
-            mirror.copy(part, self._tiles.get((image, segment), {}))
-            mirrors[segment] = mirror
-        now = self._tables.head[0].copy()
-        if int(now["relocations"]) != relocations:  # some rows may be from before, and some from after
-            self.rows, self._relocations = [], relocations - 1
-        if int(now["generation"]) != generation:  # dropped meanwhile: what was copied may be mixed
+            self.revision = generation
+        copied = self._copy_rows(int(head["rows"]), int(head["relocations"]), all_rows=all_rows)
+        if count == self._changes_seen:
+            return copied
+        self._copy_tiles(count)
+        if int(self._tables.head["generation"][0]) != generation:  # dropped meanwhile: what was copied may be mixed
             self._forget()
             return False
         self._changes_seen = count
@@ -128,8 +111,29 @@ class MosaicFeed:
         self._tiles.clear()
         self._tables.close()
 
+    def _copy_tiles(self, count: int) -> None:
+        """Copy what was drawn on, up to so many changes."""
+        behind = count - self._changes_seen
+        self._learn_tiles(int(self._tables.head["tiles"][0]))  # after the changes, which may lie on newer tiles
+        only_new = self._changes_seen and behind <= CHANGES // 2
+        if only_new:
+            parts = self._changed(range(self._changes_seen, count))
+        else:
+            parts = {
+                key: whole
+                for key, tiles in self._tiles.items()
+                if (whole := around_all(filter(None, map(_drawn, tiles, tiles.values())))) is not None
+            }
+        for (image, segment), part in parts.items():
+            mirrors = self.canvases.setdefault(image, {})
+            mirror = mirrors.get(segment) or Mirror(blended=self._blended)
+            if not only_new and mirror.extent is not None:
+                part = part.around(mirror.extent)
+            mirror.copy(part, self._tiles.get((image, segment), {}))
+            mirrors[segment] = mirror
+
     def _forget(self) -> None:
-        self.rows, self.canvases, self._tiles = [], {}, {}
+        self.canvases, self._tiles = {}, {}
         self._changes_seen = 0
         self._known["segment"] = FREE
 
@@ -149,8 +153,43 @@ class MosaicFeed:
             parts[key] = part if key not in parts else parts[key].around(part)
         return parts
 
-    def _copy_rows(self, count: int) -> None:
-        while len(self.rows) < count:
-            rows, within = self._tables.rows(len(self.rows))
-            fresh = rows[within : within + count - len(self.rows)].tolist()
-            self.rows += [TrackPoint(*[*values[:-1], STATES[values[-1]]]) for values in fresh]
+    def _copy_rows(self, count: int, relocations: int, *, all_rows: bool) -> bool:
+        """Copy rows that are new, then blocks that were written over; whether there were any."""
+        room = count + len(self.rows) if all_rows else ROWS_AT_ONCE
+        together, before = self._tables.rows_together, room
+        while len(self.rows) < count and room > 0:
+            number, within = divmod(len(self.rows), together)
+            rows = slice(within, min(together, count - number * together, within + room))
+            if not self._copy_block(number, rows):
+                break
+            room -= rows.stop - rows.start
+        if relocations == self._relocations:
+            return room < before
+        blocks = len(self._writings)
+        for _ in range(blocks):
+            self._turn = (self._turn + 1) % blocks
+            rows = slice(0, min(together, len(self.rows) - self._turn * together))
+            if int(self._tables.block(self._turn).writings[0]) == self._writings[self._turn]:
+                continue
+            if room < rows.stop:
+                self._turn -= 1
+                return True
+            if not self._copy_block(self._turn, rows):
+                return True
+            room -= rows.stop
+        self._relocations = relocations
+        return room < before
+
+    def _copy_block(self, number: int, rows: slice) -> bool:
+        """Copy rows of a block; whether that was done: what is being written over is left for the next look."""
+        block = self._tables.block(number)
+        writings = int(block.writings[0])
+        copy = block.rows[rows].copy()
+        if writings % 2 or int(block.writings[0]) != writings:
+            return False
+        self.rows.write(number * self._tables.rows_together + rows.start, copy)
+        if number == len(self._writings):
+            self._writings.append(writings)
+        elif rows.start == 0:
+            self._writings[number] = writings
+        return True

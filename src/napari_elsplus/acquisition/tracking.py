@@ -157,7 +157,7 @@ class LiveTrack:
             self._closing.settle()
         with self._lock:
             if self._board is None:
-                self.pipeline.relocate(*self._places())
+                self.pipeline.relocate(*self._places(slice(0, len(self._path))))
 
     def undo(self) -> bool:
         """Forget the last segment, and call its frames lost; whether there was one. Tracking goes on."""
@@ -231,10 +231,9 @@ class LiveTrack:
             if forgotten != self._forgotten or self._closed or not any(moved):
                 return
             self._leave_what_was_joined()
-            if self._board is not None:
-                segment, row, col = self._places()
-                scale = self.pipeline.camera_px_per_pixel
-                self._board.relocate(segment, row * scale, col * scale, self._um_per_px)
+            blocks = [] if self._board is None else self._board.blocks
+        for block in blocks:
+            self._relocate(block, forgotten)
 
     # inside
 
@@ -264,10 +263,19 @@ class LiveTrack:
             self._closing.start()
         self._closing.add(seen)
 
-    def _places(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Segments, rows and columns of all frames, where they belong."""
+    def _places(self, those: slice) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """Segments, rows and columns of some frames, where they belong."""
         path = self._path
-        return self._corrections.of_frames(np.arange(len(path)), path.segment, path.row, path.col)[:3]
+        frames = np.arange(those.start, those.stop)
+        return self._corrections.of_frames(frames, path.segment[those], path.row[those], path.col[those])[:3]
+
+    def _relocate(self, block: slice, forgotten: int) -> None:
+        """Write a block of rows on the board anew; the lock is held for no longer than that takes."""
+        segment, row, col = self._places(block)
+        scale = self.pipeline.camera_px_per_pixel
+        with self._lock:
+            if forgotten == self._forgotten and self._board is not None:
+                self._board.relocate(block, segment, row * scale, col * scale, self._um_per_px)
 
     def _leave_what_was_joined(self) -> None:
         """Forget the mosaics of segments whose frames belong to others now."""

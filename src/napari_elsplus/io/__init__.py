@@ -11,12 +11,14 @@ from napari_elsplus.io.columns import read_depths_um, read_volts, write_column, 
 from napari_elsplus.io.recorder import RecordingWriter
 from napari_elsplus.io.recordings import Recording, open_recording
 from napari_elsplus.io.stacks import write_mosaic, write_stack
+from napari_elsplus.io.track_table import TrackTable
 from napari_elsplus.io.tracks import TrackPoint, read_track, write_track
 
 __all__ = [
     "Recording",
     "RecordingWriter",
     "TrackPoint",
+    "TrackTable",
     "beside",
     "calibration_beside",
     "open_recording",

@@ -11,11 +11,11 @@ from napari_elsplus.viewing.mosaics import MosaicScale, without_last_segment
 from napari_elsplus.viewing.track import fastest_px_per_frame
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from napari_elsplus.acquisition.tracking import TrackState
     from napari_elsplus.calibration import Calibration
-    from napari_elsplus.io import TrackPoint
+    from napari_elsplus.io import TrackTable
     from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.processing.sectioning import Mode
 
@@ -47,12 +47,12 @@ class LiveMosaics:
             fastest_px_per_frame(diameter, state.camera_px_per_pixel, plan.method),
         )
         self._feed: MosaicFeed | None = MosaicFeed(state.board, blended=plan.insertion is Insertion.FEATHERED)
-        self._rows: Sequence[TrackPoint] = self._feed.rows
+        self._rows = self._feed.rows
         self._canvases: Mapping[Mode, Mapping[int, Canvas]] = {mode: {} for mode in plan.modes}
         self.revision = 0
 
     @property
-    def rows(self) -> Sequence[TrackPoint]:
+    def rows(self) -> TrackTable:
         """The track, as far as it was copied."""
         return self._rows
 
@@ -66,12 +66,17 @@ class LiveMosaics:
         """Whether the board is still looked at."""
         return self._feed is not None
 
-    def update(self) -> bool:
-        """Copy what is new; whether there was anything."""
+    def update(self, *, all_rows: bool = False) -> bool:
+        """Copy what is new; whether there was anything.
+
+        Parameters
+        ----------
+        all_rows : bool
+            All of the track, where much has come or changed; else that comes in several looks.
+        """
         feed = self._feed
-        if feed is None or not feed.update():
+        if feed is None or not feed.update(all_rows=all_rows):
             return False
-        self._rows = feed.rows
         self._canvases = {mode: dict(feed.canvases.get(image, {})) for image, mode in enumerate(self.plan.modes)}
         self.revision = feed.revision
         return True
@@ -81,7 +86,7 @@ class LiveMosaics:
         left = without_last_segment(self._canvases, self._rows)
         if left is None:
             return False
-        self._canvases, self._rows = left
+        self._canvases = left
         self.revision += 1
         return True
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from napari_elsplus.io import TrackTable
 from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.mosaicing.coverage import coverage_maps
 from napari_elsplus.processing.sectioning import Mode
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from napari_elsplus.calibration import Calibration
-    from napari_elsplus.io import TrackPoint
     from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.processing.sectioning import Frames
@@ -51,6 +51,8 @@ class StackMosaics:
 
     Attributes
     ----------
+    rows : TrackTable
+        The track so far, a row for every frame; another object once loops are closed.
     notes : list of str
         What the user should be told.
 
@@ -66,6 +68,7 @@ class StackMosaics:
         self, frames: Frames, calibration: Calibration, plan: MosaicPlan, times_s: Sequence[float] | None = None
     ) -> None:
         self.plan, self.calibration = plan, calibration
+        self.rows = TrackTable()
         self.notes: list[str] = []
         self.revision = 0
         self._frames = TrackableFrames(frames)
@@ -75,17 +78,11 @@ class StackMosaics:
         self._lead = self._pipeline(plan.tracked)
         self._followers = {mode: self._pipeline(mode) for mode in plan.modes if mode is not plan.tracked}
         self._shown: Mapping[Mode, Mapping[int, Canvas]] | None = None
-        self._rows: list[TrackPoint] | None = None
 
     @property
     def steps(self) -> int:
         """How many steps :meth:`run` goes through at most."""
         return (3 if self._followers else 2) * len(self._pairs)
-
-    @property
-    def rows(self) -> Sequence[TrackPoint]:
-        """The track so far, a row for every frame."""
-        return self._lead.rows if self._rows is None else self._rows
 
     @property
     def canvases(self) -> Mapping[Mode, Mapping[int, Canvas]]:
@@ -134,7 +131,7 @@ class StackMosaics:
         left = without_last_segment(self.canvases, self.rows)
         if left is None:
             return False
-        self._shown, self._rows = left
+        self._shown = left
         self.revision += 1
         return True
 
@@ -148,21 +145,21 @@ class StackMosaics:
         for index in watch(range(len(self._pairs))):
             frame = self._pairs.frame(index)
             raw, raw_residual = self._pairs(index)
-            self._lead.add(raw, frame, self._time_s(frame), raw_residual)
+            self.rows.append(self._lead.add(raw, frame, self._time_s(frame), raw_residual))
             self._follow(self._followers, self._lead.poses[-1], frame)
         self._refine(watch)
-        if sum(row.state == State.TRACKED.value for row in self.rows) < 2:
+        if self.rows.counts[State.TRACKED.value] < 2:
             self.notes.append(UNLINKED)
 
     def _refine(self, watch: Watch) -> None:
-        self._shown, self._rows = self.canvases, list(self._lead.rows)  # stay on screen meanwhile
+        self._shown = self.canvases  # they stay on screen meanwhile, as the track does
         self._lead.finish(self._pairs, watch)
         fresh = {mode: self._pipeline(mode) for mode in self._followers}
         if fresh:
             for index in watch(range(len(self._pairs))):
                 self._follow(fresh, self._lead.poses[index], self._pairs.frame(index))
         self._followers = fresh
-        self._shown = self._rows = None
+        self.rows, self._shown = TrackTable(self._lead.rows), None
         self.revision += 1
 
     def _follow(self, followers: Mapping[Mode, Pipeline], pose: Pose, frame: int) -> None:

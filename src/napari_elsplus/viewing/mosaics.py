@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from math import nan
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from napari_elsplus.processing.tracking.pose import State
-
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
-    from napari_elsplus.io import TrackPoint
+    from napari_elsplus.io import TrackTable
     from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.processing.sectioning import Mode
 
@@ -20,8 +17,8 @@ class Mosaics(Protocol):
     """What is looked at while it grows: a track and mosaics, made here or by a running engine."""
 
     @property
-    def rows(self) -> Sequence[TrackPoint]:
-        """The track so far, a row for every frame."""
+    def rows(self) -> TrackTable:
+        """The track so far, a row for every frame; another object where it was made anew."""
 
     @property
     def canvases(self) -> Mapping[Mode, Mapping[int, Canvas]]:
@@ -64,21 +61,15 @@ class MosaicScale:
 
 
 def without_last_segment(
-    canvases: Mapping[Mode, Mapping[int, Canvas]], rows: Sequence[TrackPoint]
-) -> tuple[dict[Mode, dict[int, Canvas]], list[TrackPoint]] | None:
-    """Return mosaics and track without the last segment, its frames called lost; None if there is no segment."""
+    canvases: Mapping[Mode, Mapping[int, Canvas]], rows: TrackTable
+) -> dict[Mode, dict[int, Canvas]] | None:
+    """Call the frames of the last segment lost, and return the mosaics without it; None if there is no segment."""
     numbers = {number for segments in canvases.values() for number in segments}
     if not numbers:
         return None
     last = max(numbers)
-    kept = {
+    rows.lose(last)
+    return {
         mode: {number: canvas for number, canvas in segments.items() if number != last}
         for mode, segments in canvases.items()
     }
-    return kept, [_lost(row) if row.segment == last else row for row in rows]
-
-
-def _lost(row: TrackPoint) -> TrackPoint:
-    return replace(
-        row, row_px=nan, col_px=nan, row_um=nan, col_um=nan, score=nan, sigma_px=nan, state=State.LOST.value
-    )  # fmt: skip

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 from itertools import pairwise
 from math import hypot, nan
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from napari_elsplus.io.tracks import STATES
 from napari_elsplus.processing.tracking.paper import SIDE_PX, TEMPLATE_PX
 from napari_elsplus.processing.tracking.pose import State
 from napari_elsplus.processing.tracking.tracker import FARTHEST
@@ -20,16 +20,20 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.io import TrackPoint
+    from napari_elsplus.io import TrackPoint, TrackTable
 
 LEAST_STEP_PX: Final = 2.0
 """Frames that are closer than this to the last one drawn, in pixels of the mosaic, are not drawn."""
-MOST_LINES: Final = 2_000
+MOST_LINES: Final = 4_000
 """With more lines than this, every second is left out."""
 LATELY_FRAMES: Final = 12
 """Frames over which the present speed is taken."""
 PREDICTED, LOST, BEGINS = "predicted", "lost", "begins"
-_TRACKED, _PREDICTED, _LOST = (state.value for state in State)
+ROWS_AT_ONCE: Final = 1 << 12
+"""Rows that are taken in at a time: some ten milliseconds' worth, and more than come between two looks."""
+MOST_MARKS: Final = 300
+_FARTHEST_MARKS_PX: Final = 1 << 14
+_TRACKED, _LOST = STATES.index(State.TRACKED), STATES.index(State.LOST)
 
 
 class Drawing(NamedTuple):
@@ -59,48 +63,71 @@ class Drawing(NamedTuple):
     labels: NDArray[np.str_]
 
 
+class _Here(NamedTuple):
+    """A frame, and where it lies: pixels of the mosaic."""
+
+    number: int
+    row: float
+    col: float
+    segment: int
+
+    def away_from(self, other: _Here) -> float:
+        return hypot(self.row - other.row, self.col - other.col)
+
+
 class TrackDrawing:
-    """Draws a track that grows; only frames that are new are looked at.
+    """Draws a track that grows: which frames are drawn is chosen once, where they lie is looked up each time.
+
+    A track whose frames are put elsewhere, all of them again and again, then costs no more than what is drawn of it.
 
     Parameters
     ----------
+    rows : TrackTable
+        The track.
     camera_px_per_pixel : float
         Camera pixels per pixel of the mosaic.
-
-    Attributes
-    ----------
-    counts : collections.Counter
-        Frames by their state.
-    segments : int
-        Segments with a tracked frame.
     """
 
-    def __init__(self, camera_px_per_pixel: float) -> None:
+    def __init__(self, rows: TrackTable, camera_px_per_pixel: float) -> None:
+        self.rows = rows
         self._scale = camera_px_per_pixel
-        self._step_px = LEAST_STEP_PX
-        self.counts: Counter[str] = Counter()
+        self._step_px = self._mark_step_px = LEAST_STEP_PX
         self._seen = 0
-        self._lines: list[tuple[float, float, float, float, float, int]] = []
-        self._marks: list[tuple[float, float, int, str]] = []
-        self._vertex: tuple[float, float, int] | None = None
-        self._last: tuple[float, float, int] | None = None
+        self._lines: list[tuple[int, int, float]] = []
+        self._marks: list[tuple[int, str]] = []
+        self._begins: dict[int, int] = {}
+        self._vertex: _Here | None = None
+        self._last: _Here | None = None
         self._score = nan
-        self._begun: set[int] = set()
 
     @property
     def segments(self) -> int:
         """Segments with a tracked frame."""
-        return len(self._begun)
+        return len(self._begun())
 
-    def add(self, rows: Sequence[TrackPoint]) -> bool:
-        """Take in the rows that came since the last time; whether there were any."""
-        fresh = rows[self._seen :]
-        for row in fresh:
-            self._add(row)
+    @property
+    def behind(self) -> int:
+        """Rows that are still to be taken in."""
+        return len(self.rows) - self._seen
+
+    def add(self) -> bool:
+        """Take in rows that came since the last time, not too many at once; whether there were any."""
+        rows = self.rows.columns
+        self._vertex, self._last = (one and self._where(rows, one.number) for one in (self._vertex, self._last))
+        fresh = rows[self._seen : self._seen + ROWS_AT_ONCE]
+        places = (fresh["row_px"] / self._scale, fresh["col_px"] / self._scale, fresh["segment"])
+        for index, row, col, segment, state, score in zip(
+            range(self._seen, self._seen + len(fresh)),
+            *(column.tolist() for column in (*places, fresh["state"], fresh["score"])),
+            strict=True,
+        ):
+            self._add(_Here(index, row, col, segment), STATES[state], score)
         self._seen += len(fresh)
         if len(self._lines) > MOST_LINES:
             self._thin()
-        return bool(fresh)
+        if len(self._marks) > MOST_MARKS:
+            self._thin_marks()
+        return len(fresh) > 0
 
     def drawing(self, place: Callable[[int], tuple[int, int]]) -> Drawing:
         """Draw all of it.
@@ -110,74 +137,101 @@ class TrackDrawing:
         place : callable
             Row and column of the sheet where a segment's (0, 0) lies.
         """
-        lines = np.array(self._lines, np.float64).reshape(-1, 6)
-        segment = lines[:, 5].astype(np.int64)
-        marks = np.array([mark[:3] for mark in self._marks], np.float64).reshape(-1, 3)
-        places = {number: place(number) for number in {*segment.tolist(), *marks[:, 2].astype(int).tolist()}}
-        starts = lines[:, :2] + _look_up(places, segment)
+        rows = self.rows.columns
+        lines = np.array([*self._lines, *self._unfinished()], np.float64).reshape(-1, 3)
+        first, last = (rows[lines[:, end].astype(np.int64)] for end in (0, 1))
+        drawn = (first["state"] == _TRACKED) & (last["state"] == _TRACKED) & (first["segment"] == last["segment"])
+        starts, ends = (self._on_sheet(end[drawn], place) for end in (first, last))
+        begins = [(index, BEGINS) for index in self._begun()[-MOST_MARKS:]]
+        marks = sorted(begins + self._marks)
+        marked = rows[[index for index, _ in marks]]
+        known = marked["state"] != _LOST
+        kinds = np.array([kind for _, kind in marks], np.str_)[known]
+        numbers = (marked["segment"][known] + 1).astype(np.str_)
         return Drawing(
-            np.stack([starts, lines[:, 2:4]], axis=1),
-            lines[:, 4],
-            segment,
-            marks[:, :2] + _look_up(places, marks[:, 2].astype(np.int64)),
-            np.array([mark[3] for mark in self._marks], np.str_),
-            np.array([str(mark[2] + 1) if mark[3] == BEGINS else "" for mark in self._marks], np.str_),
+            np.stack([starts, ends - starts], axis=1),
+            lines[drawn, 2],
+            first["segment"][drawn],
+            self._on_sheet(marked[known], place),
+            kinds,
+            np.where(kinds == BEGINS, numbers, ""),
         )
 
-    def _add(self, row: TrackPoint) -> None:
-        self.counts[row.state] += 1
-        if row.state == _LOST:
+    def _add(self, here: _Here, state: str, score: float) -> None:
+        if state == State.LOST:
             if self._last is not None:
                 self._end_line()
-                self._marks.append((*self._last, LOST))
+                self._marks.append((self._last.number, LOST))
             self._vertex = self._last = None
             return
-        here = (row.row_px / self._scale, row.col_px / self._scale, row.segment)
-        if row.state == _PREDICTED:
+        if state == State.PREDICTED:
             self._end_line()
-            self._marks.append((*here, PREDICTED))
+            self._marks.append((here.number, PREDICTED))
             self._vertex = None
             return
-        if row.segment not in self._begun:
-            self._begun.add(row.segment)
-            self._marks.append((*here, BEGINS))
-        if self._vertex is None or self._vertex[2] != row.segment:
+        self._begins.setdefault(here.segment, here.number)
+        if self._vertex is None or self._vertex.segment != here.segment:
             self._vertex, self._score = here, nan
         else:
-            self._score = float(np.fmin(self._score, row.score))
-            if hypot(here[0] - self._vertex[0], here[1] - self._vertex[1]) >= self._step_px:
+            self._score = float(np.fmin(self._score, score))
+            if here.away_from(self._vertex) >= self._step_px:
                 self._draw_to(here)
         self._last = here
 
     def _end_line(self) -> None:
-        if self._vertex is not None and self._last is not None and self._last[2] == self._vertex[2]:
-            self._draw_to(self._last)
+        self._lines += self._unfinished()
 
-    def _draw_to(self, here: tuple[float, float, int]) -> None:
+    def _draw_to(self, here: _Here) -> None:
         assert self._vertex is not None
-        row, col, segment = self._vertex
-        if here[:2] != (row, col):
-            self._lines.append((row, col, here[0] - row, here[1] - col, self._score, segment))
+        self._lines.append((self._vertex.number, here.number, self._score))
         self._vertex, self._score = here, nan
+
+    def _unfinished(self) -> list[tuple[int, int, float]]:
+        """Return the line from the last frame that was drawn to the newest, if there is any between them."""
+        one, other = self._vertex, self._last
+        if one is None or other is None or one.segment != other.segment or one.away_from(other) == 0:
+            return []
+        return [(one.number, other.number, self._score)]
 
     def _thin(self) -> None:
         """Join lines two by two where they follow one another."""
         self._step_px *= 2
-        kept: list[tuple[float, float, float, float, float, int]] = []
-        joined = False
-        for line in self._lines:
-            row, col, down, across, score, segment = line
-            before = kept[-1] if kept else None
-            follows = before is not None and before[5] == segment
-            follows = follows and abs(before[0] + before[2] - row) + abs(before[1] + before[3] - col) < 1e-6  # type: ignore[index]
-            if follows and not joined and before is not None:
-                lowest = float(np.fmin(before[4], score))
-                kept[-1] = (before[0], before[1], before[2] + down, before[3] + across, lowest, segment)
+        kept: list[tuple[int, int, float]] = []
+        joined = True
+        for first, last, score in self._lines:
+            if not joined and kept[-1][1] == first:
+                kept[-1] = (kept[-1][0], last, float(np.fmin(kept[-1][2], score)))
                 joined = True
             else:
-                kept.append(line)
+                kept.append((first, last, score))
                 joined = False
         self._lines = kept
+
+    def _thin_marks(self) -> None:
+        """Leave of marks that lie close to one another the newest; and the newest of too many that lie apart."""
+        marked = self.rows.columns[[index for index, _ in self._marks]]
+        where = np.stack([marked["row_px"], marked["col_px"]], axis=1) / self._scale
+        segments, marks = marked["segment"].tolist(), self._marks
+        while len(self._marks) > MOST_MARKS / 2 and self._mark_step_px < _FARTHEST_MARKS_PX:
+            cells = map(tuple, (where // self._mark_step_px).tolist())
+            self._marks = sorted(dict(zip(zip(cells, segments, strict=True), marks, strict=True)).values())
+            self._mark_step_px *= 1 if len(self._marks) <= MOST_MARKS / 2 else 2
+        del self._marks[:-MOST_MARKS]
+
+    def _begun(self) -> list[int]:
+        """First tracked frames of the segments, as far as they are not lost, or found to belong to earlier ones."""
+        indices = np.array(list(self._begins.values()), np.int64)
+        rows = self.rows.columns[indices]
+        there = rows["state"] == _TRACKED
+        _, firsts = np.unique(rows["segment"][there], return_index=True)
+        return sorted(indices[there][firsts].tolist())
+
+    def _where(self, rows: Any, index: int) -> _Here:
+        row = rows[index]
+        return _Here(index, float(row["row_px"]) / self._scale, float(row["col_px"]) / self._scale, int(row["segment"]))
+
+    def _on_sheet(self, rows: Any, place: Callable[[int], tuple[int, int]]) -> NDArray[np.float64]:
+        return _on_sheet(rows, place, self._scale)
 
 
 @dataclass(frozen=True)
@@ -249,8 +303,8 @@ def speed_of(rows: Sequence[TrackPoint], fastest_px: float, um_per_px: float | N
     last = rows[-LATELY_FRAMES:]
     if not last:
         return Speed(fastest_px=fastest_px)
-    tracked = [row for row in last if row.state == _TRACKED and row.segment == last[-1].segment]
-    share = sum(row.state == _TRACKED for row in last) / len(last)
+    tracked = [row for row in last if row.state == State.TRACKED and row.segment == last[-1].segment]
+    share = sum(row.state == State.TRACKED for row in last) / len(last)
     if len(tracked) < 2:
         return Speed(fastest_px=fastest_px, tracked=share)
     first, final = tracked[0], tracked[-1]
@@ -262,15 +316,14 @@ def speed_of(rows: Sequence[TrackPoint], fastest_px: float, um_per_px: float | N
 
 
 def placed(
-    rows: Sequence[TrackPoint], place: Callable[[int], tuple[int, int]], camera_px_per_pixel: float
+    rows: TrackTable, place: Callable[[int], tuple[int, int]], camera_px_per_pixel: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return where the tracked frames lie on the sheet, (m, 2) pixels of the mosaic, and their scores, (m,)."""
-    tracked = [row for row in rows if row.state == _TRACKED]
-    segment = np.array([row.segment for row in tracked], np.int64)
-    places = {number: place(number) for number in set(segment.tolist())}
-    where = np.array([(row.row_px, row.col_px) for row in tracked], np.float64).reshape(-1, 2) / camera_px_per_pixel
-    return where + _look_up(places, segment), np.array([row.score for row in tracked], np.float64)
+    tracked = rows.columns[rows.columns["state"] == _TRACKED]
+    return _on_sheet(tracked, place, camera_px_per_pixel), tracked["score"]
 
 
-def _look_up(places: dict[int, tuple[int, int]], numbers: NDArray[np.int64]) -> NDArray[np.float64]:
-    return np.array([places[number] for number in numbers.tolist()], np.float64).reshape(-1, 2)
+def _on_sheet(rows: Any, place: Callable[[int], tuple[int, int]], camera_px_per_pixel: float) -> NDArray[np.float64]:
+    numbers, which = np.unique(rows["segment"], return_inverse=True)
+    origins = np.array([place(number) for number in numbers.tolist()], np.float64).reshape(-1, 2)
+    return np.stack([rows["row_px"], rows["col_px"]], axis=1) / camera_px_per_pixel + origins[which]

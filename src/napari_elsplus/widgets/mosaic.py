@@ -191,6 +191,8 @@ class MosaicPanel(EnginePanel):
             shown = self._shown
             if self.work.busy:
                 raise InputError("the mosaic still grows", "wait for its end, or cancel it")
+            if isinstance(shown, LiveMosaics):
+                self._stale |= shown.update(all_rows=True)
             self.work.begin(
                 0,
                 lambda: save_mosaics(shown, path, shown.plan, shown.calibration, force=path.exists()),
@@ -250,7 +252,7 @@ class MosaicPanel(EnginePanel):
         shown = self._shown if isinstance(self._shown, LiveMosaics) else None
         if client is None or track is None:
             if shown is not None and shown.follows:
-                shown.update()
+                shown.update(all_rows=True)
                 shown.close()
             return
         known = track.board == self._cleared or (shown is not None and shown.board == track.board)
@@ -287,7 +289,7 @@ class MosaicPanel(EnginePanel):
         if self._shown is None or drawing is None:
             waits = self.work.busy or self.asking.busy
             return "Starting..." if waits else "Choose a stack and press Mosaic, or go live."
-        counts = drawing.counts
+        counts = self._shown.rows.counts
         total = sum(counts.values())
         words = f"<b>{counts['tracked']}</b> of {total} frames tracked"
         words += f" in {drawing.segments} segments" if drawing.segments > 1 else ""

@@ -73,7 +73,7 @@ class MosaicLayers:
         self._mosaics, self._lead, self._titles = mosaics, lead, titles
         self._images = {mode: GrowingImage() for mode in mosaics.canvases}
         self._revision = mosaics.revision
-        self.drawing = TrackDrawing(mosaics.scale.camera_px_per_pixel)
+        self.drawing = TrackDrawing(mosaics.rows, mosaics.scale.camera_px_per_pixel)
         self._camera: tuple[Any, float] | None = None
         self._origin = (0.0, 0.0)
         kinds = {mode.value for mode in self._images} | {TRACK, MARKS, COVERAGE, QUALITY}
@@ -107,16 +107,16 @@ class MosaicLayers:
             return False
         assert self.drawing is not None
         if mosaics.revision != self._revision:
-            self._revision = mosaics.revision
-            self.drawing = TrackDrawing(mosaics.scale.camera_px_per_pixel)
-            whole = True
+            self._revision, whole = mosaics.revision, True
+        if mosaics.rows is not self.drawing.rows:
+            self.drawing = TrackDrawing(mosaics.rows, mosaics.scale.camera_px_per_pixel)
         canvases = mosaics.canvases
         lead = self._images[self._lead]
         changes = {self._lead: lead.update(canvases[self._lead])}
         for mode, image in self._images.items():
             if mode is not self._lead:
                 changes[mode] = image.update(canvases[mode], lead.sheet)
-        moved = self.drawing.add(mosaics.rows)
+        moved = self.drawing.add()
         if not lead.levels:
             return False
         reframed = any(change.frame for change in changes.values()) or (whole and self._is_covered)

@@ -11,6 +11,8 @@ from napari_elsplus.viewing.track import BEGINS, LOST, PREDICTED
 from napari_elsplus.widgets.own_layers import MARKS, TRACK, move
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from napari_elsplus.viewing.track import Drawing
     from napari_elsplus.widgets.own_layers import OwnLayers
 
@@ -21,6 +23,8 @@ _SYMBOLS: Final = {PREDICTED: "ring", LOST: "x", BEGINS: "disc"}
 _LINE_SHARE: Final = 0.004
 _MARK_SHARE: Final = 0.015
 """Of the mosaic's longer side, so that they are seen however large it is."""
+_UNSEEN_PX: Final = 0.5
+"""Marks that move by no more than that are left where they are."""
 
 
 def draw_track(own: OwnLayers, drawn: Drawing, place: tuple[float, float], span_px: int) -> None:
@@ -79,10 +83,14 @@ def _draw_marks(own: OwnLayers, drawn: Drawing, place: tuple[float, float], span
     )  # fmt: skip
     if layer is None:
         return
-    if fresh or not np.array_equal(layer.data, drawn.marks):
+    if fresh or not _alike(layer.data, drawn.marks):
         if not made:
             layer.data = drawn.marks
             layer.features = features
             layer.symbol, layer.face_color, layer.border_color = symbols, colours, colours
         layer.size = max(8.0, _MARK_SHARE * span_px)
     move(layer, place)
+
+
+def _alike(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    return one.shape == other.shape and np.allclose(one, other, rtol=0, atol=_UNSEEN_PX)

@@ -142,6 +142,11 @@ class Corrections:
 class Path:
     """Where the tracker has had every frame; lost ones are nowhere.
 
+    Attributes
+    ----------
+    segments : list of int
+        Those that there are, in their order.
+
     Examples
     --------
     >>> path = Path()
@@ -151,6 +156,7 @@ class Path:
 
     def __init__(self) -> None:
         self._count = 0
+        self.segments: list[int] = []
         self._segment = np.zeros(1 << 10, np.int64)
         self._where = np.zeros((1 << 10, 2))
 
@@ -161,6 +167,8 @@ class Path:
             self._segment = np.concatenate([self._segment, np.zeros_like(self._segment)])
             self._where = np.concatenate([self._where, np.zeros_like(self._where)])
         self._segment[index], self._where[index] = segment, (row, col)
+        if segment not in self.segments[-1:]:
+            self.segments.append(segment)
         self._count += 1
         return index
 
@@ -170,11 +178,6 @@ class Path:
     def forget(self, segments: Iterable[int]) -> None:
         """Call the frames of some segments lost."""
         self._where[np.isin(self._segment, list(segments))] = np.nan
-
-    @property
-    def segments(self) -> list[int]:
-        """Those that there are."""
-        return [int(segment) for segment in np.unique(self.segment)]
 
     @property
     def segment(self) -> NDArray[np.int64]:

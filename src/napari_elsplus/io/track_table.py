@@ -1,0 +1,125 @@
+"""A track that grows, as columns: a row for every frame, eighty bytes each, however long the session."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final, overload
+
+import numpy as np
+
+from napari_elsplus.io.tracks import HEADER, STATES, TrackPoint
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+ROW: Final = np.dtype(
+    [
+        ("frame", "<i8"), ("time_s", "<f8"), ("segment", "<i8"), ("row_px", "<f8"), ("col_px", "<f8"),
+        ("row_um", "<f8"), ("col_um", "<f8"), ("score", "<f8"), ("sigma_px", "<f8"), ("state", "<i8"),
+    ]
+)  # fmt: skip
+"""A point of the track; its state as a number, by the order of `STATES`."""
+LOST: Final = STATES.index("lost")
+_UNKNOWN: Final = ("row_px", "col_px", "row_um", "col_um", "score", "sigma_px")
+_FIRST_ROOM: Final = 1 << 10
+_VALUES: Final = attrgetter(*HEADER)
+
+
+class TrackTable(Sequence[TrackPoint]):
+    """Points of a track; one thread writes, any thread may read.
+
+    Parameters
+    ----------
+    points : iterable of TrackPoint
+        To begin with.
+
+    Examples
+    --------
+    >>> where = [(k, 0.1 * k, 0, 2.0 * k, 0.0, 4.0 * k, 0.0) for k in range(3)]
+    >>> table = TrackTable(TrackPoint(*values, 0.9, 0.1, "tracked") for values in where)
+    >>> table[-1].row_px, table.columns["row_um"].tolist(), table.counts
+    (4.0, [0.0, 4.0, 8.0], {'tracked': 3, 'predicted': 0, 'lost': 0})
+    >>> table.lose(0)
+    >>> table[0].state, table.counts["lost"]
+    ('lost', 3)
+    """
+
+    def __init__(self, points: Iterable[TrackPoint] = ()) -> None:
+        self._rows = np.zeros(_FIRST_ROOM, ROW)
+        self._count = 0
+        self._states = np.zeros(len(STATES), np.int64)
+        for point in points:
+            self.append(point)
+
+    def append(self, point: TrackPoint) -> None:
+        """Add a point at the end."""
+        index = self._count
+        self._make_room(index + 1)
+        self._rows[index] = packed(point)
+        self._states[self._rows["state"][index]] += 1
+        self._count += 1
+
+    def write(self, first: int, rows: Any) -> None:
+        """Put rows of the type `ROW` where they belong: over those that are there, and at the end."""
+        last = first + len(rows)
+        self._make_room(last)
+        self._states -= _counted(self._rows[first : min(last, self._count)])
+        self._rows[first:last] = rows
+        self._states += _counted(rows)
+        self._count = max(self._count, last)
+
+    def lose(self, segment: int) -> None:
+        """Call the frames of a segment lost."""
+        rows = self.columns
+        lose(rows, segment)
+        self._states = _counted(rows)
+
+    @property
+    def columns(self) -> Any:
+        """(n,) rows of the type `ROW`, in place: ``columns["row_px"]``."""
+        count = self._count  # before the rows, which may be moved to where there is more room
+        return self._rows[:count]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Frames by their state."""
+        return dict(zip(STATES, self._states.tolist(), strict=True))
+
+    def _make_room(self, count: int) -> None:
+        while count > len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> TrackPoint: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[TrackPoint]: ...
+    def __getitem__(self, index: int | slice) -> TrackPoint | list[TrackPoint]:
+        rows = self.columns[index]
+        return [_point(values) for values in rows.tolist()] if isinstance(index, slice) else _point(rows.item())
+
+
+def packed(point: TrackPoint) -> tuple[Any, ...]:
+    """Return the values of a row of the type `ROW`."""
+    *values, state = _VALUES(point)
+    return (*values, STATES.index(state))
+
+
+def lose(rows: Any, segment: int) -> None:
+    """Call lost what lies in a segment; rows of the type `ROW`, in place."""
+    gone = rows["segment"] == segment
+    for name in _UNKNOWN:
+        rows[name][gone] = np.nan
+    rows["state"][gone] = LOST
+
+
+def _counted(rows: Any) -> Any:
+    return np.bincount(rows["state"], minlength=len(STATES))
+
+
+def _point(values: Sequence[Any]) -> TrackPoint:
+    *before, state = values
+    return TrackPoint(*(*before, STATES[state]))
