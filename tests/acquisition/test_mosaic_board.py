@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from napari_elsplus.acquisition import shared
+from napari_elsplus.acquisition import mosaic_feed, shared
 from napari_elsplus.acquisition.board_tables import CHANGES, Tables
 from napari_elsplus.acquisition.mosaic_board import MosaicBoard
 from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
@@ -120,6 +120,45 @@ def test_who_has_not_looked_for_long_gets_everything(scribe: Scribe, monkeypatch
         feed.update()
         same(feed, scribe)
         assert len(feed.rows) == 207
+    finally:
+        feed.close()
+
+
+def test_rows_that_belong_elsewhere_are_read_again_block_by_block(
+    scribe: Scribe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Tables, "rows_together", 64)
+    monkeypatch.setattr(mosaic_feed, "ROWS_AT_ONCE", 100)
+    feed = MosaicFeed(scribe.board.name)
+    board, rows = scribe.board, feed.rows
+    try:
+        for k in range(300):
+            board.append(point(k))
+        looks = 0
+        while feed.update():
+            looks += 1
+        assert (len(rows), looks) == (300, 3)
+        copied: list[int] = []
+        write = rows.write
+        monkeypatch.setattr(rows, "write", lambda first, fresh: (copied.append(first), write(first, fresh)))
+        for block in board.blocks:
+            place = np.array([point(k).row_px for k in range(block.start, block.stop)])
+            moved = 7.0 if block.start in (64, 256) else 1e-4
+            board.relocate(block, np.zeros(len(place), np.int64), place + moved, np.full(len(place), 2.5), 2.0)
+        assert feed.update()
+        assert not feed.update()
+        assert sorted(copied) == [64, 256]  # the others do not move
+        board.relocate(board.blocks[0], np.ones(64, np.int64), np.zeros(64), np.zeros(64), 2.0)
+        feed.update()
+        assert [(row.segment, row.row_px, row.row_um) for row in (rows[63], rows[64])] == [(1, 0, 0), (0, 103, 206)]
+        with board._writing(board.blocks[0]) as block:
+            block["row_px"] = 5.0
+            board.append(point(300))
+            feed.update()  # what is being written is left for the next look
+            assert (rows[0].row_px, rows[-1].frame) == (0, 300)
+        feed.update()
+        assert rows[0].row_px == 5
+        assert feed.rows is rows
     finally:
         feed.close()
 
