@@ -5,17 +5,16 @@ from __future__ import annotations
 import json
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.acquisition.engine import Engine
-from napari_elsplus.acquisition.guardian import Guardian
 from napari_elsplus.acquisition.priority import keep_pace, settle_memory
 from napari_elsplus.acquisition.recorder import RecordingPlan
-from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
+from napari_elsplus.acquisition.simulated import calibrate_simulated
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.acquisition.tracking import LiveTrack
+from napari_elsplus.cli.live import live_engine, watch_calibration
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import SIMULATED
@@ -26,7 +25,7 @@ from napari_elsplus.processing.mosaicing.picture import picture
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from napari_elsplus.acquisition.rig import Rig
+    from napari_elsplus.acquisition.engine import Engine
     from napari_elsplus.acquisition.status import Status
     from napari_elsplus.tracking_pipeline import Pipeline
 
@@ -65,16 +64,11 @@ def command(
     keep_pace()
     given = None if calibration is None else read_calibration(calibration)
     with ExitStack() as held:
-        rig = open_live(rig_name)
-        held.callback(rig.close)
-        guarded = rig.park if rig.bench is None else None
-        guardian = None if guarded is None else held.enter_context(Guardian(guarded))
-        engine = held.enter_context(Engine(rig, guardian=guardian))
-        engine.configure(Settings(preset, slit_rows, rate_hz))
+        rig, engine = held.enter_context(live_engine(rig_name, Settings(preset, slit_rows, rate_hz)))
         if given is not None:
             engine.use(given)
         else:
-            _calibrate(rig, engine)
+            calibrate_simulated(rig, engine, watch=watch_calibration)
         assert engine.calibration is not None
         tracker = None
         if mosaic is not None or track is not None:
@@ -98,13 +92,6 @@ def command(
     click.echo(summary(status))
     if status.faults:
         raise InputError(status.faults[0].problem, status.faults[0].remedy)
-
-
-def _calibrate(rig: Rig, engine: Engine) -> None:
-    def watch(step: str) -> Any:
-        return lambda numbers: progress(numbers, describe=f"Calibrating: {step}")
-
-    calibrate_simulated(rig, engine, watch=watch)
 
 
 def _stream(engine: Engine, seconds: float, plan: RecordingPlan | None) -> None:

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 from napari_elsplus.acquisition.calibrating import SWEEP_VOLTAGES, Target, calibrate_rig
-from napari_elsplus.acquisition.engine import Engine
-from napari_elsplus.acquisition.guardian import Guardian
-from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
+from napari_elsplus.acquisition.simulated import calibrate_simulated
 from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.cli.live import live_engine, watch_calibration
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_volts, write_calibration
@@ -23,8 +22,6 @@ from napari_elsplus.processing.quality import PAPER_ALIGNMENT_PERCENT
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
-
-    from napari_elsplus.acquisition.procedures import Watch
 
 INPUTS = ("line", "sweep", "bundle", "background", "flat")
 
@@ -91,20 +88,11 @@ def _live(rig_name: str, preset: str, bundle_um: float | None) -> Findings:
     def ask(target: Target) -> None:
         click.confirm(f"Please {target.value}. Is it so?", abort=True, err=True, default=True)
 
-    def watch(step: str) -> Watch:
-        return lambda numbers: progress(numbers, describe=f"Calibrating: {step}")
-
-    with ExitStack() as held:
-        rig = open_live(rig_name)
-        held.callback(rig.close)
-        guarded = rig.park if rig.bench is None else None
-        guardian = None if guarded is None else held.enter_context(Guardian(guarded))
-        engine = held.enter_context(Engine(rig, guardian=guardian))
-        engine.configure(Settings(preset))
+    with live_engine(rig_name, Settings(preset)) as (rig, engine):
         if rig.bench is not None:
-            findings, lag = calibrate_simulated(rig, engine, voltages=SWEEP_VOLTAGES, watch=watch)
+            findings, lag = calibrate_simulated(rig, engine, voltages=SWEEP_VOLTAGES, watch=watch_calibration)
         else:
-            findings, lag = calibrate_rig(engine, ask, bundle_um=bundle_um or BUNDLE_UM, watch=watch)
+            findings, lag = calibrate_rig(engine, ask, bundle_um=bundle_um or BUNDLE_UM, watch=watch_calibration)
     click.echo(f"scan lag: {1e6 * lag.lag_s:.2f} +- {1e6 * lag.uncertainty_s:.2f} us")
     return findings
 
