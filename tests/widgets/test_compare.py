@@ -16,6 +16,7 @@ from napari_elsplus.widgets.compare import BLINK, DIFFERENCE, Compare
 from pairs import calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"
+LONG_MS = 20_000
 OURS = ["compare LS", "compare ELSA", "compare ELS+", "compare titles", "compare line"]
 
 
@@ -39,7 +40,7 @@ def state(viewer):
 def press(panel, qtbot):
     """Press the button that begins or ends, and wait until what it began is there."""
     panel.start.native.click()
-    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
 
 
 def names(viewer):
@@ -66,7 +67,7 @@ def test_one_slider_moves_all_and_the_numbers_follow(viewer, panel, qtbot):
         viewer.dims.set_current_step(0, step)
         ls, _, els = (np.asarray(layer.data[step]) for layer in panel.stage.images)
         np.testing.assert_array_equal(els, sectioner.els(frames()[step]))
-        qtbot.waitUntil(lambda ls=ls: np.array_equal(panel.plot.curves[0].y, profile(panel, ls)))
+        qtbot.waitUntil(lambda ls=ls: np.array_equal(panel.plot.curves[0].y, profile(panel, ls)), timeout=LONG_MS)
         assert [curve.name for curve in panel.plot.curves] == ["LS", "ELSA", "ELS+"]
     assert "contrast" in panel.numbers.text()
 
@@ -84,7 +85,7 @@ def test_a_line_drawn_on_any_image_is_laid_across_all(viewer, panel, qtbot):
     assert panel.stage.line == ((10, 12), (40, 30))
     assert len(set(line.edge_width)) == 1
     assert [np.asarray(one)[0].tolist() for one in line.data] == [[10, 12], [10, side + 32], [10, third + 12]]
-    qtbot.waitUntil(lambda: len(panel.plot.curves[0].x) == 36)
+    qtbot.waitUntil(lambda: len(panel.plot.curves[0].x) == 36, timeout=LONG_MS)
 
 
 def test_scaling_filter_and_view_change_while_comparing(viewer, panel, qtbot):
@@ -99,15 +100,15 @@ def test_scaling_filter_and_view_change_while_comparing(viewer, panel, qtbot):
     viewer.dims.set_current_step(0, 3)
     before = np.asarray(els.data[3])
     panel.cores.value = "median"
-    qtbot.waitUntil(lambda: not panel.work.busy)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
     assert viewer.dims.current_step[0] == 3
     assert names(viewer) == OURS
     assert not np.array_equal(np.asarray(panel.stage.images[2].data[3]), before)
 
     panel.cores.value = "none"
-    qtbot.waitUntil(lambda: not panel.work.busy)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
     panel.view.value = DIFFERENCE
-    qtbot.waitUntil(lambda: not panel.work.busy)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
     removed, moved = panel.stage.images
     sectioner, raw = Sectioner(calibration(), (64, 128)), frames()
     np.testing.assert_allclose(np.asarray(removed.data[1]), sectioner.residual(raw[1]), atol=1e-4)
@@ -127,7 +128,7 @@ def test_blinking_shows_one_after_the_other_in_one_place(panel, qtbot):
         seen.update(lit)
         return len(seen) == 3
 
-    qtbot.waitUntil(all_seen, timeout=5000)
+    qtbot.waitUntil(all_seen, timeout=LONG_MS)
     assert len({tuple(layer.translate) for layer in panel.stage.images}) == 1
 
 
@@ -148,7 +149,7 @@ def test_a_comparison_that_is_cancelled_changes_nothing(viewer, panel, qtbot):
     assert not panel.start.enabled
     assert "first images" in panel.numbers.text()
     panel.work.cancel()
-    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
     assert not panel.comparing
     assert state(viewer) == before
     assert panel.start.enabled

@@ -48,11 +48,11 @@ def go_live(viewer, panel, qtbot, frames=20):
 def test_the_live_mosaic_grows_rests_is_undone_saved_and_cleared(viewer, panel, qtbot, tmp_path):
     go_live(viewer, panel, qtbot)
     layer = viewer.layers["mosaic LS"]
-    qtbot.waitUntil(lambda: np.asarray(layer.data[0]).max() > 50, timeout=10_000)
+    qtbot.waitUntil(lambda: np.asarray(layer.data[0]).max() > 50, timeout=30_000)
     assert layer.scale == pytest.approx([2.66, 2.66])
     assert panel.live
-    qtbot.waitUntil(lambda: "mm/s of at most" in panel.form.speed.text, timeout=10_000)
-    qtbot.waitUntil(lambda: panel.form.going_live.text == "Stop live" and panel.form.going_live.enabled, timeout=10_000)
+    qtbot.waitUntil(lambda: "mm/s of at most" in panel.form.speed.text, timeout=30_000)
+    qtbot.waitUntil(lambda: panel.form.going_live.text == "Stop live" and panel.form.going_live.enabled, timeout=30_000)
     panel.save(tmp_path / "live.ome.tif")
     qtbot.waitUntil(lambda: not panel.work.busy and panel.form.going_live.enabled, timeout=30_000)
     rows = read_track(tmp_path / "live.track.csv")
@@ -75,10 +75,10 @@ def test_the_mosaic_of_a_killed_engine_stays_and_can_be_saved(viewer, panel, qtb
     go_live(viewer, panel, qtbot)
     os.kill(panel.connection.client.pid, signal.SIGKILL)
     qtbot.waitUntil(lambda: panel.connection.client is None, timeout=30_000)
-    qtbot.wait(300)
+    segments = lambda: list(Path("/dev/shm").glob(f"{panel._shown.board}*"))  # noqa: E731 - none but on Linux
+    qtbot.waitUntil(lambda: not panel._shown.follows and not segments(), timeout=30_000)
     image = np.asarray(viewer.layers["mosaic LS"].data[0])
     assert image.max() > 50
-    assert not Path("/dev/shm").is_dir() or not list(Path("/dev/shm").glob(f"{panel._shown.board}*"))
     panel.save(tmp_path / "kept.ome.tif")
     qtbot.waitUntil(lambda: (tmp_path / "kept.track.csv").exists() and not panel.work.busy, timeout=30_000)
     panel.undo()
