@@ -154,6 +154,7 @@ def test_undo_save_clear_and_their_keys(viewer, panel, qtbot, tmp_path, said):
     QTest.keyClick(panel, Qt.Key.Key_U, keys)
     assert not viewer.layers["mosaic ELS+"].data[-1].any()
     assert f"<b>0</b> of {FRAMES}" in panel.form.status.text()
+    assert [len(viewer.layers[f"mosaic {what}"].data) for what in ("track", "track marks")] == [0, 0]
     panel.save(tmp_path / "nothing.ome.tif")
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert any("no mosaic to save" in words for _, words in said())

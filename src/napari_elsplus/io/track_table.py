@@ -34,6 +34,11 @@ class TrackTable(Sequence[TrackPoint]):
     points : iterable of TrackPoint
         To begin with.
 
+    Attributes
+    ----------
+    rewritten : int
+        Goes up when points that were there change.
+
     Examples
     --------
     >>> where = [(k, 0.1 * k, 0, 2.0 * k, 0.0, 4.0 * k, 0.0) for k in range(3)]
@@ -47,7 +52,7 @@ class TrackTable(Sequence[TrackPoint]):
 
     def __init__(self, points: Iterable[TrackPoint] = ()) -> None:
         self._rows = np.zeros(_FIRST_ROOM, ROW)
-        self._count = 0
+        self._count = self.rewritten = 0
         self._states = np.zeros(len(STATES), np.int64)
         for point in points:
             self.append(point)
@@ -67,6 +72,7 @@ class TrackTable(Sequence[TrackPoint]):
         self._states -= _counted(self._rows[first : min(last, self._count)])
         self._rows[first:last] = rows
         self._states += _counted(rows)
+        self.rewritten += first < self._count
         self._count = max(self._count, last)
 
     def lose(self, segment: int) -> None:
@@ -74,6 +80,7 @@ class TrackTable(Sequence[TrackPoint]):
         rows = self.columns
         lose(rows, segment)
         self._states = _counted(rows)
+        self.rewritten += 1
 
     @property
     def columns(self) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 
 from napari_elsplus.io import TrackTable
 from napari_elsplus.pipeline import RawPairs
-from napari_elsplus.processing.mosaicing.coverage import coverage_maps
+from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.pose import State
@@ -111,7 +111,7 @@ class StackMosaics:
             pipeline.add(raw, index, raw_residual=raw_residual)
         image = GrowingImage()
         image.update(pipeline.mosaics)
-        coverage_maps(np.zeros((1, 2)), np.ones(1), self.scale.radius_px, image.frame)
+        Coverage(image.frame, self.scale.radius_px).add(np.zeros((1, 2)), np.ones(1))
 
     def run(self, watch: Watch = iter, checkpoint: Callable[[], None] | None = None) -> None:
         """Track and lay all frames, then close loops, join segments, and lay everything where it belongs.

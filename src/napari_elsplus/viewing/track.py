@@ -316,10 +316,10 @@ def speed_of(rows: Sequence[TrackPoint], fastest_px: float, um_per_px: float | N
 
 
 def placed(
-    rows: TrackTable, place: Callable[[int], tuple[int, int]], camera_px_per_pixel: float
+    rows: Any, place: Callable[[int], tuple[int, int]], camera_px_per_pixel: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where the tracked frames lie on the sheet, (m, 2) pixels of the mosaic, and their scores, (m,)."""
-    tracked = rows.columns[rows.columns["state"] == _TRACKED]
+    """Return of a table's rows that were tracked where they lie on the sheet, (m, 2), and their scores, (m,)."""
+    tracked = rows[rows["state"] == _TRACKED]
     return _on_sheet(tracked, place, camera_px_per_pixel), tracked["score"]
 
 

@@ -145,12 +145,13 @@ class MosaicPanel(EnginePanel):
             self.layers.show(self._shown, self._shown.plan.tracked, self._source.titles)
         shown = self._shown
         self._stale |= shown.update() if isinstance(shown, LiveMosaics) else self.work.busy
+        self._stale |= self.layers.behind
         whole = self._ticks % WHOLE_TICKS == 0
         if shown is not None and self._stale:
             self.layers.update(whole=whole)
             self._stale = not whole
-        if whole:
-            self.refresh()
+        if self._ticks % WHOLE_TICKS == WHOLE_TICKS // 2:
+            self.refresh()  # at another tick: either holds the window's thread for a while
 
     def clear(self) -> None:
         """Take the mosaics away, and show again what was hidden."""

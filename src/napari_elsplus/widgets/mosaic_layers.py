@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from napari.layers import Image
 
+from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.viewing.growing import GrowingImage
+from napari_elsplus.viewing.growing_maps import GrowingMaps
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.viewing.track import TrackDrawing
-from napari_elsplus.widgets.map_layers import draw_maps
+from napari_elsplus.widgets.map_layers import draw_maps, looked_at
 from napari_elsplus.widgets.own_layers import COVERAGE, MARKS, QUALITY, TRACK, OwnLayers
 from napari_elsplus.widgets.track_layers import draw_track
 
@@ -73,7 +75,7 @@ class MosaicLayers:
         self._mosaics, self._lead, self._titles = mosaics, lead, titles
         self._images = {mode: GrowingImage() for mode in mosaics.canvases}
         self._revision = mosaics.revision
-        self.drawing = TrackDrawing(mosaics.rows, mosaics.scale.camera_px_per_pixel)
+        self._follow(mosaics)
         self._camera: tuple[Any, float] | None = None
         self._origin = (0.0, 0.0)
         kinds = {mode.value for mode in self._images} | {TRACK, MARKS, COVERAGE, QUALITY}
@@ -88,6 +90,15 @@ class MosaicLayers:
     def covered_px(self) -> float:
         """Pixels of the mosaic that were drawn on."""
         return 0.0 if self._mosaics is None else self._images[self._lead].covered_px
+
+    @property
+    def behind(self) -> bool:
+        """Whether there is more to be taken in of what is known: much comes piece by piece."""
+        if self._mosaics is None or self.drawing is None:
+            return False
+        lead = self._images[self._lead]
+        unmapped = looked_at(self.own) and self._maps.behind(lead.frame, lead.sheet.places)
+        return self.drawing.behind > 0 or unmapped
 
     def update(self, *, whole: bool) -> bool:
         """Show what came since the last time.
@@ -109,7 +120,7 @@ class MosaicLayers:
         if mosaics.revision != self._revision:
             self._revision, whole = mosaics.revision, True
         if mosaics.rows is not self.drawing.rows:
-            self.drawing = TrackDrawing(mosaics.rows, mosaics.scale.camera_px_per_pixel)
+            self._follow(mosaics)
         canvases = mosaics.canvases
         lead = self._images[self._lead]
         changes = {self._lead: lead.update(canvases[self._lead])}
@@ -119,6 +130,8 @@ class MosaicLayers:
         moved = self.drawing.add()
         if not lead.levels:
             return False
+        if looked_at(self.own):
+            self._maps.add(lead.frame, lead.sheet.places)
         reframed = any(change.frame for change in changes.values()) or (whole and self._is_covered)
         self._show_images(changes, reframed, whole)
         if reframed or whole:
@@ -162,7 +175,15 @@ class MosaicLayers:
         assert self.drawing is not None
         lead, place = self._images[self._lead], self._place(self._lead)
         draw_track(self.own, self.drawing.drawing(lead.sheet.place), place, max(lead.frame.shape))
-        draw_maps(self.own, mosaics, lead, place)
+        counted = self._maps.whole if looked_at(self.own) else None
+        if counted is not None or self.own.fresh(COVERAGE):
+            draw_maps(self.own, counted or Coverage(lead.frame, mosaics.scale.radius_px), place)
+
+    def _follow(self, mosaics: Mosaics) -> None:
+        """Draw another track from now on."""
+        scale = mosaics.scale
+        self.drawing = TrackDrawing(mosaics.rows, scale.camera_px_per_pixel)
+        self._maps = GrowingMaps(mosaics.rows, scale.radius_px, scale.camera_px_per_pixel)
 
     def _place(self, mode: Mode) -> tuple[float, float]:
         """Where (0, 0) of a mode's mosaic lies: each has a column of its own, whether it is still shown or not."""

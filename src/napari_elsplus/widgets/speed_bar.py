@@ -58,15 +58,21 @@ class SpeedBar(QWidget):
     def show_speed(self, speed: Speed | None) -> None:
         """Show a speed; None if nothing moves."""
         if speed is None or not (isfinite(speed.share) or speed.tracked < LOSING):
-            self._bar.setValue(0)
+            self._fill(0)
             self._words.setText("Speed: not known yet.")
             return
         share = speed.share if isfinite(speed.share) else 1.0
         losing = speed.tracked < LOSING
         colour = "vermilion" if losing or share > TOO_FAST else "orange" if share > SLOWER else "green"
-        self._bar.setValue(round(100 * min(share, 1.0)))
+        self._fill(round(100 * min(share, 1.0)))
         self._paint(ink_on(self._theme, colour))
         self._words.setText(_said(speed, losing=losing))
+
+    def _fill(self, percent: int) -> None:
+        """Fill the bar, to be painted with the next look at the window: by itself it paints all of that at once."""
+        self._bar.setUpdatesEnabled(False)
+        self._bar.setValue(percent)
+        self._bar.setUpdatesEnabled(True)
 
     def _paint(self, ink: str) -> None:
         """Change the bar's colour; a new style sheet is dear, so only where it differs."""

@@ -41,9 +41,9 @@ def draw_track(own: OwnLayers, drawn: Drawing, place: tuple[float, float], span_
     span_px : int
         Pixels of the mosaic's longer side.
     """
-    if len(drawn.lines):
+    if len(drawn.lines) or TRACK in own.present:
         _draw_lines(own, drawn, place, span_px)
-    if len(drawn.marks):
+    if len(drawn.marks) or MARKS in own.present:
         _draw_marks(own, drawn, place, span_px)
 
 
@@ -86,6 +86,7 @@ def _draw_marks(own: OwnLayers, drawn: Drawing, place: tuple[float, float], span
     if fresh or not _alike(layer.data, drawn.marks):
         if not made:
             layer.data = drawn.marks
+        if not made and len(drawn.marks):
             layer.features = features
             layer.symbol, layer.face_color, layer.border_color = symbols, colours, colours
         layer.size = max(8.0, _MARK_SHARE * span_px)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from napari_elsplus.processing.mosaicing.coverage import coverage_maps
+from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.processing.mosaicing.tiles import Rectangle
 
 
@@ -10,7 +10,10 @@ def test_counts_and_means_are_those_of_the_discs_that_cover_a_cell() -> None:
     rng = np.random.default_rng(0)
     places, scores = rng.uniform(-100, 500, (50, 2)), rng.uniform(0.5, 1, 50)
     scores[0] = np.nan
-    frames, quality = coverage_maps(places, scores, 60.0, Rectangle(-24, 16, 360, 416))
+    coverage = Coverage(Rectangle(-24, 16, 360, 416), 60.0)
+    coverage.add(places[:20], scores[:20])
+    coverage.add(places[20:], scores[20:])
+    frames, quality = coverage.frames, coverage.quality
     row, col = (8 * (np.arange(size) + 0.5) + first for size, first in zip(frames.shape, (-24, 16), strict=True))
     covers = np.hypot(row[:, None, None] - places[:, 0], col[None, :, None] - places[:, 1]) <= 60
     np.testing.assert_array_equal(frames, covers.sum(axis=2))

@@ -18,45 +18,58 @@ CELL_PX: Final = 8
 """Rows and columns of the mosaic that make one cell of the maps."""
 
 
-def coverage_maps(
-    places: NDArray[np.float64], scores: NDArray[np.float64], radius: float, part: Rectangle, cell_px: int = CELL_PX
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Count the frames over each cell of a mosaic, and average their scores.
+class Coverage:
+    """Counts the frames over each cell of a mosaic, and sums up their scores.
 
     Parameters
     ----------
-    places : numpy.ndarray
-        (m, 2) centres of the frames that were laid down, (row, col) in pixels of the mosaic.
-    scores : numpy.ndarray
-        (m,) correlation of each with the frame that it was linked to; NaN for one that was the first.
-    radius : float
-        Of what is used of a frame, pixels of the mosaic.
     part : Rectangle
         The part of the mosaic that the maps cover.
+    radius : float
+        Of what is used of a frame, pixels of the mosaic.
     cell_px : int
         Pixels of the mosaic along a side of a cell.
-
-    Returns
-    -------
-    frames : numpy.ndarray
-        (rows, cols) float32: frames whose disc covers the cell's middle.
-    quality : numpy.ndarray
-        (rows, cols) float32: the mean of their scores; 0 where no frame with a score was.
 
     Examples
     --------
     >>> from napari_elsplus.processing.mosaicing.tiles import Rectangle
-    >>> frames, quality = coverage_maps(np.array([[8.0, 8.0], [8.0, 16.0]]), np.array([np.nan, 0.5]), 6.0,
-    ...                                 Rectangle(0, 0, 16, 24))
-    >>> frames.tolist(), quality.tolist()
+    >>> coverage = Coverage(Rectangle(0, 0, 16, 24), 6.0)
+    >>> coverage.add(np.array([[8.0, 8.0], [8.0, 16.0]]), np.array([np.nan, 0.5]))
+    >>> coverage.frames.tolist(), coverage.quality.tolist()
     ([[1.0, 2.0, 1.0], [1.0, 2.0, 1.0]], [[0.0, 0.5, 0.5], [0.0, 0.5, 0.5]])
     """
-    shape = tuple(ceil(length / cell_px) for length in part.shape)
-    frames, scored, total = (np.zeros(shape, np.float32) for _ in range(3))
-    corner = np.array([part.top, part.left], np.float64)
-    where = (np.asarray(places, np.float64).reshape(-1, 2) - corner) / cell_px - 0.5
-    stamp_discs(where, np.asarray(scores, np.float64), radius / cell_px, frames, scored, total)
-    return frames, np.divide(total, scored, out=np.zeros_like(total), where=scored > 0)
+
+    def __init__(self, part: Rectangle, radius: float, cell_px: int = CELL_PX) -> None:
+        self.part, self._radius, self._cell_px = part, radius, cell_px
+        shape = tuple(ceil(length / cell_px) for length in part.shape)
+        self._frames, self._scored, self._total = (np.zeros(shape, np.float32) for _ in range(3))
+
+    def add(self, places: NDArray[np.float64], scores: NDArray[np.float64]) -> None:
+        """Count some frames.
+
+        Parameters
+        ----------
+        places : numpy.ndarray
+            (m, 2) centres of the frames that were laid down, (row, col) in pixels of the mosaic.
+        scores : numpy.ndarray
+            (m,) correlation of each with the frame that it was linked to; NaN for one that was the first.
+        """
+        corner = np.array([self.part.top, self.part.left], np.float64)
+        where = (np.asarray(places, np.float64).reshape(-1, 2) - corner) / self._cell_px - 0.5
+        stamp_discs(
+            where, np.ascontiguousarray(scores, np.float64), self._radius / self._cell_px,
+            self._frames, self._scored, self._total,
+        )  # fmt: skip
+
+    @property
+    def frames(self) -> NDArray[np.float32]:
+        """(rows, cols) frames whose disc covers the cell's middle."""
+        return self._frames.copy()
+
+    @property
+    def quality(self) -> NDArray[np.float32]:
+        """(rows, cols) the mean of their scores; 0 where no frame with a score was."""
+        return np.divide(self._total, self._scored, out=np.zeros_like(self._total), where=self._scored > 0)
 
 
 @kernel
