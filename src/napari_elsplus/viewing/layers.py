@@ -32,6 +32,8 @@ SMOOTH: Final = "linear"
 beat with it. Raw frames keep "nearest": their pixels are what is looked at."""
 TITLES: Final = {Mode.LS: "LS", Mode.RESIDUAL: "residual", Mode.ELS: "ELS+", Mode.ELSA: "ELSA"}
 """Names that microscopists know the modes by."""
+GAP_PX: Final = 20
+"""Columns between images that are next to each other."""
 MOSAIC: Final = "mosaic"
 """What layers of mosaics are known by in their metadata."""
 
@@ -140,15 +142,13 @@ def image_layers(stack: Stack, calibration: Calibration, source: Path | None = N
     return layers
 
 
-def side_by_side(layers: list[Layer], gap_px: int = 20) -> list[Layer]:
+def side_by_side(layers: list[Layer]) -> list[Layer]:
     """Move images of one size next to each other, from left to right, and show them all.
 
     Parameters
     ----------
     layers : list of tuple
         (data, attributes, type) each.
-    gap_px : int
-        Columns between them.
 
     Returns
     -------
@@ -158,7 +158,7 @@ def side_by_side(layers: list[Layer], gap_px: int = 20) -> list[Layer]:
     placed = []
     for index, (data, words, kind) in enumerate(layers):
         step_um = words["scale"][-1]
-        aside = index * (data.shape[-1] + gap_px) * step_um
+        aside = index * (data.shape[-1] + GAP_PX) * step_um
         place = (*words["translate"][:-1], words["translate"][-1] + aside)
         placed.append((data, {**words, "translate": place, "visible": True}, kind))
     return placed

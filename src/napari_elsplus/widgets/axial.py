@@ -26,6 +26,7 @@ from napari_elsplus.widgets.choosing import (
     OPEN_ONE,
     calibrated_frames,
     calibrated_recordings,
+    chosen_image,
     renew_choices,
     shown_index,
 )
@@ -78,7 +79,7 @@ class AxialResponse(Panel):
     def measure_stack(self) -> None:
         """Measure the chosen stack of depths, in a thread of its own."""
         with told():
-            known = self._chosen(self.stack).metadata["elsplus"]
+            known = chosen_image(self.viewer, self.stack, "scan of depths").metadata["elsplus"]
             stack, calibration = known["stack"], known["calibration"]
             self._start(len(stack.planes), lambda: measure_scan(stack, calibration, watch=self.work.watch))
 
@@ -92,7 +93,7 @@ class AxialResponse(Panel):
     def take_frame(self) -> None:
         """Add the frame that is shown at the depth that is set, and set the next depth."""
         with told():
-            layer = self._chosen(self.live)
+            layer = chosen_image(self.viewer, self.live, "recording with a calibration")
             calibration = layer.metadata["elsplus"]["calibration"]
             self._by_hand.take(self._frame(layer), calibration, self.depth_now.value)
             self.depth_now.value += self.depth_step.value
@@ -143,7 +144,7 @@ class AxialResponse(Panel):
     def copy_script(self) -> None:
         """Copy Python that measures the chosen stack to the clipboard."""
         with told():
-            known = self._chosen(self.stack).metadata["elsplus"]
+            known = chosen_image(self.viewer, self.stack, "scan of depths").metadata["elsplus"]
             text = axial_script(known["stack"], known["calibration_path"])
             copy_as_script(text)
 
@@ -206,12 +207,6 @@ class AxialResponse(Panel):
         if layer.ndim == 2:
             return np.asarray(layer.data)
         return np.asarray(layer.data[shown_index(self.viewer, layer)])
-
-    def _chosen(self, choice: ComboBox) -> Image:
-        if choice.value is None:
-            raise InputError("no such layer is open", "open a scan, or File > Open Sample > ELS+ endomicroscopy")
-        layer: Image = self.viewer.layers[choice.value]
-        return layer
 
     def _stacks(self, _: Any = None) -> list[str]:
         layers = [self.viewer.layers[name] for name in calibrated_recordings(self.viewer)]

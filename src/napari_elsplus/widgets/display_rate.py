@@ -1,7 +1,7 @@
-"""How often live images are shown: ``python -m napari_elsplus.widgets.display_rate --seconds S --canvas PX``.
+"""How often live images are shown: ``python -m napari_elsplus.widgets.display_rate --seconds S --canvas PX [PX ...]``.
 
 A window of its own with the Live panel, the engine in its process, the simulated rig at 240 Hz; one layer, then two, up
-to five. Prints a line of JSON for each.
+to five, on a canvas of each size. Prints a line of JSON for each.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.widgets.live import Live
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from napari_elsplus.acquisition.client import EngineClient
     from napari_elsplus.calibration import Calibration
@@ -44,8 +44,10 @@ class Rate:
     ----------
     layers : int
         Shown side by side.
+    wanted_px : int
+        Height and width that the canvas should have.
     canvas_px : tuple of int
-        Height and width of the canvas.
+        Height and width that it has.
     display_hz, drawn_hz : float
         Images given to the layers, and drawings of the canvas, each second.
     update_ms : float
@@ -61,6 +63,7 @@ class Rate:
     """
 
     layers: int
+    wanted_px: int
     canvas_px: tuple[int, int]
     display_hz: float
     drawn_hz: float
@@ -71,28 +74,30 @@ class Rate:
     lost: int
 
 
-def measure(seconds: float, canvas_px: int, most: int) -> None:
-    """Show up to so many layers, each number of them for some seconds."""
+def measure(seconds: float, canvases_px: Sequence[int], most: int) -> None:
+    """Show up to so many layers on canvases of several sizes, each number of them for some seconds."""
     viewer = napari.Viewer(show=False)
     viewer.show(block=False)
     panel = Live(viewer)
     viewer.window.add_dock_widget(panel, name="Live")
-    _give_the_canvas(panel, canvas_px)
     try:
         client = panel.connection.connect(SIMULATED, Settings(PRESET))
         client.use(_calibration()).result()
         _until(lambda: not panel.asking.busy)
         panel.toggle()
         _until(lambda: panel.live)
-        for layers in range(1, most + 1):
-            sys.stdout.write(json.dumps(asdict(_measure(panel, client, layers, seconds))) + "\n")
-            sys.stdout.flush()
+        for wanted_px in canvases_px:
+            _give_the_canvas(panel, wanted_px)
+            for layers in range(1, most + 1):
+                rate = _measure(panel, client, layers, wanted_px, seconds)
+                sys.stdout.write(json.dumps(asdict(rate)) + "\n")
+                sys.stdout.flush()
     finally:
         panel.cleanup()
         viewer.close()
 
 
-def _measure(panel: Live, client: EngineClient, layers: int, seconds: float) -> Rate:
+def _measure(panel: Live, client: EngineClient, layers: int, wanted_px: int, seconds: float) -> Rate:
     for place, box in enumerate(reversed(panel.form.kinds.values())):  # ELSA, ELS+, residual, LS, raw
         box.value = place < layers
     _until(lambda: sum(layer.visible for layer in panel.layers.images.values()) == layers)
@@ -116,6 +121,7 @@ def _measure(panel: Live, client: EngineClient, layers: int, seconds: float) -> 
     status = client.status
     return Rate(
         layers,
+        wanted_px,
         panel.drawing.canvas_px,
         len(took_s) / measured_s,
         (panel.drawing.drawn - drawn) / measured_s,
@@ -169,7 +175,7 @@ def _go_on(seconds: float) -> None:
 if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--canvas", type=int, default=600, help="height and width of the canvas, about")
+    parser.add_argument("--canvas", type=int, nargs="+", default=[600], help="height and width of the canvas, about")
     parser.add_argument("--layers", type=int, default=5, help="the most that are shown")
     given = parser.parse_args()
     measure(given.seconds, given.canvas, given.layers)

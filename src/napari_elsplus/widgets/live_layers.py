@@ -11,7 +11,7 @@ from napari_elsplus import __version__
 from napari_elsplus.acquisition.live_images import RAW
 from napari_elsplus.processing.quality import white_level
 from napari_elsplus.processing.sectioning import Mode
-from napari_elsplus.viewing.layers import MOSAIC, SMOOTH, TITLES
+from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +27,6 @@ KINDS: Final = {RAW: "raw", **{mode.value: TITLES[mode] for mode in Mode}}
 """What can be shown, by the names of the display ring's fields."""
 LIVE: Final = "live"
 """Begins the names of live layers, and of their kinds in their metadata."""
-GAP_PX: Final = 20
 
 
 class LiveLayers:

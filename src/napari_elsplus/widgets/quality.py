@@ -12,6 +12,7 @@ from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QVBoxLayout
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.processing.cores import CoreFilter
+from napari_elsplus.processing.quality import PAPER_ALIGNMENT_PERCENT
 from napari_elsplus.processing.resolution import RESOLVED_CONTRAST
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
 BOXES: Final = "quality elements"
 EDGE: Final = "quality edge"
 BOX_COLOUR: Final = "#f0e442"
-PAPER_ALIGNMENT: Final = (0.055, 0.0074)
 NOT_ALIGNMENT: Final = 0.1
 """Filtered error above which the two views cannot show the same scene: where the laser is on, they never do."""
 HINT: Final = (
@@ -131,7 +131,7 @@ class Quality(Panel):
         parts = []
         if self.alignment is not None:
             before, after = self.alignment.before, self.alignment.after
-            papers = " and ".join(f"{100 * error:.2g} %" for error in PAPER_ALIGNMENT)
+            papers = " and ".join(f"{percent} %" for percent in PAPER_ALIGNMENT_PERCENT)
             parts.append(
                 f"<b>Alignment error</b> {100 * before:.2f} %, filtered {100 * after:.2f} % (the paper: {papers})"
             )
@@ -221,7 +221,7 @@ class Quality(Panel):
         )
         self.show_numbers()
 
-    def _layers_changed(self, _: Any = None) -> None:
+    def _layers_changed(self) -> None:
         if self._boxes is not None and self._boxes not in self.viewer.layers:
             self._boxes, self.resolution = None, None
             self.show_numbers()

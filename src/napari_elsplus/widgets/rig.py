@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from magicgui.widgets import ComboBox, Container, FloatSpinBox, PushButton, SpinBox
 from napari.utils.notifications import show_info
@@ -232,14 +232,12 @@ class Rig(EnginePanel):
         lines += [str(fault) for fault in status.faults]
         return "<br>".join(lines)
 
-    def _ask_for_file(self, _: Any = None) -> None:
-        path, _chosen = QFileDialog.getOpenFileName(self, "Calibration", "", "Calibration (*.json)")
+    def _ask_for_file(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Calibration", "", "Calibration (*.json)")
         if path:
             self.load(Path(path))
 
-    def _ask_where_to_save(self, _: Any = None) -> None:
-        path, _chosen = QFileDialog.getSaveFileName(
-            self, "Save the calibration", "calibration.json", "Calibration (*.json)"
-        )
+    def _ask_where_to_save(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Save the calibration", "calibration.json", "Calibration (*.json)")
         if path:
             self.save(Path(path))

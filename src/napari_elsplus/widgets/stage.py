@@ -9,7 +9,7 @@ import numpy as np
 from napari.layers import Image, Points, Shapes
 from napari.utils import Colormap
 
-from napari_elsplus.viewing.layers import SMOOTH
+from napari_elsplus.viewing.layers import GAP_PX, SMOOTH
 from napari_elsplus.viewing.stack import attributes
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from napari_elsplus.viewing.lazy import LazyPlanes
     from napari_elsplus.viewing.stack import Stack
 
-GAP_PX: Final = 20
 PREFIX: Final = "compare"
 LINE_COLOUR: Final = "#f0e442"
 SIGNED: Final = Colormap([[0.34, 0.71, 0.91], [0, 0, 0], [0.9, 0.62, 0]], name="ELS+ difference")

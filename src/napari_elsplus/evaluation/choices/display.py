@@ -43,7 +43,7 @@ def _cases(quick: bool) -> list[Case]:
 def _on_a_canvas(size_px: int) -> Callable[[Case], Callable[[Shown], TimedElsewhere]]:
     def prepare(case: Case) -> Callable[[Shown], TimedElsewhere]:
         item: Shown = case.items[0]
-        rates = _measured(size_px, item.most, item.seconds)
+        rates = [rate for rate in _measured(item.most, item.seconds) if rate["wanted_px"] == size_px]
 
         def run(shown: Shown) -> TimedElsewhere:
             rate = rates[shown.layers - 1]
@@ -55,10 +55,10 @@ def _on_a_canvas(size_px: int) -> Callable[[Case], Callable[[Shown], TimedElsewh
 
 
 @cache
-def _measured(size_px: int, most: int, seconds: float) -> list[dict[str, Any]]:
+def _measured(most: int, seconds: float) -> list[dict[str, Any]]:
     """Open a window in a process of its own, on the screen or, where there is none, on a virtual one."""
-    options = {"--canvas": size_px, "--layers": most, "--seconds": seconds}
-    program = [sys.executable, "-m", PROGRAM, *(str(word) for option in options.items() for word in option)]
+    options = ("--layers", most, "--seconds", seconds, "--canvas", SMALL_PX, LARGE_PX)
+    program = [sys.executable, "-m", PROGRAM, *map(str, options)]
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         if shutil.which(SCREEN[0]) is None:
             raise Absent("there is no screen, and no xvfb-run", "install xvfb, or run this on a desktop")
