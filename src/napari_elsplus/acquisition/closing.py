@@ -164,6 +164,7 @@ class Closing(Thread):
         self.closed = self._graph.closed
         if self._track.crowded:
             self._kept = {one.frame: one for one in self._track.thin(self._graph.corrections)}
+        self._graph.thin(lambda node: node.frame in self._kept)
 
     def _correct(self, limit_px: float) -> None:
         """Solve for all nodes, and put frames where they belong."""
@@ -178,6 +179,6 @@ class Closing(Thread):
 
     def _view(self, number: int) -> View | None:
         """Return the prepared view of a node, if its frame is still kept."""
-        view = self._views.get(number)
-        kept = self._kept.get(self._graph.nodes[number].frame)
-        return view if view is not None or kept is None else self._views.add(number, kept.image)
+        frame = self._graph.nodes[number].frame
+        view, kept = self._views.get(frame), self._kept.get(frame)
+        return view if view is not None or kept is None else self._views.add(frame, kept.image)

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from napari_elsplus.processing.tracking import live_graph
 from napari_elsplus.processing.tracking.correction import Correction, Corrections
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.processing.tracking.live_graph import LiveGraph
@@ -34,12 +35,17 @@ def spoilt(pose: Pose, frame: int) -> Pose:
     return pose._replace(row=pose.row + DRIFT * SPEED * frame)
 
 
-@pytest.mark.parametrize("lifted", [False, True], ids=["one segment", "two segments"])
-def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(lifted: bool) -> None:
+@pytest.mark.parametrize(
+    ("lifted", "few"), [(False, False), (True, False), (False, True)], ids=["one segment", "two segments", "few nodes"]
+)
+def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
+    lifted: bool, few: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_graph, "MOST_NODES", 6 if few else 1000)
     front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
     tracker, trail = Tracker(front_end.grid), Trail(front_end.grid)
-    registrar, views = Registrar(front_end.grid), []
-    graph = LiveGraph(registrar, lambda number: views[number])
+    registrar, views = Registrar(front_end.grid), {}
+    graph = LiveGraph(registrar, lambda number: views[graph.nodes[number].frame])
     found: list[tuple[int, Pose]] = []
     recognised = 0
     for k, frame in enumerate(truth().frames):
@@ -53,11 +59,13 @@ def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(lifted: bool
         found.append((k, pose))
         node = trail.add(k, pose, (*tracker.links[-1][:2], tracker.links[-1][3]) if tracker.links else None)
         if node is not None:
-            views.append(registrar.view())
-            views[-1].image[:] = image
-            registrar.prepare(views[-1])
+            views[k] = registrar.view()
+            views[k].image[:] = image
+            registrar.prepare(views[k])
             recognised += graph.add(node)
-    assert len(graph.nodes) < len(found) / 3
+            graph.thin(lambda node: node.frame < 12)
+    assert len(graph.nodes) == len(views) if not few else len(graph.nodes) < 8 < len(views)
+    assert len(views) < len(found) / 3
     assert recognised
     assert graph.solve()
     corrections = graph.corrections

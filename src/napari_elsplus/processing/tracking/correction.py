@@ -125,7 +125,9 @@ class Corrections:
             (n,) each: which frames, and where the tracker has them.
         """
         into, down, across, turned = segment.copy(), row.copy(), col.copy(), np.zeros(len(frame))
-        for number in self._frames:
+        for number in np.unique(segment).tolist():
+            if number not in self._frames:
+                continue
             those = np.flatnonzero(segment == number)
             top, left, angle, scale = self._between(number, frame[those])
             cosine, sine = scale * np.cos(angle), scale * np.sin(angle)

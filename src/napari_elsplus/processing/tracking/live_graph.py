@@ -16,6 +16,7 @@ from napari_elsplus.processing.tracking.correction import Correction, Correction
 from napari_elsplus.processing.tracking.graph import Edge, least_squares
 from napari_elsplus.processing.tracking.ladder import Rung, turned_by
 from napari_elsplus.processing.tracking.loops import AWAY, LINKS_PER_KEY, REACH, Bridge, LoopCloser
+from napari_elsplus.processing.tracking.thinning import linked_anew, those_that_stay
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 RECALLED: Final = 6
 """Nodes of other segments with which a node is compared: the newest of them, and as many others in turn."""
+MOST_NODES: Final = 3000
+"""Nodes from which on some are let go, so that solving takes no longer the longer the path is: down to two thirds."""
 _RENEWED: Final = 1.25
 _NOWHERE: Final = -1
 
@@ -47,7 +50,7 @@ class LiveGraph:
     places : list of Pose
         Where each belongs, by all links so far.
     closed : int
-        Links that close a loop, or join segments.
+        Links that closed a loop, or joined segments, so far.
     """
 
     def __init__(self, registrar: Registrar, view: Callable[[int], View | None]) -> None:
@@ -66,11 +69,8 @@ class LiveGraph:
         self._bridges: dict[tuple[int, int], Bridge] = {}
         self._recalled = 0
         self._unsolved: set[int] = set()
-
-    @property
-    def closed(self) -> int:
-        """Links that close a loop, or join segments."""
-        return len(self._loops)
+        self._many = MOST_NODES
+        self.closed = 0
 
     def add(self, node: Node, rung: Rung = Rung.TRANSLATION, *, everywhere: bool = True) -> bool:
         """Take in a node; whether it showed a place again, so that :meth:`solve` has something to say.
@@ -104,6 +104,7 @@ class LiveGraph:
         if seen and everywhere and not found:
             found = self._recognised(number)
         self._loops += found
+        self.closed += len(found)
         self._unsolved |= {self.places[edge.earlier].segment for edge in found}
         return bool(found)
 
@@ -148,6 +149,34 @@ class LiveGraph:
         self._loops = [edge for edge in self._loops if not gone[edge.earlier]]
         self._newest = {segment: number for segment, number in self._newest.items() if not gone[number]}
         self._unsolved.discard(group)
+
+    def thin(self, kept: Callable[[Node], bool]) -> None:
+        """Where there are many nodes, let go of some that can be linked to no more; the others get new numbers.
+
+        Parameters
+        ----------
+        kept : callable
+            Whether a node's frame is still at hand.
+        """
+        count = len(self.nodes)
+        if count <= self._many:
+            return
+        there = self._group[:count] != _NOWHERE
+        segment = np.array([node.pose.segment for node in self.nodes])
+        free = ~np.array([kept(node) for node in self.nodes])
+        stays = there.copy()
+        stays[there] = those_that_stay(self._where[:count, 2][there], segment[there], free[there], 2 * MOST_NODES // 3)
+        chain, loops = linked_anew(self._chain, self._loops, stays)
+        number, left = (np.cumsum(stays) - 1).tolist(), np.flatnonzero(stays).tolist()
+        self._chain, self._loops = (
+            [edge._replace(earlier=number[edge.earlier], later=number[edge.later]) for edge in edges]
+            for edges in (chain, loops)
+        )
+        self.nodes, self.places = [self.nodes[k] for k in left], [self.places[k] for k in left]
+        self._where[: len(left)], self._group[: len(left)] = self._where[left], self._group[left]
+        self._newest = {segment: number[k] for segment, k in self._newest.items()}
+        self._bridges, self._closer, self._closer_knows = {}, None, 0
+        self._many = max(MOST_NODES, int(_RENEWED * len(left)))
 
     # inside
 
