@@ -28,7 +28,7 @@ from napari_elsplus.widgets.plots import ThemedPlot
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from napari_elsplus.widgets.calibration.pictures import Picture
+    from napari_elsplus.widgets.calibration.picture import Picture
 
 MARKS: Final = {State.DONE: "\N{CHECK MARK}", State.STALE: "\N{WARNING SIGN}", State.MISSING: "\N{WHITE CIRCLE}"}
 """Told apart without colour."""

@@ -1,73 +1,22 @@
-"""What each step shows: a number to read from across the bench, the numbers behind it, and its plots."""
+"""Each step of the calibration in words and plots."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from math import floor, inf, log10
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.evaluation.trade import line_as_seen, weigh
-from napari_elsplus.optics import BUNDLE_UM
 from napari_elsplus.processing.calibration.calibrate import Background, SlitOffset
 from napari_elsplus.processing.calibration.draft import MOVED_ROWS, Draft, Flat, Found, LitPair, Setup, Step
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES, GalvoMap
 from napari_elsplus.processing.calibration.lag import ScanLag
 from napari_elsplus.processing.quality import PAPER_ALIGNMENT_PERCENT
-from napari_elsplus.widgets.plots import Band, Curve
+from napari_elsplus.widgets.calibration.offset_picture import offset_picture
+from napari_elsplus.widgets.calibration.picture import Picture, Plot, told
+from napari_elsplus.widgets.plots import Curve
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
-
-    from napari_elsplus.processing.calibration.line import Line
-
-TOLERANCE_UM: Final = 1.0
-"""Half the width of the green band around the target."""
-_SLIT_ROWS: Final = 3.0
-_FIT_WIDTHS: Final = 2.5
-"""Standard deviations of the line to which its fit is drawn."""
-
-
-@dataclass(frozen=True)
-class Plot:
-    """One plot: labels of its axes, curves, vertical marks, shaded bands."""
-
-    bottom: str
-    left: str
-    curves: Sequence[Curve]
-    marks: Sequence[tuple[float, str, str]] = ()
-    bands: Sequence[Band] = ()
-
-
-@dataclass(frozen=True)
-class Picture:
-    """What a step shows.
-
-    Parameters
-    ----------
-    headline : str
-        The number that matters, with its uncertainty.
-    far : str
-        The number to read from across the bench, if there is one.
-    lines : sequence of str
-        The numbers behind it.
-    warnings : sequence of str
-        What is not as it should be.
-    plots : sequence of Plot
-        At most two.
-    good : bool, optional
-        Whether the headline is where it should be; None if nobody said where.
-    """
-
-    headline: str
-    lines: Sequence[str] = ()
-    warnings: Sequence[str] = ()
-    plots: Sequence[Plot] = field(default_factory=tuple)
-    good: bool | None = None
-    far: str = ""
 
 
 def picture(found: Found, draft: Draft, setup: Setup, target_um: float) -> Picture:
@@ -86,7 +35,7 @@ def picture(found: Found, draft: Draft, setup: Setup, target_um: float) -> Pictu
     """
     match found:
         case SlitOffset():
-            return _offset(found, draft, setup, target_um)
+            return offset_picture(found, draft, setup, target_um)
         case GalvoMap():
             return _galvo(found)
         case LitPair():
@@ -99,80 +48,12 @@ def picture(found: Found, draft: Draft, setup: Setup, target_um: float) -> Pictu
             return _flat(found)
 
 
-def scale_of(draft: Draft, setup: Setup) -> float | None:
-    """Micrometres per pixel: measured, or what the objective should have."""
-    return draft.um_per_px or setup.um_per_px
-
-
-def _told(value: float, spread: float) -> str:
-    """Write a value to the first digit of its uncertainty, but no finer than a millionth.
-
-    Examples
-    --------
-    >>> _told(-21.7474, 0.0067), _told(1.74836831, 0.00011)
-    ('-21.747 ± 0.007', '1.7484 ± 0.0001')
-    """
-    digits = min(max(-floor(log10(spread)), 2), 6) if 0 < spread < inf else 2
-    return f"{value:.{digits}f} ± {spread:.{digits}f}"
-
-
-def _offset(found: SlitOffset, draft: Draft, setup: Setup, target_um: float) -> Picture:
-    scale = scale_of(draft, setup)
-    slit_rows = setup.acquired_with.slit_rows or _SLIT_ROWS
-    headline, far = f"{_told(found.rows, found.uncertainty_rows)} rows", f"{found.rows:.1f} rows"
-    lines, warnings, bands, good = [], [], [], None
-    radius_px = (BUNDLE_UM / scale if scale else found.left.columns[1] - found.left.columns[0]) / 2
-    tilt, spread = found.left.tilt_deg, found.left.tilt_uncertainty_deg
-    cost = abs(np.tan(np.radians(tilt))) * radius_px
-    lines.append(f"tilt {_told(tilt, spread)}°: {cost:.1f} rows at the rim")
-    if cost > slit_rows / 2:
-        warnings.append(f"the tilt costs more than half the slit of {slit_rows:g} rows: turn the line level")
-    if scale is not None:
-        offset_um = found.rows * scale
-        headline += f"<br>{_told(offset_um, found.uncertainty_rows * scale)} µm"
-        far = f"{offset_um:.1f} µm"
-        good = abs(abs(offset_um) - target_um) <= TOLERANCE_UM
-        sign = -1 if found.rows < 0 else 1
-        ends = sorted(sign * (target_um + side) / scale for side in (-TOLERANCE_UM, TOLERANCE_UM))
-        bands.append(Band(ends[0], ends[1], "green"))
-        lines += _trade(found, draft, setup, scale)
-    if abs(found.rows) < slit_rows:
-        warnings.append("the offset is smaller than the slit: the residual holds most of the signal")
-    curves = [*_profile("left", found.left, 0.0, "blue"), *_profile("right", found.right, found.rows, "orange")]
-    plot = Plot("rows from the confocal line", "grey levels", curves, bands=bands)
-    return Picture(headline, lines, warnings, [plot], good, far)
-
-
-def _trade(found: SlitOffset, draft: Draft, setup: Setup, scale: float) -> list[str]:
-    if found.rows == 0:
-        return ["without an offset ELS+ is zero everywhere"]
-    slit_rows = setup.acquired_with.slit_rows or _SLIT_ROWS
-    line = line_as_seen(found.left, slit_rows, scale)
-    light_dn, gain_db = found.left.amplitude, setup.acquired_with.gain_db or 0.0
-    given = weigh(found.rows * scale, slit_rows * scale, line, light_dn, gain_db=gain_db, bundle_um=draft.bundle_um)
-    return [
-        f"predicted drop-offs {given.drop_3db_um:.0f} µm (3 dB), {given.drop_10db_um:.0f} µm (10 dB)",
-        f"signal kept {100 * given.signal_kept:.0f} %, contrast to noise {given.contrast_to_noise:.0f}, "
-        f"{100 * given.clipped:.1f} % of the field clipped",
-        f"with this line: {line.core_um:.1f} µm wide (SD), {light_dn:.0f} grey levels",
-    ]
-
-
-def _profile(name: str, line: Line, at_rows: float, colour: str) -> list[Curve]:
-    rows = line.profile_rows
-    near = np.abs(rows) < _FIT_WIDTHS * line.width_rows
-    return [
-        Curve(name, rows + at_rows, line.profile, colour, "none", marks=True),
-        Curve(f"{name} fit", rows[near] + at_rows, line.fitted[near], colour, listed=False),
-    ]
-
-
 def _galvo(found: GalvoMap) -> Picture:
     ends = np.array([found.volts.min(), found.volts.max()])
     misses = found.rows - (found.volts - found.volts_at_row_zero) / found.volts_per_row
     frames = len(found.volts) + found.dark
     lines = [
-        f"{_told(1e3 * found.volts_at_row_zero, 1e3 * found.volts_at_row_zero_uncertainty)} mV at row 0, "
+        f"{told(1e3 * found.volts_at_row_zero, 1e3 * found.volts_at_row_zero_uncertainty)} mV at row 0, "
         f"tilt {found.tilt_deg:.2f}°",
         f"R² {found.r_squared:.6f}, residuals {found.rms_rows:.3f} rows RMS",
         f"{found.lines} of {frames} voltages fitted, {found.dark} without a whole line, {found.outliers} outliers",
@@ -198,7 +79,7 @@ def _galvo(found: GalvoMap) -> Picture:
             [Curve("residual", found.volts[used], misses[used], "blue", "none", marks=True, listed=False)],
         ),
     ]
-    per_row = _told(1e3 * found.volts_per_row, 1e3 * found.volts_per_row_uncertainty)
+    per_row = told(1e3 * found.volts_per_row, 1e3 * found.volts_per_row_uncertainty)
     return Picture(f"{per_row}<br>mV per row", lines, warnings, plots)
 
 
@@ -213,13 +94,13 @@ def _pair(found: LitPair, draft: Draft, setup: Setup) -> Picture:
         for name, disc in (("confocal", pair.left), ("residual", pair.right))
     ]
     lines.append(f"right onto left: {alignment.model} to {alignment.uncertainty_px:.3f} px (BIC: {evidence})")
-    lines.append(f"gain of the right view {_told(alignment.gain, alignment.gain_uncertainty)}")
+    lines.append(f"gain of the right view {told(alignment.gain, alignment.gain_uncertainty)}")
     warnings = []
     if known.offset is not None:
         apart = known.offset.rows - found.offset_rows
         lines.append(
-            f"offset: {_told(known.offset.rows, known.offset.uncertainty_rows)} rows by the line, "
-            f"{_told(found.offset_rows, found.offset_uncertainty_rows)} by the bundle"
+            f"offset: {told(known.offset.rows, known.offset.uncertainty_rows)} rows by the line, "
+            f"{told(found.offset_rows, found.offset_uncertainty_rows)} by the bundle"
         )
         if abs(apart) > MOVED_ROWS:
             warnings.append(f"the two offsets differ by {apart:.1f} rows: measure the slit offset again")
@@ -254,11 +135,11 @@ def _lag(found: ScanLag, setup: Setup) -> Picture:
     lines = []
     if setup.line_period_s is not None:
         rows, spread = found.lag_s / setup.line_period_s, found.uncertainty_s / setup.line_period_s
-        lines.append(f"{_told(rows, spread)} rows: so far the scan runs ahead of the slit")
+        lines.append(f"{told(rows, spread)} rows: so far the scan runs ahead of the slit")
     curve = Curve("signal", 1e6 * found.leads_s[order], found.signal[order], "blue", marks=True, listed=False)
     mark = (1e6 * found.lag_s, "orange", f"{1e6 * found.lag_s:.1f} µs")
     plot = Plot("lead / µs", "confocal signal / grey levels", [curve], [mark])
-    return Picture(f"{_told(1e6 * found.lag_s, 1e6 * found.uncertainty_s)} µs", lines, (), [plot])
+    return Picture(f"{told(1e6 * found.lag_s, 1e6 * found.uncertainty_s)} µs", lines, (), [plot])
 
 
 def _background(found: Background) -> Picture:

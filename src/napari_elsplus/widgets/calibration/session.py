@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from napari_elsplus.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Found, Setup, Step
     from napari_elsplus.viewing.calibration_script import Source
-    from napari_elsplus.widgets.calibration.pictures import Picture
+    from napari_elsplus.widgets.calibration.picture import Picture
 
 
 class Shown(NamedTuple):
