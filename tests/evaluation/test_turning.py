@@ -27,6 +27,15 @@ def test_half_a_second_of_slow_turning_shows_in_a_sparse_scene() -> None:
     assert found.errors.wrong_links == 0
 
 
+def test_a_turn_that_is_noticed_late_is_told_to_what_was_linked_before_live_as_in_a_recording() -> None:
+    found = follow(Walk("nuclei", "spiral", 8000.0, 2.0, 150))
+    assert found.since is not None
+    assert found.since > 100
+    alone, live, finished = found.strayed_px
+    assert alone > 4
+    assert live < finished + 0.5 < 2
+
+
 @pytest.mark.slow
 def test_99_of_100_recordings_without_a_turn_are_tracked_by_translations() -> None:
     walks = [Walk(*way, 0.0, 60, seed) for seed in range(25) for way in WAYS]

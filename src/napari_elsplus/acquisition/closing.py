@@ -168,6 +168,8 @@ class Closing(Thread):
 
     def _correct(self, limit_px: float) -> None:
         """Solve for all nodes, and put frames where they belong."""
+        if limit_px == OFF_AT_REST_PX:
+            self._news |= self._graph.ask_again()
         if self._settled and not self._news:
             return
         begin_s = time.perf_counter()

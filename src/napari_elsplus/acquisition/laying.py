@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.mosaicing.kept import Kept, KeptFrames
+from napari_elsplus.processing.mosaicing.kept import KeptFrames
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, around_all, tile_rectangle
 from napari_elsplus.processing.tracking.pose import State
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.mosaic_board import MosaicBoard
+    from napari_elsplus.processing.mosaicing.kept import Kept
     from napari_elsplus.processing.tracking.correction import Corrections
     from napari_elsplus.processing.tracking.pose import Pose
     from napari_elsplus.tracking_pipeline import Pipeline
@@ -81,8 +82,8 @@ class Laying:
 
     def add(
         self, found: Found, raw: NDArray[np.uint8], image: NDArray[np.float32] | None = None, *, keep: bool = False
-    ) -> Kept | None:
-        """Lay a frame down if it was tracked; return it if it was kept.
+    ) -> None:
+        """Lay a frame down if it was tracked.
 
         Parameters
         ----------
@@ -95,19 +96,16 @@ class Laying:
         keep : bool
             Whether it has to be kept, however near the last one is.
         """
-        if found.place.state is not State.TRACKED:
-            return None
-        return self._lay(found, self.pipeline.image(raw) if image is None else image, keep=keep)
+        if found.place.state is State.TRACKED:
+            self._lay(found, self.pipeline.image(raw) if image is None else image, keep=keep)
 
-    def _lay(self, found: Found, image: NDArray[np.float32], *, keep: bool = False) -> Kept | None:
+    def _lay(self, found: Found, image: NDArray[np.float32], *, keep: bool = False) -> None:
         mosaic = self.pipeline.put(image, found.place)
         assert mosaic is not None, "a frame that was not tracked has no place"
         self._newest = found, image
         self._tell(found.place.segment, mosaic)
-        if not self._keeps or not self.kept.keep(found.frame, found.pose, image, mosaic.exposure, always=keep):
-            return None
-        self._laid[found.frame] = found.place
-        return self.kept.frames[-1]
+        if self._keeps and self.kept.keep(found.frame, found.pose, image, mosaic.exposure, always=keep):
+            self._laid[found.frame] = found.place
 
     def thin(self, corrections: Corrections, lock: AbstractContextManager[Any]) -> bool:
         """Let go of kept frames where there are too many; whether any went."""
@@ -234,7 +232,7 @@ class AlternatingLaying(Laying):
 
     def add(
         self, found: Found, raw: NDArray[np.uint8], image: NDArray[np.float32] | None = None, *, keep: bool = False
-    ) -> Kept | None:
+    ) -> None:
         """Lay down, with each odd frame, the even one before it."""
         even, self._even = self._even, None
         if found.number % 2 == 0:
@@ -245,5 +243,4 @@ class AlternatingLaying(Laying):
                 self._even = found
         elif even is not None and found.number == even.number + 1:
             assert self._raw is not None
-            return self._lay(even, self.pipeline.image(self._raw, raw))
-        return None
+            self._lay(even, self.pipeline.image(self._raw, raw))

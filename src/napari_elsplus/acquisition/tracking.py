@@ -253,9 +253,9 @@ class LiveTrack:
             node = self._trail.add(found.frame, found.pose, self.pipeline.newest_link)
         for mode, laying in self._layings.items():
             tracked = mode is self._plan.tracked
-            kept = laying.add(found, raw, image if tracked else None, keep=tracked and node is not None)
+            laying.add(found, raw, image if tracked else None, keep=tracked and node is not None)
             if tracked and node is not None and self._closing is not None:
-                self._hand_over(Seen(node, kept, self.pipeline.rung))
+                self._hand_over(Seen(node, laying.kept.newest(node.frame), self.pipeline.rung))
 
     def _hand_over(self, seen: Seen) -> None:
         assert self._closing is not None

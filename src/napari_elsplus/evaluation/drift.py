@@ -76,21 +76,27 @@ def drift(scene_name: str, *, back: bool, frames: int = 230) -> Drift:
     path: Trajectory = rounds(rig, frames) if back else Straight(SPEED_UM_S)
     raw = rig.recording(scene(scene_name), path, frames, seed=1)
     pairs, pipeline = RawPairs(raw, Mode.ELS), Pipeline(rig.calibration, rig.instrument.frame_shape)
-    live = LiveTrack(rig.calibration, rig.instrument.frame_shape)
     for index in range(frames):
         pipeline.track(raw[index], index)
-        time_s = index * rig.instrument.optics.frame_period_s
-        live.add(np.asarray(raw[index]), Stamp(index, index, time_s, time_s))
-    live.settle()
-    live.close()
     true_px = rig.positions_px(path, frames)
     length_px = float(np.hypot(*np.diff(true_px, axis=0).T).sum())
-    strayed_px = [_strayed_px(pipeline.rows, true_px), _strayed_px(live.pipeline.rows, true_px)]
+    strayed_px = [_strayed_px(pipeline.rows, true_px), _strayed_px(tracked_live(rig, raw), true_px)]
     pipeline.finish(pairs)
     strayed_px.append(_strayed_px(pipeline.rows, true_px))
     tracked = float(np.mean([row.state == "tracked" for row in pipeline.rows]))
     alone, closed, graph = (100 * px / length_px for px in strayed_px)
     return Drift(length_px, alone, closed, graph, tracked)
+
+
+def tracked_live(rig: SimulatedRig, raw: NDArray[np.uint8]) -> list[TrackPoint]:
+    """Track a recording as the live mosaic does, loops closed while frames come, and return its rows."""
+    live = LiveTrack(rig.calibration, rig.instrument.frame_shape)
+    for index, frame in enumerate(raw):
+        time_s = index * rig.instrument.optics.frame_period_s
+        live.add(frame, Stamp(index, index, time_s, time_s))
+    live.settle()
+    live.close()
+    return live.pipeline.rows
 
 
 def _strayed_px(rows: Sequence[TrackPoint], true_px: NDArray[np.float64]) -> float:

@@ -235,15 +235,17 @@ def turning_table(found: dict[Walk, Turned]) -> list[str]:
     """Which rung each walk asked for, and what became of it."""
     lines = [
         "| scene, path, speed | turns at (deg/s) | up to (deg) | modelled | from frame | error of the angle (deg, rms) "
-        "| median pair error (px) | error at the end (% of path) | wrong links |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| median pair error (px) | error at the end (% of path) | wrong links "
+        "| largest distance from the truth (px): frame to frame; corrected live; finished |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for walk, t in found.items():
+        strayed = "; ".join("-" if np.isnan(px) else f"{px:.2f}" for px in t.strayed_px)
         lines.append(
             f"| {walk.scene}, {walk.path}, {walk.speed_um_s / 1000:g} mm/s | {walk.turn_deg_s:g} | {t.angle_deg:.2f} "
             f"| {t.rung.name.lower()} | {'-' if t.since is None else t.since} | {t.angle_error_deg:.3f} "
             f"| {t.errors.median_pair_error_px:.3f} | {t.errors.end_error_percent_of_path:.3f} "
-            f"| {t.errors.wrong_links} |"
+            f"| {t.errors.wrong_links} | {strayed} |"
         )
     return lines
 

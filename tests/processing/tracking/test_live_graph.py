@@ -44,7 +44,7 @@ def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
     monkeypatch.setattr(live_graph, "MOST_NODES", 6 if few else 1000)
     front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
     tracker, trail = Tracker(front_end.grid), Trail(front_end.grid)
-    registrar, views = Registrar(front_end.grid), {}
+    registrar, views, images = Registrar(front_end.grid), {}, {}
     graph = LiveGraph(registrar, lambda number: views[graph.nodes[number].frame])
     found: list[tuple[int, Pose]] = []
     recognised = 0
@@ -52,16 +52,16 @@ def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
         front_end.image(frame, tracker.slot())
         if lifted and 20 <= k < 30:
             tracker.slot()[:] = 0
-        image = tracker.slot().copy()
+        images[k] = tracker.slot().copy()
         pose = spoilt(tracker.add(), k)
         if pose.state is not State.TRACKED:
             continue
         found.append((k, pose))
         node = trail.add(k, pose, (*tracker.links[-1][:2], tracker.links[-1][3]) if tracker.links else None)
         if node is not None:
-            views[k] = registrar.view()
-            views[k].image[:] = image
-            registrar.prepare(views[k])
+            views[node.frame] = view = registrar.view()
+            view.image[:] = images[node.frame]
+            registrar.prepare(view)
             recognised += graph.add(node)
             graph.thin(lambda node: node.frame < 12)
     assert len(graph.nodes) == len(views) if not few else len(graph.nodes) < 8 < len(views)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from napari_elsplus.evaluation.against_truth import TrackErrors, track_errors
+from napari_elsplus.evaluation.drift import tracked_live
 from napari_elsplus.evaluation.rig import simulated_rig, tissue
 from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.tracking.frontend import FrontEnd
@@ -16,7 +17,11 @@ from napari_elsplus.simulation.trajectories import Turning, trajectory
 from napari_elsplus.tracking_pipeline import Pipeline
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
+
+    from napari_elsplus.io import TrackPoint
 
 
 class Walk(NamedTuple):
@@ -61,6 +66,9 @@ class Turned(NamedTuple):
         Root-mean-square error of the angle in the finished track.
     errors : TrackErrors
         Of the finished track.
+    strayed_px : tuple of float
+        Largest distance from the truth, camera pixels: from frame to frame alone, with all that is corrected live, and
+        of the finished track. NaN if the track falls apart.
     """
 
     rung: Rung
@@ -68,6 +76,7 @@ class Turned(NamedTuple):
     angle_deg: float
     angle_error_deg: float
     errors: TrackErrors
+    strayed_px: tuple[float, float, float]
 
 
 def _recorded(walk: Walk) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
@@ -87,8 +96,8 @@ def follow(walk: Walk) -> Turned:
     pipeline = Pipeline(rig.calibration, rig.instrument.frame_shape)
     for index in range(walk.frames):
         pipeline.track(raw[index], index)
-    live = [pose.angle for pose in pipeline.poses]
-    since = next((k for k, found in enumerate(live) if found != 0), None)
+    since = next((k for k, pose in enumerate(pipeline.poses) if pose.angle != 0), None)
+    strayed_px = _strayed_px(pipeline.rows, place), _strayed_px(tracked_live(rig, raw), place)
     pipeline.finish(RawPairs(raw, "els"))
     found = np.array([pose.angle for pose in pipeline.poses])
     known = np.isfinite([pose.row for pose in pipeline.poses])
@@ -96,7 +105,14 @@ def follow(walk: Walk) -> Turned:
     forms = {(abs(pose.angle) > 0, abs(pose.scale - 1) > _LEAST_ZOOM) for pose in pipeline.poses}
     zoomed, turned = any(zoom for _, zoom in forms), any(turn for turn, _ in forms)
     rung = Rung.SIMILARITY if zoomed else Rung.RIGID if turned else Rung.TRANSLATION
-    return Turned(rung, since, float(np.rad2deg(np.abs(angle).max())), error, track_errors(pipeline.rows, place))
+    largest, errors = float(np.rad2deg(np.abs(angle).max())), track_errors(pipeline.rows, place)
+    return Turned(rung, since, largest, error, errors, (*strayed_px, _strayed_px(pipeline.rows, place)))
+
+
+def _strayed_px(rows: Sequence[TrackPoint], true_px: NDArray[np.float64]) -> float:
+    known = [(row.row_px, row.col_px) if row.segment == rows[0].segment else (np.nan, np.nan) for row in rows]
+    found = np.array(known)
+    return float(np.hypot(*(found - found[0] - true_px + true_px[0]).T).max())
 
 
 def rung_of(walk: Walk) -> Rung:

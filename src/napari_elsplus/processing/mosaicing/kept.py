@@ -128,6 +128,10 @@ class KeptFrames:
         self.frames.append(Kept(frame, pose, np.rint(steps, out=steps).astype(np.int16)))
         return True
 
+    def newest(self, frame: int) -> Kept | None:
+        """Return a frame, if it is one of the last two that were kept."""
+        return next((one for one in self.frames[-2:] if one.frame == frame), None)
+
     def thin(self, place: Callable[[Kept], Pose], lock: AbstractContextManager[Any] | None = None) -> bool:
         """Let go of frames that lie under newer ones, and where that is not enough, of every second; whether any went.
 

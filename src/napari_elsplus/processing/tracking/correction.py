@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import atan2, hypot
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -62,7 +63,7 @@ class Correction(NamedTuple):
 
 
 class Corrections:
-    """Corrections along the track: known at some frames, and between them in proportion.
+    """Corrections along the track: known at some frames; others lie between where the two around them put them.
 
     Parameters
     ----------
@@ -87,7 +88,9 @@ class Corrections:
         for segment, along in (known or {}).items():
             self._newest[segment] = along[-1][1]
             self._frames[segment] = np.array([frame for frame, _ in along])
-            self._values[segment] = np.array([one[1:] for _, one in along])
+            self._values[segment] = np.array(
+                [(one.row, one.col, *turned_by(one.angle, one.scale)[:, 0]) for _, one in along]
+            )
 
     def newest(self, segment: int) -> Correction:
         """Return that of frames to come."""
@@ -107,8 +110,9 @@ class Corrections:
         segment = pose.segment
         if segment not in self._frames:
             return pose
-        values = self._between(segment, np.array([frame]))[:, 0].tolist()
-        return Correction(self._newest[segment].segment, *values).of(pose)
+        row, col, cosine, sine = self._between(segment, np.array([frame]))[:, 0].tolist()
+        into = self._newest[segment].segment
+        return Correction(into, row, col, atan2(sine, cosine), hypot(cosine, sine)).of(pose)
 
     def of_frames(
         self,
@@ -129,9 +133,8 @@ class Corrections:
             if number not in self._frames:
                 continue
             those = np.flatnonzero(segment == number)
-            top, left, angle, scale = self._between(number, frame[those])
-            cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
-            into[those], turned[those] = self._newest[number].segment, angle
+            top, left, cosine, sine = self._between(number, frame[those])
+            into[those], turned[those] = self._newest[number].segment, np.arctan2(sine, cosine)
             down[those] = cosine * row[those] - sine * col[those] + top
             across[those] = sine * row[those] + cosine * col[those] + left
         return into, down, across, turned

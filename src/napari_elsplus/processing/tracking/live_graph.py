@@ -27,9 +27,15 @@ if TYPE_CHECKING:
 
 RECALLED: Final = 6
 """Nodes of other segments with which a node is compared: the newest of them, and as many others in turn."""
-MOST_NODES: Final = 3000
+MOST_NODES: Final = 1500
 """Nodes from which on some are let go, so that solving takes no longer the longer the path is: down to two thirds."""
 _RENEWED: Final = 1.25
+_UNTOLD: Final = 1.0
+"""Uncertainty of a link's angle, in radians, where no rotation was asked for."""
+_GUESSED_SIGMAS: Final = (1e-3, 0.5)
+"""Limits of what an angle is trusted to that is guessed from how fast the probe turned: it may be off by all of it."""
+ASKED_WITH_EACH: Final = 2
+"""Links from before a turn was noticed that are asked again with each node."""
 _NOWHERE: Final = -1
 
 
@@ -66,6 +72,9 @@ class LiveGraph:
         self._chain: list[Edge] = []
         self._loops: list[Edge] = []
         self._newest: dict[int, int] = {}
+        self._begun: dict[int, int] = {}
+        self._turn_rate: dict[int, float] = {}
+        self._untold = False
         self._bridges: dict[tuple[int, int], Bridge] = {}
         self._recalled = 0
         self._unsolved: set[int] = set()
@@ -91,6 +100,9 @@ class LiveGraph:
         self.nodes.append(node)
         self.places.append(place)
         self._newest[segment] = number
+        begun = self._begun.setdefault(segment, node.frame)
+        if node.pose.angle != 0 and segment not in self._turn_rate and node.frame > begun:
+            self._turn_rate[segment] = node.pose.angle / (node.frame - begun)
         if number == len(self._where):
             self._where = np.concatenate([self._where, np.zeros_like(self._where)])
             self._group = np.concatenate([self._group, np.zeros_like(self._group)])
@@ -104,16 +116,41 @@ class LiveGraph:
         if seen and everywhere and not found:
             found = self._recognised(number)
         self._loops += found
+        self._untold |= any(edge.turn_sigma >= _UNTOLD for edge in (*self._chain[-1:], *found))
         self.closed += len(found)
         self._unsolved |= {self.places[edge.earlier].segment for edge in found}
-        return bool(found)
+        if node.upright is not None:
+            self._unsolved.add(self.places[number].segment)
+        return self.ask_again(ASKED_WITH_EACH) or bool(found) or node.upright is not None
+
+    def ask_again(self, most: int | None = None) -> bool:
+        """Once the probe is known to turn: ask links from before how far they are turned; whether there were any.
+
+        Parameters
+        ----------
+        most : int, optional
+            How many, the newest first; all by default.
+        """
+        if self._rung is Rung.TRANSLATION or not self._untold:
+            return False
+        asked = 0
+        for edges in (self._chain, self._loops):
+            for k in reversed(range(len(edges))):
+                if asked == most:
+                    return True
+                if edges[k].turn_sigma >= _UNTOLD:
+                    edges[k] = self._asked_again(edges[k])
+                    self._unsolved.add(self.places[edges[k].earlier].segment)
+                    asked += 1
+        self._untold = False
+        return asked > 0
 
     def solve(self) -> bool:
         """Find where nodes belong, after something was recognised; whether there was anything to solve for."""
         groups, self._unsolved = self._unsolved, set()
         for group in groups:
             members = np.flatnonzero(self._group[: len(self.nodes)] == group)
-            edges = [e for e in (*self._chain, *self._loops) if self._group[e.earlier] == group]
+            edges = [self._told(e) for e in (*self._chain, *self._loops) if self._group[e.earlier] == group]
             if not edges or not len(members):
                 continue
             first = self.places[int(members[0])]
@@ -135,8 +172,14 @@ class LiveGraph:
         """Those along the whole track."""
         known: dict[int, list[tuple[int, Correction]]] = {}
         for node, place in zip(self.nodes, self.places, strict=True):
-            if place.segment != _NOWHERE:
-                known.setdefault(node.pose.segment, []).append((node.frame, Correction.between(node.pose, place)))
+            if place.segment == _NOWHERE:
+                continue
+            along = known.setdefault(node.pose.segment, [])
+            here = Correction.between(node.pose, place)
+            if node.upright is not None:
+                frame, pose = node.upright
+                along.append((frame, Correction.between(pose, here.of(pose)._replace(angle=place.angle))))
+            along.append((node.frame, here))
         return Corrections(known)
 
     def forget(self, group: int) -> None:
@@ -163,7 +206,7 @@ class LiveGraph:
             return
         there = self._group[:count] != _NOWHERE
         segment = np.array([node.pose.segment for node in self.nodes])
-        free = ~np.array([kept(node) for node in self.nodes])
+        free = np.array([not kept(node) and node.upright is None for node in self.nodes])
         stays = there.copy()
         stays[there] = those_that_stay(self._where[:count, 2][there], segment[there], free[there], 2 * MOST_NODES // 3)
         chain, loops = linked_anew(self._chain, self._loops, stays)
@@ -188,6 +231,28 @@ class LiveGraph:
         if b.angle != 0 or b.scale != 1:
             row, col = (turned_by(-b.angle, 1 / b.scale) @ (row, col)).tolist()
         return Edge(earlier, later, (row, col), node.covariance, b.angle - a.angle, b.scale / a.scale, node.turn_sigma)
+
+    def _told(self, edge: Edge) -> Edge:
+        """Return a link with what is thought of its angle, where it was not asked for."""
+        if self._rung is Rung.TRANSLATION or edge.turn_sigma < _UNTOLD:
+            return edge
+        turn = self._turn_between(edge.earlier, edge.later)
+        return edge._replace(turn=turn, turn_sigma=float(np.clip(abs(turn), *_GUESSED_SIGMAS)))
+
+    def _asked_again(self, edge: Edge) -> Edge:
+        known = self._told(edge)
+        if self._view(edge.earlier) is None or self._view(edge.later) is None:
+            return known
+        return self._closing().again(edge, known.turn) or known
+
+    def _turn_between(self, earlier: int, later: int) -> float:
+        """How far the probe has turned between two nodes: evenly, until it was noticed."""
+        return self._angle_of(later) - self._angle_of(earlier)
+
+    def _angle_of(self, number: int) -> float:
+        node = self.nodes[number]
+        segment = node.pose.segment
+        return node.pose.angle or self._turn_rate.get(segment, 0.0) * (node.frame - self._begun[segment])
 
     def _revisits(self, number: int) -> list[Edge]:
         """Links with nodes of the same segment that lie beside this one but far back along the path."""

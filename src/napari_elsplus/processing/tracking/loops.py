@@ -153,6 +153,24 @@ class LoopCloser:
         miss = hypot(edge.displacement[0] - expected.row, edge.displacement[1] - expected.col)
         return edge if miss < _AGREEMENT_PX + _DRIFT * path_px else None
 
+    def again(self, edge: Edge, turn: float) -> Edge | None:
+        """Link two frames once more that were linked while no rotation was asked for; None if that says nothing.
+
+        Parameters
+        ----------
+        edge : Edge
+            What was said then.
+        turn : float
+            What they are thought to be turned by.
+        """
+        a, b = self._poses[edge.earlier], self._poses[edge.later]
+        there = Displacement(*edge.displacement)
+        found = self._edge(edge.earlier, edge.later, self._turned(a, b, edge.earlier, edge.later, there, turn, None))
+        if found is None:
+            return None
+        miss = hypot(found.displacement[0] - there.row, found.displacement[1] - there.col)
+        return found if miss < _AGREEMENT_PX + abs(found.turn) * hypot(*there) else None
+
     def recognise(self, earlier: int, later: int, before: int, after: int) -> Edge | None:
         """Compare two frames over all shifts; `before` and `after` are the frames around the gap, turned alike."""
         a, b = self._poses[earlier], self._poses[later]

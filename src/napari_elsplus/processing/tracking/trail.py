@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot
+from math import hypot, isnan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -35,6 +35,9 @@ class Node(NamedTuple):
         (2, 2) of its displacement from the node before, pixels squared.
     turn_sigma : float
         Of its angle against the node before; 1 where no rotation was asked for.
+    upright : tuple of int and Pose, optional
+        The tracked frame before, and where the tracker has it, if from this one on it models rotation: up to there it
+        knew of no angle.
     """
 
     frame: int
@@ -42,6 +45,7 @@ class Node(NamedTuple):
     gone_px: float
     covariance: NDArray[np.float64]
     turn_sigma: float
+    upright: tuple[int, Pose] | None = None
 
 
 class Trail:
@@ -55,15 +59,16 @@ class Trail:
 
     def __init__(self, grid: Grid) -> None:
         self._spacing_px = KEY_SPACING * grid.diameter
+        self._shutter = grid.shutter
         self._stretch = LINK_STRETCH_PX / grid.shutter.rows_per_frame
-        self._before: Pose | None = None
+        self._before: tuple[int, Pose] | None = None
         self._newest: tuple[int, int, Link] | None = None
         self._node: tuple[int, int, Link] | None = None
         self._gone = 0.0
         self._since: list[Link] = []
 
     def add(self, frame: int, pose: Pose, link: tuple[int, int, Link] | None) -> Node | None:
-        """Take in a tracked frame; return it as a node if it is one.
+        """Take in a tracked frame; return it as a node if it is one, or the very first, once that is known to be one.
 
         Parameters
         ----------
@@ -74,18 +79,26 @@ class Trail:
         link : tuple, optional
             How the tracker came to that: the earlier and the later frame, by its own count, and the link between them.
         """
-        before, self._before = self._before, pose
+        known, self._before = self._before, (frame, pose)
+        before = None if known is None else known[1]
         if before is None or before.segment != pose.segment:
+            if isnan(pose.score):
+                return None  # the first of all: only the next one tells its velocity
             self._newest = self._node = link
             self._gone, self._since = 0.0, []
             return Node(frame, pose, 0.0, np.eye(2), 1.0)
         self._gone += hypot(pose.row - before.row, pose.col - before.col)
+        if known is not None and link is not None and isnan(before.score):
+            self._newest = link
+            velocity, _ = self._shutter.velocities(link[2].warp)
+            return Node(known[0], before._replace(velocity=velocity), 0.0, np.eye(2), 1.0)
         newest, self._newest = self._newest, link
         if link is not None and newest is not None and link[0] != newest[0]:
             self._since.append(newest[2])  # frames hang from a newer one now, which hangs by that
-        if self._gone < self._spacing_px:
+        noticed = pose.angle != 0 and before.angle == 0
+        if self._gone < self._spacing_px and not noticed:
             return None
-        node = Node(frame, pose, self._gone, *self._spread())
+        node = Node(frame, pose, self._gone, *self._spread(), known if noticed else None)
         self._node, self._gone, self._since = link, 0.0, []
         return node
 
