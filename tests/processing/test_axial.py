@@ -7,7 +7,7 @@ import pytest
 
 from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
-from napari_elsplus.processing.axial import axial_profiles, axial_response, contrast_to_noise, fit_saturation
+from napari_elsplus.processing.axial import Doubts, axial_profiles, axial_response, contrast_to_noise, fit_saturation
 
 DEPTH_UM = np.arange(0.0, 800.0, 2.0)
 
@@ -60,6 +60,23 @@ def test_noise_widens_the_uncertainty_that_covers_the_error() -> None:
             drop = getattr(response, name)
             pulls.append((drop.um - truth) / drop.uncertainty_um)
     assert np.mean(np.abs(pulls) < 2) > 0.9
+
+
+def test_a_zero_or_gain_that_errs_moves_the_distances_as_far_as_is_stated() -> None:
+    """One standard deviation of each doubt, by hand, against the stated uncertainty; the curves have no noise."""
+    ls, residual = curves(DEPTH_UM)
+    exact = axial_response(DEPTH_UM, ls, residual)
+    for doubts, moved in (
+        (Doubts(ls_zero_dn=0.2), axial_response(DEPTH_UM, ls + 0.2, residual)),
+        (Doubts(residual_zero_dn=0.2), axial_response(DEPTH_UM, ls, residual + 0.2)),
+        (Doubts(gain=0.01), axial_response(DEPTH_UM, ls, residual * 1.01)),
+    ):
+        stated = axial_response(DEPTH_UM, ls, residual, doubts)
+        assert drops(stated) == drops(exact)
+        for name in ("ls_3db", "ls_10db", "els_3db", "els_10db"):
+            shift = abs(getattr(moved, name).um - getattr(exact, name).um)
+            assert getattr(stated, name).uncertainty_um == pytest.approx(shift, rel=0.15, abs=0.02)
+    assert stated.signal_kept_uncertainty == pytest.approx(0.002, rel=0.1)
 
 
 def test_a_distance_beyond_the_scan_is_not_invented() -> None:

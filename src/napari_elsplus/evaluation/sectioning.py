@@ -29,9 +29,20 @@ CLIPPED_BELOW: Final = 0.5
 """Where the residual image has less than this share of its centre's brightness, the field counts as clipped."""
 
 
-def measure_axial(instrument: Instrument, *, seed: int = 0) -> AxialResponse:
-    """Scan depths through raw frames (cores, noise, clipping, 8 bit) and analyse them as a recorded scan would be."""
+def measure_axial(instrument: Instrument, *, seed: int = 0, light: float = 1.0) -> AxialResponse:
+    """Scan depths through raw frames (cores, noise, clipping, 8 bit) and analyse them as a recorded scan would be.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The instrument; its light is set for the plate.
+    seed : int
+        Seed of the camera's noise.
+    light : float
+        Of what the plate is usually lit with.
+    """
     lit = lit_for_plate(instrument)
+    lit = replace(lit, light_dn=light * lit.light_dn)
     scan = AxialScan(lit, scan_depths_um(), seed=seed)
     calibration = true_calibration(lit, background(lit, seed=seed + 1))
     return axial_response(scan.depths_um, *axial_profiles(scan, calibration))

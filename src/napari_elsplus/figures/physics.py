@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -16,6 +17,7 @@ from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill, require_marks
 from napari_elsplus.processing.axial import fit_saturation
 from napari_elsplus.simulation.axial_response import LINE_MODELS, drop_offs
+from napari_elsplus.simulation.clipped_response import clipped_drop_offs
 from napari_elsplus.simulation.instrument import Instrument
 
 if TYPE_CHECKING:
@@ -29,7 +31,7 @@ SEEDS: Final = 10
 WEIGHED_UM: Final = (3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 25.0, 29.0, 35.0, 40.0, 50.0, 58.0, 67.0, 77.0, 90.0)
 STRIPS_UM: Final = ((-295.0, -260.0), (-285.0, -275.0), (260.0, 295.0))
 EDGE_UM: Final = (-74.0, -12.0)
-TABLES: Final = ("offsets", "slits", "seeds", "edge")
+TABLES: Final = ("offsets", "slits", "seeds", "instruments", "edge")
 
 
 def make(docs: Path) -> None:
@@ -63,8 +65,14 @@ def make(docs: Path) -> None:
     }
     for name, figure in figures.items():
         save_figure(figure, docs / "images" / f"physics-{name}.png", force=True)
-    tables = (_offset_table(by_offset), _slit_table(by_slit), _seed_table(by_seed), _edge_table(residuals))
-    fill(page, {name: "\n".join(table) for name, table in zip(TABLES, tables, strict=True)})
+    tables = {
+        "offsets": _offset_table(by_offset),
+        "slits": _slit_table(by_slit),
+        "seeds": _seed_table(by_seed),
+        "instruments": _instrument_table(),
+        "edge": _edge_table(residuals),
+    }
+    fill(page, {name: "\n".join(table) for name, table in tables.items()})
 
 
 def _instrument(offset_um: float, slit_um: float = 2.9, state: str = "a") -> Instrument:
@@ -73,19 +81,23 @@ def _instrument(offset_um: float, slit_um: float = 2.9, state: str = "a") -> Ins
 
 def _offset_table(measured: dict[float, AxialResponse]) -> list[str]:
     ls, closed_ls = measured[29.0], drop_offs(offset_um=None)
+    clipped_ls, _ = clipped_drop_offs(_instrument(29.0))
     rows = [
-        "| 3 dB / 10 dB (um) | paper | closed form | raw frames | raw frames off the paper |",
-        "|---|---|---|---|---|",
+        "| 3 dB / 10 dB (um) | paper | closed form | with the rim | raw frames | raw frames off the paper |",
+        "|---|---|---|---|---|---|",
         f"| LS | {' / '.join(f'{um:.0f} +- {spread:.0f}' for um, spread in printed.LS_UM.values())} "
-        f"| {closed_ls.drop_3db_um:.1f} / {closed_ls.drop_10db_um:.0f} | {ls.ls_3db.um:.1f} / {ls.ls_10db.um:.0f} "
+        f"| {closed_ls.drop_3db_um:.1f} / {closed_ls.drop_10db_um:.0f} "
+        f"| {clipped_ls.drop_3db_um:.1f} / {clipped_ls.drop_10db_um:.0f} "
+        f"| {ls.ls_3db.um:.1f} / {ls.ls_10db.um:.0f} "
         f"| {_off(ls.ls_3db.um, printed.LS_UM[3][0])} / {_off(ls.ls_10db.um, printed.LS_UM[10][0])} |",
     ]
     for offset, response in measured.items():
         paper = [printed.els_drop_off_um(offset, decibel) for decibel in (3, 10)]
-        closed = drop_offs(offset_um=offset)
+        closed, clipped = drop_offs(offset_um=offset), clipped_drop_offs(_instrument(offset))[1]
         rows.append(
             f"| ELS, offset {offset:.0f} | {paper[0]:.1f} / {paper[1]:.1f} "
             f"| {closed.drop_3db_um:.1f} / {closed.drop_10db_um:.1f} "
+            f"| {clipped.drop_3db_um:.1f} / {clipped.drop_10db_um:.1f} "
             f"| {response.els_3db.um:.1f} / {response.els_10db.um:.1f} "
             f"| {_off(response.els_3db.um, paper[0])} / {_off(response.els_10db.um, paper[1])} |"
         )
@@ -95,7 +107,7 @@ def _offset_table(measured: dict[float, AxialResponse]) -> list[str]:
     ]
     ours = " / ".join(f"{fit.limit_um:.0f} (1 - exp(-{fit.rate_per_um:.4f} OF))" for fit in fits)
     papers = " / ".join(f"{limit:.0f} (1 - exp(-{rate:.4f} OF))" for limit, rate in printed.ELS_FITS.values())
-    return [*rows, f"| ELS, fit over the offsets OF | {papers} | | {ours} | |"]
+    return [*rows, f"| ELS, fit over the offsets OF | {papers} | | | {ours} | |"]
 
 
 def _slit_table(measured: dict[float, AxialResponse]) -> list[str]:
@@ -124,6 +136,44 @@ def _seed_table(measured: list[AxialResponse]) -> list[str]:
             f"| {name} (um) | {values.mean():.2f} | {values.std(ddof=1):.3f} | {values.min():.2f} "
             f"| {values.max():.2f} | {low:.1f} to {high:.1f} |"
         )
+    return rows
+
+
+def _instruments() -> dict[str, Instrument]:
+    """Instruments that differ in what a distance depends on."""
+    line = LINE_MODELS["a"]
+    usual = _instrument(29.0)
+    return {
+        "offset 29 um, slit 2.9 um, 120 Hz": usual,
+        "offset -29 um": replace(usual, offset_rows=-usual.offset_rows),
+        "offset 12 um, slit 1.9 um": Instrument.of("120hz", slit_um=1.9, offset_um=12.0),
+        "offset 58 um, slit 5.8 um": Instrument.of("120hz", slit_um=5.8, offset_um=58.0),
+        "240 Hz, offset -77 um": Instrument.of("240hz", offset_um=-77.0),
+        "sharper line (state b), offset 77 um": _instrument(77.0, state="b"),
+        "fibres of 1.4 times the aperture": replace(usual, line=replace(line, spread=1.4 * line.spread)),
+        "fibres of 0.8 times the aperture": replace(usual, line=replace(line, spread=0.8 * line.spread)),
+        "bundle of 480 um": replace(usual, bundle=replace(usual.bundle, diameter_um=480.0)),
+    }
+
+
+def _instrument_table() -> list[str]:
+    columns = ("LS 3 dB", "LS 10 dB", "ELS+ 3 dB", "ELS+ 10 dB")
+    rows = [f"| instrument | {' | '.join(f'{name} (um)' for name in columns)} |", "|---" * (1 + len(columns)) + "|"]
+    measured = {name: (one, measure_axial(one, seed=3)) for name, one in _instruments().items()}
+    for preset in ("120hz", "240hz"):
+        dim = Instrument.of(preset, offset_um=-29.0)
+        measured[f"a quarter of the light, {preset[:3]} Hz, offset -29 um"] = (
+            dim,
+            measure_axial(dim, seed=3, light=0.25),
+        )
+    for name, (instrument, response) in measured.items():
+        drops = (response.ls_3db, response.ls_10db, response.els_3db, response.els_10db)
+        truth = sum(map(tuple, clipped_drop_offs(instrument)), ())
+        told = (
+            f"{drop.um:.1f} +- {drop.uncertainty_um:.2f} ({drop.um - um:+.2f})"
+            for drop, um in zip(drops, truth, strict=True)
+        )
+        rows.append(f"| {name} | {' | '.join(told)} |")
     return rows
 
 

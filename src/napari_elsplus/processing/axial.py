@@ -7,12 +7,13 @@ have fallen to a half (3 dB) and to a tenth (10 dB) of their value in contact me
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import curve_fit, isotonic_regression
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
+from napari_elsplus.processing.rounding import noise_between, rounding_dn
 from napari_elsplus.processing.sectioning import Sectioner
 
 if TYPE_CHECKING:
@@ -96,12 +97,39 @@ class AxialResponse:
         }
 
 
+class Doubts(NamedTuple):
+    """What is uncertain in all depths alike, so that the scatter of the points does not show it.
+
+    Parameters
+    ----------
+    ls_zero_dn, residual_zero_dn : float
+        Standard deviation of the zero of LS and of the residual, grey levels.
+    gain : float
+        Relative standard deviation of the right view's gain, by which the residual was divided.
+    """
+
+    ls_zero_dn: float = 0.0
+    residual_zero_dn: float = 0.0
+    gain: float = 0.0
+
+
+_NO_DOUBTS = Doubts()
+
+
+class Profiles(NamedTuple):
+    """Signal of LS and residual (T,) in grey levels, ELS+ being their difference, and what is uncertain in them."""
+
+    ls: Curve
+    residual: Curve
+    doubts: Doubts
+
+
 def axial_profiles(
     frames: Frames,
     calibration: Calibration,
     *,
     watch: Callable[[Iterable[int]], Iterable[int]] = lambda numbers: numbers,
-) -> tuple[Curve, Curve]:
+) -> Profiles:
     """Mean LS and residual signal of the central square in each frame, grey levels.
 
     Parameters
@@ -115,8 +143,8 @@ def axial_profiles(
 
     Returns
     -------
-    tuple of numpy.ndarray
-        LS and residual, (T,) each; ELS+ is their difference.
+    Profiles
+        The doubts are the calibration's in the gain, and what rounding to whole grey levels may add to a mean.
 
     Raises
     ------
@@ -147,10 +175,29 @@ def axial_profiles(
         frame = frames[k]
         ls[k] = sectioner.ls(frame, image)[inside, inside].mean()
         residual[k] = sectioner.residual(frame, image)[inside, inside].mean()
-    return ls, residual
+    bundle = calibration.bundle
+    squares = (_square(bundle.confocal_centre, half), _square(bundle.residual_centre, half))
+    zeros = [_zero_dn(frames, ls, calibration.background, square) for square in squares]
+    gain = bundle.residual_gain
+    return Profiles(ls, residual, Doubts(zeros[0], zeros[1] / gain, bundle.residual_gain_uncertainty / gain))
 
 
-def axial_response(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> AxialResponse:
+def _square(centre: tuple[float, float], half: float) -> tuple[slice, ...]:
+    return tuple(slice(max(round(at - half), 0), round(at + half)) for at in centre)
+
+
+def _zero_dn(frames: Frames, ls: Curve, background: NDArray[np.float32] | None, square: tuple[slice, ...]) -> float:
+    """By how much rounding may shift the zero of a view: its background hardly has a pattern that would even it out."""
+    if len(ls) < 2 or background is None or not np.issubdtype(frames[0].dtype, np.integer):
+        return 0.0
+    darkest = int(np.argmin(ls[:-1] + ls[1:]))
+    noise = noise_between(frames[darkest][square], frames[darkest + 1][square])
+    return rounding_dn(noise, background[square])
+
+
+def axial_response(
+    depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike, doubts: Doubts = _NO_DOUBTS
+) -> AxialResponse:
     """Drop-off distances and kept signal from signals against depth.
 
     Frames at the same depth are averaged. The plate touches where LS is largest, found by the best curve that rises to
@@ -162,6 +209,8 @@ def axial_response(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> 
         Depth of each frame, in any order, not necessarily even nor from zero.
     ls, residual : array_like
         Signals (T,), the background subtracted.
+    doubts : Doubts
+        What is uncertain in all depths alike; it widens the distances' uncertainties.
 
     Returns
     -------
@@ -186,7 +235,10 @@ def axial_response(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> 
     depth, ls_mean, residual_mean = _by_depth(depths_um, ls, residual)
     els_mean = ls_mean - residual_mean
     contact = _peak(ls_mean)
-    ls_fall, els_fall = (_Fall(depth[contact:], curve[contact:]) for curve in (ls_mean, els_mean))
+    beyond = slice(contact, None)
+    ls_fall = _Fall(depth[beyond], ls_mean[beyond], doubts.ls_zero_dn, 0 * depth[beyond])
+    els_zero_dn = float(np.hypot(doubts.ls_zero_dn, doubts.residual_zero_dn))
+    els_fall = _Fall(depth[beyond], els_mean[beyond], els_zero_dn, doubts.gain * residual_mean[beyond])
     if not (ls_fall.contact > 3 * ls_fall.noise and ls_fall.contact > 0):
         raise MeasurementError(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
@@ -208,14 +260,21 @@ def axial_response(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> 
         els_3db=els_fall.drop(HALF),
         els_10db=els_fall.drop(TENTH),
         signal_kept=float(kept),
-        signal_kept_uncertainty=float(np.hypot(els_fall.noise, kept * ls_fall.noise) / ls_fall.contact),
+        signal_kept_uncertainty=float(
+            np.linalg.norm([els_fall.noise, kept * ls_fall.noise, doubts.gain * residual_mean[contact]])
+            / ls_fall.contact
+        ),
     )
 
 
 class _Fall:
-    """A curve that falls from its first point: noise removed by pooling what does not fall."""
+    """A curve that falls from its first point: noise removed by pooling what does not fall.
 
-    def __init__(self, depth: Curve, signal: Curve) -> None:
+    Its zero is uncertain by `zero_dn` at all depths, and by `together_dn` (depths,) it errs at all depths at once.
+    """
+
+    def __init__(self, depth: Curve, signal: Curve, zero_dn: float, together_dn: Curve) -> None:
+        self._all_depths, self._together_dn, self._zero_dn = depth, together_dn, zero_dn
         fitted = isotonic_regression(signal, increasing=False)
         first, last = fitted.blocks[:-1], fitted.blocks[1:]
         self._signal: Curve = fitted.x[first]
@@ -232,8 +291,9 @@ class _Fall:
             return DropOff(float("nan"), float("nan"))
         slope = (share[below] - share[below - 1]) / (self._depth[below] - self._depth[below - 1])
         at = self._depth[below - 1] + (level - share[below - 1]) / slope
-        error = self.noise / self.contact * np.hypot(1, level) / abs(slope)
-        return DropOff(float(at - self._start), float(error))
+        together = np.interp(at, self._all_depths, self._together_dn) - level * self._together_dn[0]
+        error_dn = np.linalg.norm([self.noise, level * self.noise, (1 - level) * self._zero_dn, together])
+        return DropOff(float(at - self._start), float(error_dn / self.contact / abs(slope)))
 
 
 def _by_depth(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[Curve, Curve, Curve]:

@@ -69,11 +69,12 @@ class LineModel:
 
 
 LINE_MODELS: Final = {
-    "a": LineModel(core_um=5.43, halo_share=0.652, halo_um=34.8, spread=0.236, gap_um=14.3),
+    "a": LineModel(core_um=5.58, halo_share=0.652, halo_um=38.3, spread=0.235, gap_um=14.3),
     "b": LineModel(core_um=2.34, halo_share=0.17, halo_um=33.8, spread=0.224, gap_um=20.2),
 }
-"""``a``: fitted to panels (a, b) of the paper's drop-off figure (Thrapp and Hughes, Sec. 3.1). ``b``: the sharper line
-of its panels (c, d), which were measured in another state of the rig; the two are never mixed."""
+"""``a``: fitted to panels (a, b) of the paper's drop-off figure (Thrapp and Hughes, Sec. 3.1), with the rim of the
+bundle (:mod:`napari_elsplus.evaluation.line_fit`). ``b``: the sharper line of its panels (c, d), which were measured in
+another state of the rig; the two are never mixed."""
 
 
 def gaussian_over_slit(offset_um: ArrayLike, slit_um: ArrayLike, sigma_um: ArrayLike) -> Curve:
@@ -156,7 +157,7 @@ def axial_response(
 
     Examples
     --------
-    >>> response = axial_response([0.0, 120.6], offset_um=29.0)
+    >>> response = axial_response([0.0, 119.9], offset_um=29.0)
     >>> (response.els / response.els[0]).round(2)
     array([1. , 0.1])
     """
@@ -180,6 +181,9 @@ def drop_offs(
 ) -> DropOffs:
     """Solve the model for the 3 dB and 10 dB drop-off distances of ELS+, or of LS where no offset is given.
 
+    There is no rim here, which takes a twentieth from the LS 10 dB distance of a bundle of 620 um:
+    :func:`napari_elsplus.simulation.clipped_response.clipped_drop_offs` has it.
+
     Raises
     ------
     InputError
@@ -188,9 +192,9 @@ def drop_offs(
     Examples
     --------
     >>> [round(um, 1) for um in drop_offs(offset_um=None)]
-    [57.7, 557.0]
+    [58.1, 579.8]
     >>> [round(um, 1) for um in drop_offs(offset_um=29.0)]
-    [35.0, 120.7]
+    [35.0, 119.9]
     """
     if offset_um == 0:
         raise InputError("the offset is 0 um, so ELS+ is zero everywhere", "offset the residual slit")

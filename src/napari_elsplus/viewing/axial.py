@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.axial import AxialResponse, Saturation, axial_profiles, axial_response, fit_saturation
+from napari_elsplus.processing.axial import (
+    AxialResponse,
+    Doubts,
+    Saturation,
+    axial_profiles,
+    axial_response,
+    fit_saturation,
+)
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.instrument import Instrument
@@ -71,6 +79,9 @@ class HandScan:
     depth_um: list[float] = field(default_factory=list)
     ls: list[float] = field(default_factory=list)
     residual: list[float] = field(default_factory=list)
+    doubts: Doubts | None = None
+    """What is uncertain in all depths alike, from the two darkest frames taken one after the other."""
+    _last: NDArray[Any] | None = None
 
     def take(self, frame: NDArray[Any], calibration: Calibration, depth_um: float) -> None:
         """Add a raw frame (rows, cols) that was taken at a depth.
@@ -82,7 +93,11 @@ class HandScan:
         MeasurementError
             If the measured square does not fit into the bundle.
         """
-        ls, residual = axial_profiles(frame[None], calibration)
+        frames = [frame] if self._last is None else [frame, self._last]
+        ls, residual, doubts = axial_profiles(frames, calibration)
+        if self.doubts is None or ls.sum() <= min(map(sum, pairwise(self.ls)), default=np.inf):
+            self.doubts = doubts
+        self._last = np.array(frame)
         self.depth_um.append(float(depth_um))
         self.ls.append(float(ls[0]))
         self.residual.append(float(residual[0]))
@@ -97,7 +112,7 @@ class HandScan:
         MeasurementError
             If there is no signal in contact.
         """
-        response = axial_response(self.depth_um, self.ls, self.residual)
+        response = axial_response(self.depth_um, self.ls, self.residual, self.doubts or Doubts())
         return Scan(f"by hand, {len(self.depth_um)} frames", response, *slit_um(calibration))
 
 
@@ -129,8 +144,8 @@ def measure_scan(
         raise InputError(
             f"the depths of {stack.file_name} are unknown", "put NAME.depths.csv beside it: a depth per frame"
         )
-    ls, residual = axial_profiles(stack.planes, calibration, watch=watch)
-    return Scan(stack.name, axial_response(stack.depth_um, ls, residual), *slit_um(calibration))
+    profiles = axial_profiles(stack.planes, calibration, watch=watch)
+    return Scan(stack.name, axial_response(stack.depth_um, *profiles), *slit_um(calibration))
 
 
 def slit_um(calibration: Calibration) -> tuple[float | None, float | None]:
