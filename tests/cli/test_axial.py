@@ -47,9 +47,9 @@ def test_drop_offs_of_the_paper_through_raw_frames(elsplus: Elsplus, tmp_path: P
 def test_ten_seeds_keep_their_margin(elsplus: Elsplus, tmp_path: Path, seed: int) -> None:
     found = measured(elsplus, tmp_path, "--slit-um", 2.9, "--offset-um", 29, "--seed", seed)
     assert found["ls"]["drop_3db_um"] == pytest.approx(58, abs=1)
-    assert found["ls"]["drop_10db_um"] == pytest.approx(550, abs=19)
+    assert found["ls"]["drop_10db_um"] == pytest.approx(550, abs=5)
     assert found["els"]["drop_3db_um"] == pytest.approx(35.1, rel=0.02)
-    assert found["els"]["drop_10db_um"] == pytest.approx(118.9, rel=0.03)
+    assert found["els"]["drop_10db_um"] == pytest.approx(118.9, rel=0.02)
 
 
 @pytest.mark.slow

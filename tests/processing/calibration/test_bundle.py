@@ -137,4 +137,4 @@ def test_structured_targets_do_not_move_real_bundles(data_folder: Path) -> None:
         with_target, without = (
             locate_bundle(tifffile.imread(data_folder / "real" / f"{name}.tif")) for name in (target, plain)
         )
-        assert np.hypot(*np.subtract(with_target.centre, without.centre)) < 6
+        assert np.hypot(*np.subtract(with_target.centre, without.centre)) < 2

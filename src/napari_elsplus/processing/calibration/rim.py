@@ -2,6 +2,10 @@
 
 Parts of a rim that a dark target hides show an edge too far inside, never too far outside. The circle is therefore
 fitted to the points that agree with each other best, not to the middle of all.
+
+A rim is a ragged row of cores: where the circle happens to cut the lattice between two rows of it, the half level lies
+inside. The outermost cores tell the circle's centre more surely than the middle of them all does; its diameter is by
+definition that at half level.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ import numpy as np
 from scipy import optimize
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.uncertainty import clustered_influence
+from napari_elsplus.processing.calibration.uncertainty import clustered, clustered_influence
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,6 +31,11 @@ UNSURE: Final = 0.05
 """Share of the rim's roughness by which its half level may be off on all arcs alike: what arcs cannot tell."""
 AGREEING: Final = 0.4
 """Share of the rim's points that must see the true rim."""
+HALF: Final = 0.5
+FOOT: Final = 0.2
+"""Level at which the outermost cores end."""
+OUTWARD: Final = 0.98
+"""Weight of a point beyond the circle through the outermost; one inside it has what is left of 1."""
 
 
 def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
@@ -53,10 +62,11 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
     MeasurementError
         If no rim is seen on most of the circumference.
     """
-    smooth = cv2.GaussianBlur(_evenly_lit(frame, circle), (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
+    even = _evenly_lit(frame, circle)
+    smooth = cv2.GaussianBlur(even, (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
     uncertainty, seen = np.zeros(3), 0.0
     for reach in (0.25, 0.1, 0.1):
-        points, arcs, rays = _half_level(smooth, circle, reach)
+        points, arcs, rays = _edge(smooth, circle, reach, HALF)
         if len(points) < max(ARCS, rays // 6):
             raise MeasurementError(
                 f"no bundle: a rim is seen on {100 * len(points) / rays:.0f} % of a circle",
@@ -66,6 +76,10 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
         if not 0.5 < 2 * circle[2] / min(frame.shape) < 2 * max(frame.shape) / min(frame.shape):
             raise MeasurementError("no bundle: what is lit is no disc", "is the probe lit from the far end?")
         seen = used / rays
+    fine = cv2.GaussianBlur(even, (0, 0), max(0.6, float(circle[2]) / 300))
+    centre, of_centre = _through_outermost(*_edge(fine, circle, 0.06, FOOT)[:2], circle)
+    if of_centre.max() < uncertainty[:2].max():
+        circle[:2], uncertainty[:2] = centre, of_centre
     return circle, uncertainty, seen
 
 
@@ -102,15 +116,15 @@ def _quadratic(y: Floats, x: Floats) -> Floats:
     return np.stack([np.ones_like(y), y, x, y * y, y * x, x * x])
 
 
-def _half_level(smooth: Image, circle: Floats, reach: float) -> tuple[Floats, NDArray[np.intp], int]:
-    """Points where the light has fallen to half, on rays from the centre; rays that see no edge are left out."""
+def _edge(smooth: Image, circle: Floats, reach: float, level: float) -> tuple[Floats, NDArray[np.intp], int]:
+    """Points where the light has fallen to a level, on rays from the centre; rays that see no edge are left out."""
     row, column, radius = circle
-    rays = int(np.clip(2 * np.pi * radius / 2, 4 * ARCS, 720))
+    rays = int(np.clip(2 * np.pi * radius, 4 * ARCS, 1440))
     angles = 2 * np.pi * (np.arange(rays) + 0.5) / rays
     radii = np.arange((1 - reach) * radius, (1 + reach) * radius, 0.25)
     at_row = (row + radii * np.sin(angles)[:, None]).astype(np.float32)
     at_col = (column + radii * np.cos(angles)[:, None]).astype(np.float32)
-    light = cv2.remap(smooth, at_col, at_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    light = cv2.remap(smooth, at_col, at_row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     outside = (at_row < 0) | (at_row > smooth.shape[0] - 1) | (at_col < 0) | (at_col > smooth.shape[1] - 1)
     far = radii > (1 + 0.4 * reach) * radius
     near = (radii > (1 - 0.9 * reach) * radius) & (radii < (1 - 0.25 * reach) * radius)
@@ -119,14 +133,15 @@ def _half_level(smooth: Image, circle: Floats, reach: float) -> tuple[Floats, ND
     dark = np.where(np.isfinite(dark), dark, usual_dark)
     bright = np.median(light[:, near], axis=1)
     contrast = bright - dark
-    above = light > (0.5 * (bright + dark))[:, None]
+    edge = dark + level * contrast
+    above = light > edge[:, None]
     last = above.shape[1] - 1 - np.argmax(above[:, ::-1], axis=1)
     ray = np.arange(rays)
     seen = (contrast > 0.4 * np.percentile(contrast, 75)) & (last < above.shape[1] - 1) & above.any(axis=1)
     beyond = np.minimum(last + 1, above.shape[1] - 1)
     seen &= ~outside[ray, beyond]
     drop = light[ray, last] - light[ray, beyond]
-    part = (light[ray, last] - 0.5 * (bright + dark)) / np.where(drop > 0, drop, 1.0)
+    part = (light[ray, last] - edge) / np.where(drop > 0, drop, 1.0)
     at = radii[last] + 0.25 * np.clip(part, 0, 1)
     points = np.stack([row + at * np.sin(angles), column + at * np.cos(angles)], axis=1)
     return points[seen], (ray * ARCS // rays)[seen], rays
@@ -149,6 +164,31 @@ def _fit_circle(points: Floats, arcs: NDArray[np.intp], start: Floats) -> tuple[
     left = miss[good] - jacobian @ step
     by_arcs = np.linalg.norm(clustered_influence(jacobian, left, arcs[good], ARCS), axis=0)
     return circle, np.hypot(by_arcs, UNSURE * left.std()), int(good.sum())
+
+
+def _through_outermost(points: Floats, arcs: NDArray[np.intp], start: Floats) -> tuple[Floats, Floats]:
+    """Centre of the circle through the outermost points, and its uncertainty: least asymmetric squares, an expectile.
+
+    Newey & Powell 1987, https://doi.org/10.2307/1911031.
+    """
+    if len(points) < ARCS:
+        return start[:2], np.full(2, np.inf)
+    miss = np.hypot(*(points - start[:2]).T) - start[2]
+    middle, scatter = _where_most_agree(miss)
+    good = np.abs(miss - middle) < max(3.5 * scatter, 0.5)
+    points, arcs, circle = points[good], arcs[good], start
+    for _ in range(50):
+        away = points - circle[:2]
+        distance = np.hypot(*away.T)
+        miss = distance - circle[2]
+        jacobian = np.c_[away / distance[:, None], np.ones(len(away))]
+        weighted = jacobian * np.where(miss > 0, OUTWARD, 1 - OUTWARD)[:, None]
+        step = np.linalg.lstsq(weighted.T @ jacobian, weighted.T @ miss, rcond=None)[0]
+        circle = circle + step
+        if np.abs(step).max() < 1e-3:
+            break
+    influence = clustered(weighted * miss[:, None], weighted.T @ jacobian, arcs, ARCS)
+    return circle[:2], np.linalg.norm(influence[:, :2], axis=0)
 
 
 def _where_most_agree(miss: Floats) -> tuple[float, float]:
