@@ -61,6 +61,19 @@ def test_stated_uncertainty_is_the_scatter_of_repeats() -> None:
         assert stated == pytest.approx(scatter, rel=0.2)
 
 
+def test_a_dozen_voltages_do_and_five_lines_that_agree_by_chance_are_not_overrated() -> None:
+    """The influence of these lines is 0.02 rows; what five of them leave over is often much less."""
+    random = np.random.default_rng(2)
+    rows = np.linspace(80, 220, 5)
+    for _ in range(50):
+        found = fitted(rows + random.normal(0, 0.02, rows.size), 0.001 * rows)
+        assert found.lines == 5
+        assert abs(found.volts_per_row - 0.001) < 4 * found.volts_per_row_uncertainty
+        assert abs(found.volts_at_row_zero) < 4 * found.volts_at_row_zero_uncertainty
+    with pytest.raises(MeasurementError, match="4 of 4 frames, 5 are needed"):
+        fitted(rows[:4], 0.001 * rows[:4])
+
+
 def test_dark_frames_and_short_lines_are_left_out() -> None:
     volts = 0.001 * ROWS
     lines: list[Line | None] = [line(row) for row in ROWS]

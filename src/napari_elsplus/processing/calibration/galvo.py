@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 PAPER_VOLTAGES: Final = 400
-FEWEST_LINES: Final = 10
+FEWEST_LINES: Final = 5
 SHORTEST_CHORD: Final = 0.7
 """Of the longest line; nearer to the rim the line's halo is cut on one side and pulls the fit."""
 OUTLIER_SIGMAS: Final = 5.0
@@ -171,10 +171,13 @@ def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: flo
             "do the voltages belong to these frames, and does the galvo move?",
         )
     tilt_deg = float(np.median([line.tilt_deg for _, line in whole]))
-    return _fit(v, rows, used, tilt_deg, column, len(lines) - len(whole))
+    each_rows = float(np.sqrt(np.mean([line.uncertainty_rows(column) ** 2 for _, line in whole])))
+    return _fit(v, rows, used, tilt_deg, column, len(lines) - len(whole), each_rows)
 
 
-def _fit(volts: Floats, rows: Floats, used: NDArray[np.bool_], tilt_deg: float, column: float, dark: int) -> GalvoMap:
+def _fit(
+    volts: Floats, rows: Floats, used: NDArray[np.bool_], tilt_deg: float, column: float, dark: int, each_rows: float
+) -> GalvoMap:
     v, y = volts[used], rows[used]
     middle, half = (v.max() + v.min()) / 2, np.ptp(v) / 2
     x = np.asarray((v - middle) / half, np.float64)
@@ -185,13 +188,17 @@ def _fit(volts: Floats, rows: Floats, used: NDArray[np.bool_], tilt_deg: float, 
     influence = overlapping_influence(jacobian, left, runs, RUNS, _NEIGHBOURS)
     volts_per_row = half / per_half
     # volts at row zero = middle - half * level / per_half, and its derivatives
-    at_zero = influence @ np.array([-half / per_half, half * level / per_half**2])
+    to_zero = np.array([-half / per_half, half * level / per_half**2])
+    # What a few lines leave over may be small by chance: then each line's own uncertainty says more.
+    alone = each_rows**2 * np.linalg.inv(jacobian.T @ jacobian)
+    slope_rows = max(float(np.linalg.norm(influence[:, 1])), float(np.sqrt(alone[1, 1])))
+    at_zero = max(float(np.linalg.norm(influence @ to_zero)), float(np.sqrt(to_zero @ alone @ to_zero)))
     curvature, curved = _curvature(x, y, runs)
     return GalvoMap(
         volts_per_row=float(volts_per_row),
         volts_at_row_zero=float(middle - half * level / per_half),
-        volts_per_row_uncertainty=float(np.linalg.norm(influence[:, 1]) * abs(volts_per_row / per_half)),
-        volts_at_row_zero_uncertainty=float(np.linalg.norm(at_zero)),
+        volts_per_row_uncertainty=float(slope_rows * abs(volts_per_row / per_half)),
+        volts_at_row_zero_uncertainty=at_zero,
         r_squared=float(1 - np.square(left).sum() / np.square(y - y.mean()).sum()),
         rms_rows=float(np.sqrt(np.mean(np.square(left)))),
         curvature_rows=curvature,
