@@ -30,6 +30,8 @@ SHORTEST_CHORD: Final = 0.7
 """Of the longest line; nearer to the rim the line's halo is cut on one side and pulls the fit."""
 OUTLIER_SIGMAS: Final = 5.0
 RUNS: Final = 20
+LINES_OF_TRUST: Final = 4
+"""How many lines each line's own uncertainty is worth, against what the lines leave over."""
 _NEIGHBOURS: Final = 4
 """Runs of voltages that are taken together: rows of cores pull the line to and fro over many voltages."""
 
@@ -189,16 +191,15 @@ def _fit(
     volts_per_row = half / per_half
     # volts at row zero = middle - half * level / per_half, and its derivatives
     to_zero = np.array([-half / per_half, half * level / per_half**2])
-    # What a few lines leave over may be small by chance: then each line's own uncertainty says more.
+    # What a few lines leave over may be small by chance: their own uncertainties count as if they were some lines more.
     alone = each_rows**2 * np.linalg.inv(jacobian.T @ jacobian)
-    slope_rows = max(float(np.linalg.norm(influence[:, 1])), float(np.sqrt(alone[1, 1])))
-    at_zero = max(float(np.linalg.norm(influence @ to_zero)), float(np.sqrt(to_zero @ alone @ to_zero)))
+    covariance = (influence.T @ influence * (len(v) - 2) + alone * LINES_OF_TRUST) / (len(v) - 2 + LINES_OF_TRUST)
     curvature, curved = _curvature(x, y, runs)
     return GalvoMap(
         volts_per_row=float(volts_per_row),
         volts_at_row_zero=float(middle - half * level / per_half),
-        volts_per_row_uncertainty=float(slope_rows * abs(volts_per_row / per_half)),
-        volts_at_row_zero_uncertainty=at_zero,
+        volts_per_row_uncertainty=float(np.sqrt(covariance[1, 1]) * abs(volts_per_row / per_half)),
+        volts_at_row_zero_uncertainty=float(np.sqrt(to_zero @ covariance @ to_zero)),
         r_squared=float(1 - np.square(left).sum() / np.square(y - y.mean()).sum()),
         rms_rows=float(np.sqrt(np.mean(np.square(left)))),
         curvature_rows=curvature,
