@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
+from napari_elsplus.evaluation import printed
 from napari_elsplus.evaluation.parsimony.axial import Target, paper_targets
 from napari_elsplus.simulation.axial_response import LINE_MODELS, LineModel
 from napari_elsplus.simulation.clipped_response import clipped_drop_offs
@@ -26,8 +27,7 @@ if TYPE_CHECKING:
 SLIT_UM: Final = 2.9
 FITTED: Final = ("core_um", "halo_um", "spread")
 """Parameters that the fit moves."""
-LS_UNCERTAINTY_UM: Final = {0.5: 3.0, 0.1: 20.0}
-"""What the paper states of the LS distances, by share of the signal in contact."""
+_DECIBEL: Final = {0.5: 3, 0.1: 10}
 REPRESENTATIVE_UM: Final = 29.0
 REPRESENTATIVE: Final = 0.05
 """Relative uncertainty of ELS+ at the offset of which the paper shows the curve and prints the distance thrice."""
@@ -70,7 +70,7 @@ def fit_line(start: LineModel = LINE_MODELS["a"]) -> LineFit:
 def uncertainty(target: Target) -> float:
     """Relative standard deviation that a printed distance is given."""
     if target.offset_um is None:
-        return LS_UNCERTAINTY_UM[target.share] / target.um
+        return printed.LS_UM[_DECIBEL[target.share]][1] / target.um
     return REPRESENTATIVE if target.offset_um == REPRESENTATIVE_UM else FROM_FITS
 
 
@@ -79,7 +79,7 @@ def predicted(targets: list[Target], line: LineModel) -> Floats:
     found: dict[tuple[float | None, float], float] = {}
     for offset_um in {target.offset_um for target in targets if target.offset_um is not None}:
         ls, els = clipped_drop_offs(Instrument.of("120hz", slit_um=SLIT_UM, offset_um=offset_um, line=line))
-        for share, ls_um, els_um in zip((0.5, 0.1), ls, els, strict=True):
+        for share, ls_um, els_um in zip(_DECIBEL, ls, els, strict=True):
             found[None, share], found[offset_um, share] = ls_um, els_um
     return np.array([found[target.offset_um, target.share] for target in targets])
 
