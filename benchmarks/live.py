@@ -10,7 +10,8 @@ from pathlib import Path
 
 import click
 
-from napari_elsplus.evaluation.engine_run import Apart, Here, run_engine
+from napari_elsplus.evaluation.engine_run import run_engine
+from napari_elsplus.evaluation.engines import Apart, Here
 from napari_elsplus.optics import PRESETS
 
 TITLES = (

@@ -18,10 +18,10 @@ from napari_elsplus.evaluation.harness import (
     Method,
     Role,
     TimedElsewhere,
-    verdict,
 )
 from napari_elsplus.evaluation.running import run
 from napari_elsplus.evaluation.table import header, lines, markdown, write_csv
+from napari_elsplus.evaluation.verdict import verdict
 from napari_elsplus.figures.benchmark import draw_benchmark
 
 

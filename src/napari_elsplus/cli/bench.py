@@ -9,11 +9,12 @@ from rich.console import Console
 from rich.table import Table
 
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
-from napari_elsplus.evaluation.harness import Chart, verdict
+from napari_elsplus.evaluation.harness import Chart
 from napari_elsplus.evaluation.peers import PACKAGES, environment, install
 from napari_elsplus.evaluation.registry import MODULES, benchmark
 from napari_elsplus.evaluation.running import run
 from napari_elsplus.evaluation.table import breakdowns, header, lines, markdown, write_csv
+from napari_elsplus.evaluation.verdict import verdict
 from napari_elsplus.figures import paper
 from napari_elsplus.figures.benchmark import draw_benchmark
 from napari_elsplus.figures.files import save_figure

@@ -7,7 +7,8 @@ from itertools import takewhile
 from math import isfinite, isnan
 from typing import TYPE_CHECKING, Any
 
-from napari_elsplus.evaluation.harness import Chart, Role, Row, verdict
+from napari_elsplus.evaluation.harness import Chart, Role, Row
+from napari_elsplus.evaluation.verdict import verdict
 from napari_elsplus.io import replacing
 
 if TYPE_CHECKING:

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from napari_elsplus.evaluation.harness import Chart, Role, pareto
+from napari_elsplus.evaluation.harness import Chart, Role
+from napari_elsplus.evaluation.verdict import pareto
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

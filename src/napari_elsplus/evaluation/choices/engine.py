@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from napari_elsplus.evaluation.engine_run import SETTLE_S, Apart, EngineRun, Here, run_engine
+from napari_elsplus.evaluation.engine_run import SETTLE_S, EngineRun, run_engine
+from napari_elsplus.evaluation.engines import Apart, Here
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, Claim, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.optics import preset
 

@@ -1,0 +1,162 @@
+"""The live engine on the simulated rig, in this process or in one of its own, driven alike."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, Protocol, Self
+
+from napari_elsplus.acquisition.client import EngineClient
+from napari_elsplus.acquisition.engine import Engine
+from napari_elsplus.acquisition.priority import keep_pace, settle_memory
+from napari_elsplus.acquisition.process import STATUS_PERIOD_S
+from napari_elsplus.acquisition.simulated import open_live
+from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.tracking import LiveTrack
+from napari_elsplus.hardware.rigs import SIMULATED
+from napari_elsplus.hardware.virtual.bench import Simulation
+from napari_elsplus.simulation.calibration_scenes import background
+from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.truth import true_calibration
+
+if TYPE_CHECKING:
+    from napari_elsplus.acquisition.recorder import RecordingPlan
+    from napari_elsplus.acquisition.ring import Ring
+    from napari_elsplus.acquisition.status import Status
+    from napari_elsplus.acquisition.tally import Latencies
+    from napari_elsplus.acquisition.usage import Usage
+    from napari_elsplus.calibration import Calibration
+
+
+class Driven(Protocol):
+    """An engine, wherever it runs; every call waits."""
+
+    def __enter__(self) -> Self:
+        """Return it."""
+
+    def __exit__(self, *reason: object) -> Any:
+        """Close it."""
+
+    def begin(self, record: RecordingPlan | None) -> None:
+        """Stream, and record if asked."""
+
+    def end(self) -> None:
+        """Stop; the recording is in order then."""
+
+    def ring(self) -> Ring | None:
+        """Return where images are shown."""
+
+    def usage(self) -> Usage:
+        """Return what its process has used."""
+
+    def outcome(self) -> tuple[Status, Latencies]:
+        """Return what was counted."""
+
+
+class Here:
+    """The engine in this process.
+
+    Parameters
+    ----------
+    name : str
+        Preset.
+    track : bool
+        Whether every frame is tracked and laid into a mosaic, too.
+    """
+
+    def __init__(self, name: str, *, track: bool = False) -> None:
+        keep_pace()
+        self._engine = engine = Engine(open_live(SIMULATED))
+        engine.configure(Settings(name))
+        calibration = _calibration(name)
+        engine.use(calibration)
+        self._track = LiveTrack(calibration, engine.setup.frame_shape) if track else None
+        engine.track(self._track)
+        settle_memory()
+
+    def begin(self, record: RecordingPlan | None) -> None:
+        """Stream."""
+        self._engine.start()
+        if record is not None:
+            self._engine.record(record)
+
+    def end(self) -> None:
+        """Stop."""
+        self._engine.stop()
+        self._engine.finish_recording()
+
+    def ring(self) -> Ring | None:
+        """Return where images are shown."""
+        return self._engine.display
+
+    def usage(self) -> Usage:
+        """Return what this process has used."""
+        return self._engine.usage()
+
+    def outcome(self) -> tuple[Status, Latencies]:
+        """Return what was counted."""
+        return self._engine.status(), self._engine.latencies()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *reason: object) -> Any:
+        self._engine.close()
+        if self._track is not None:
+            self._track.close()
+
+
+class Apart:
+    """The engine in a process of its own, as napari uses it.
+
+    Parameters
+    ----------
+    name : str
+        Preset.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._client = client = EngineClient()
+        client.open(SIMULATED).result()
+        client.configure(Settings(name)).result()
+        client.use(_calibration(name)).result()
+
+    def begin(self, record: RecordingPlan | None) -> None:
+        """Stream."""
+        self._client.start().result()
+        if record is not None:
+            self._client.record(record).result()
+
+    def end(self) -> None:
+        """Stop."""
+        self._client.stop_recording().result()
+        self._client.stop().result()
+
+    def ring(self) -> Ring | None:
+        """Return where images are shown."""
+        return self._client.display()
+
+    def usage(self) -> Usage:
+        """Return what the engine's process has used."""
+        return self._client.usage().result()
+
+    def outcome(self) -> tuple[Status, Latencies]:
+        """Return what was counted."""
+        latencies = self._client.latencies().result()
+        time.sleep(2 * STATUS_PERIOD_S)  # it says by itself how it went
+        return self._client.status, latencies
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *reason: object) -> Any:
+        self._client.close()
+
+
+def _calibration(name: str) -> Calibration:
+    """Return what a perfect calibration of the simulated rig would say."""
+    simulation = Simulation()
+    instrument = Instrument.of(name, offset_um=simulation.offset_um)
+    perfect = true_calibration(instrument, background(instrument))
+    assert perfect.galvo is not None
+    galvo = perfect.galvo.model_copy(update={"lag_s": simulation.galvo.lag_s})
+    return perfect.model_copy(update={"galvo": galvo})
