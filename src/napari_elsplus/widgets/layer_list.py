@@ -1,7 +1,7 @@
 """The viewer's list of layers, left alone while only the pixels of images change.
 
-napari tells its list of every event of a layer, and the list then paints all its rows anew: in software that takes half
-as long as drawing the images.
+napari tells its list of every event of a layer, and the list then paints all its rows anew: where that is done in
+software it takes longer than giving the layers their images.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ class LiveLayers:
         Notes
         -----
         A layer's slice is a view of the array that is filled here, so it is enough to tell the canvas to take it over.
-        A refresh without thumbnail, extent and highlight costs about twelve times as much.
+        Even a refresh without thumbnail, extent and highlight costs several times as much.
         """
         known = {name for name, _, _ in ring.layout.fields}
         filled = {kind: layer for kind, layer in self.images.items() if kind in known}
