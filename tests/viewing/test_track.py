@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.io import TrackPoint, TrackTable
+from napari_elsplus.io.track_table import ROW
 from napari_elsplus.viewing import track as viewed
 from napari_elsplus.viewing.track import BEGINS, LOST, MOST_LINES, MOST_MARKS, PREDICTED, TrackDrawing, speed_of
 
@@ -67,6 +68,25 @@ def test_a_long_track_is_thinned_and_still_whole() -> None:
     np.testing.assert_allclose(drawn.lines[1:, 0], drawn.lines[:-1].sum(axis=1))
     assert drawn.lines[:, 1, 1].sum() == 3.0 * (3 * MOST_LINES - 1)
     assert drawn.score.min() == 0.2
+
+
+def test_of_many_rounds_over_one_place_the_newest_are_drawn_whole_and_the_rest_shows_where_the_probe_was() -> None:
+    frames = np.arange(120_000)
+    row, col = 900 * np.sin(frames / 200), 900 * np.sin(1.37 * frames / 200)
+    rows = TrackTable()
+    rows.write(0, np.zeros(len(frames), ROW))
+    rows.columns["row_px"], rows.columns["col_px"], rows.columns["score"] = row, col, 0.9
+    drawing = TrackDrawing(rows, 1.0)
+    while drawing.behind:
+        drawing.add()
+    drawn = drawing.drawing(lambda _: (0, 0))
+    assert MOST_LINES / 8 < len(drawn.lines) <= MOST_LINES + 1
+    middles = drawn.lines.sum(axis=1) - drawn.lines[:, 1] / 2
+    assert np.hypot(*drawn.lines[:, 1].T).max() < 50
+    near = [np.hypot(*(middles - (row[k], col[k])).T).min() for k in range(0, len(frames), 501)]
+    assert max(near) < 140  # wherever it was there is a line
+    newest = [np.hypot(*(middles - (row[k], col[k])).T).min() for k in range(len(frames) - 2000, len(frames), 10)]
+    assert max(newest) < 20
 
 
 def test_frames_that_are_put_elsewhere_are_drawn_there_without_being_looked_at_again() -> None:

@@ -24,8 +24,17 @@ if TYPE_CHECKING:
 
 LEAST_STEP_PX: Final = 2.0
 """Frames that are closer than this to the last one drawn, in pixels of the mosaic, are not drawn."""
-MOST_LINES: Final = 4_000
-"""With more lines than this, every second is left out."""
+MOST_LINES: Final = 2_000
+"""With more lines than this, some are joined, or left out where newer ones pass close by."""
+_COARSE_STEP_PX: Final = 16.0
+_LEAST_APART_PX: Final = 16.0
+_FARTHEST_APART_PX: Final = 128.0
+"""How close lines lie to one another in the end: at most half a bundle diameter apart."""
+_ENOUGH: Final = 0.75
+"""Part of the lines that may be left when there were too many."""
+_STRETCH_LINES: Final = 16
+_MOSTLY_NEW: Final = 0.3
+"""Part of a stretch that nothing newer passes, from which on it is drawn."""
 LATELY_FRAMES: Final = 12
 """Frames over which the present speed is taken."""
 PREDICTED, LOST, BEGINS = "predicted", "lost", "begins"
@@ -92,6 +101,7 @@ class TrackDrawing:
         self.rows = rows
         self._scale = camera_px_per_pixel
         self._step_px = self._mark_step_px = LEAST_STEP_PX
+        self._apart_px = _LEAST_APART_PX
         self._seen = 0
         self._lines: list[tuple[int, int, float]] = []
         self._marks: list[tuple[int, str]] = []
@@ -194,6 +204,33 @@ class TrackDrawing:
         return [(one.number, other.number, self._score)]
 
     def _thin(self) -> None:
+        """Draw fewer lines: coarser ones first, then only the newest where many lie close to one another."""
+        if self._step_px >= _COARSE_STEP_PX:
+            self._leave_the_newest()
+            while len(self._lines) > _ENOUGH * MOST_LINES and self._apart_px < _FARTHEST_APART_PX:
+                self._apart_px *= 2
+                self._leave_the_newest()
+            if len(self._lines) <= _ENOUGH * MOST_LINES:
+                return
+        self._join()
+
+    def _leave_the_newest(self) -> None:
+        """Let go of stretches of the track that newer ones mostly pass over, or close by."""
+        rows = self.rows.columns
+        first, last = (rows[[line[end] for line in self._lines]] for end in (0, 1))
+        middle = [(first[name] + last[name]) / (2 * self._scale) // self._apart_px for name in ("row_px", "col_px")]
+        cells = list(zip(first["segment"].tolist(), *(one.tolist() for one in middle), strict=True))
+        passed: set[tuple[int, float, float]] = set()
+        kept: list[tuple[int, int, float]] = []
+        for end in range(len(cells), 0, -_STRETCH_LINES):
+            stretch = slice(max(0, end - _STRETCH_LINES), end)
+            here = set(cells[stretch])
+            if len(here - passed) > _MOSTLY_NEW * len(here):
+                kept += reversed(self._lines[stretch])
+                passed |= here
+        self._lines = kept[::-1]
+
+    def _join(self) -> None:
         """Join lines two by two where they follow one another."""
         self._step_px *= 2
         kept: list[tuple[int, int, float]] = []
