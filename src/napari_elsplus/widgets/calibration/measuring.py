@@ -107,8 +107,9 @@ class Watching:
                 self._newest = str(found)
             else:
                 shown = picture(found, self._draft, setup, self.target_um)
-                rate = f"{(count - 1) / max(perf_counter() - begun_s, 1e-3):.0f} measurements a second"
-                shown = replace(shown, lines=[*shown.lines, rate])
+                if count > 1:
+                    rate = f"{(count - 1) / max(perf_counter() - begun_s, 1e-3):.0f} measurements a second"
+                    shown = replace(shown, lines=[*shown.lines, rate])
                 self._newest = Shown(found, setup, shown, self._source)
             sleep(LOOK_S)
 
