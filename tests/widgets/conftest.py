@@ -53,7 +53,7 @@ def small_engine(tmp_path, monkeypatch):
         slow = f"napari_elsplus.widgets.{panel}.remembered_settings"
         monkeypatch.setattr(slow, lambda: Settings("240hz", frame_rate_hz=100.0))
     yield clients
-    end = time.monotonic() + 20
+    end = time.monotonic() + 60
     while any(exists(client.pid) for client in clients):  # they end beside the window
         assert time.monotonic() < end, "an engine was left behind"
         time.sleep(0.01)
