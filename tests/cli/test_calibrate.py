@@ -156,3 +156,12 @@ def test_an_unknown_rig_is_one_line(elsplus: Elsplus, tmp_path: Path) -> None:
     assert run.code == 2
     assert "nowhere" in run.err
     assert len(run.err.splitlines()) == 1
+
+
+def test_what_is_read_is_not_overwritten_even_if_forced(elsplus: Elsplus, tmp_path: Path) -> None:
+    frames = tmp_path / "bundle.json"
+    frames.write_bytes(b"II*\x00 frames under an odd name")
+    run = elsplus("calibrate", "--bundle", frames, "-o", frames, "--force")
+    assert run.code == 2
+    assert "bundle.json is read, and would be overwritten" in run.err
+    assert frames.read_bytes().startswith(b"II")

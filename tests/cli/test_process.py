@@ -93,3 +93,23 @@ def test_an_existing_file_is_kept_unless_forced(elsplus: Cli, files: tuple[Path,
     assert out.read_text() == "precious"
     assert elsplus("process", raw, "-c", calibration, "-o", out, "--force").code == 0
     assert tifffile.imread(out).shape == (5, 52, 52)
+
+
+@pytest.mark.parametrize("command", ["process", "compare", "mosaic", "axial"])
+def test_what_is_read_is_not_overwritten_even_if_forced(
+    elsplus: Cli, files: tuple[Path, Path], tmp_path: Path, command: str
+) -> None:
+    """Neither the recording, however it is named, nor the calibration nor the file of frames beside it."""
+    raw, calibration = files
+    link = tmp_path / "link.tif"
+    link.symlink_to(raw)
+    before = {path: path.read_bytes() for path in files}
+    outputs = [raw, tmp_path / "." / "raw.tif", link, calibration]
+    if command != "axial":
+        outputs.append(calibration.with_suffix(".npz"))
+    for output in outputs:
+        run = elsplus(command, raw, "-c", calibration, "-o", output, "--force")
+        assert run.code == 2
+        assert "is read, and would be overwritten" in run.err
+        assert len(run.err.strip().splitlines()) == 1
+    assert {path: path.read_bytes() for path in files} == before

@@ -38,7 +38,7 @@ def command(
     scan: Path, calibration: Path | None, depths: Path | None, output: Path, plot: Path | None, force: bool
 ) -> None:
     """Measure 3 dB and 10 dB drop-offs of LS and ELS+, and the in-focus signal kept, from SCAN."""
-    refuse_outputs(output, plot, force=force)
+    refuse_outputs(output, plot, force=force, inputs=(scan, calibration, depths))
     if plot is not None:
         from napari_elsplus.figures.files import refuse_format
 

@@ -54,7 +54,7 @@ def command(
     **files: Path | None,
 ) -> None:
     """Measure a calibration from any subset of the inputs, or live on a rig; say what was found, how surely."""
-    refuse_outputs(output, output.with_suffix(".npz"), force=force)
+    refuse_outputs(output, output.with_suffix(".npz"), force=force, inputs=(volts, *files.values()))
     given = [name for name, path in files.items() if path]
     if rig is not None:
         if given:
@@ -120,6 +120,8 @@ def _bundle(findings: Findings) -> Iterator[str]:
         f"right onto left: {pair.alignment.model} to {pair.alignment.uncertainty_px:.3f} px, "
         f"gain {pair.alignment.gain:.4f} +- {pair.alignment.gain_uncertainty:.4f}"
     )
+    if not pair.shows_flat_field:
+        yield f"note: {100 * pair.saturated:.0f} % of the bundle's image is saturated: no flat field is made of it"
     yield (
         f"alignment error: {100 * quality.alignment_error:.2f} %, "
         f"{100 * quality.alignment_error_filtered:.2f} % after the core filter (paper: {raw} %, {filtered} %)"

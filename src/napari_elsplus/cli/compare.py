@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @force_option
 def command(raw: Path, calibration: Path, frame: int, output: Path, force: bool) -> None:
     """Draw LS, ELSA and ELS+ of one frame of RAW with a line profile, scaled as the paper scales them."""
-    refuse_outputs(output, force=force)
+    refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
     refuse_format(output)
     record = read_calibration(calibration)
     with open_recording(raw) as recording:

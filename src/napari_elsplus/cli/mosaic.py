@@ -43,7 +43,7 @@ def command(
     raw: Path, calibration: Path, mode: str, method: str, insertion: str, output: Path, track: Path | None, force: bool
 ) -> None:
     """Track the probe through RAW and lay the frames into a mosaic."""
-    refuse_outputs(output, track, force=force)
+    refuse_outputs(output, track, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
         rows, cols = recording.shape[1:]

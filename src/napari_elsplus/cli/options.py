@@ -54,16 +54,20 @@ output_option = click.option("-o", "--output", type=FILE, required=True, help="F
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output file.")
 
 
-def refuse_outputs(*paths: Path | None, force: bool) -> None:
+def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | None] = ()) -> None:
     """Make sure, before any work is done, that all files that are asked for may be written.
 
     Raises
     ------
     InputError
-        If one exists and `force` is not given, cannot be a file, or is asked for twice.
+        If one exists and `force` is not given, cannot be a file, is asked for twice, or is one of the inputs: those are
+        not overwritten, forced or not.
     """
     wanted = [path for path in paths if path is not None]
+    read = {path.resolve() for path in inputs if path is not None}
     for index, path in enumerate(wanted):
+        if path.resolve() in read:
+            raise InputError(f"{path} is read, and would be overwritten", "name another file to write")
         refuse_existing(path, force=force)
         if path.resolve() in [other.resolve() for other in wanted[:index]]:
             raise InputError(f"{path} is asked for twice", "name another file for one of them")

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 @force_option
 def command(raw: Path, calibration: Path, mode: str, cores: str, flat_field: bool, output: Path, force: bool) -> None:
     """Section the raw frames of RAW: float32 grey levels, signed, written as OME-TIFF (T, n, n)."""
-    refuse_outputs(output, force=force)
+    refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
         images = Images(recording, record, mode, cores=cores, flat_field=flat_field)

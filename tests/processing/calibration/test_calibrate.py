@@ -96,6 +96,20 @@ def test_flat_field_has_mean_one_and_takes_the_illumination_away() -> None:
         measure_flat(rig.bundle(), measure(line=rig.line()).calibration)
 
 
+def test_a_saturated_patch_has_no_say_in_gain_or_flat_field() -> None:
+    """A hot spot of the lamp: in the patch both views are white, and the darker one looks as bright as the other."""
+    spot = 1 + 6 * np.exp(-np.square(RIG.cores - (20, -30)).sum(1) / (2 * 11.0**2))
+    frames = np.clip(RIG.lit_from_far_end(spot) / RIG.electrons_per_dn + RIG.black_dn, 0, 255).astype(np.uint8)[None]
+    found = measure(bundle=frames)
+    assert found.pair is not None
+    assert 0.01 < found.pair.saturated < 0.05
+    assert found.calibration.flat is None
+    assert found.pair.alignment.gain == pytest.approx(RIG.gain, abs=0.002)
+    assert found.calibration.quality is not None
+    with pytest.raises(MeasurementError, match=r"\d+ % of the image of the bundle is saturated"):
+        measure(bundle=np.where(frames > 60, 255, frames).astype(np.uint8))
+
+
 def test_views_cancel_better_after_the_core_filter() -> None:
     quality = measure(bundle=RIG.bundle(4)).calibration.quality
     assert quality is not None

@@ -226,13 +226,14 @@ def with_flat_and_quality(calibration: Calibration, pair: Pair, bundle: Frames, 
     transmission = mean_frame(bundle)
     dark = darkness(transmission, pair.left, pair.right)
     above_dark = calibration.model_copy(update={"background": dark})
-    if flat is None:
-        image = measure_flat(bundle, above_dark)
-    else:
+    image = None
+    if flat is not None:
         image = measure_flat(flat, calibration if calibration.background is not None else above_dark)
+    elif pair.shows_flat_field:
+        image = measure_flat(bundle, above_dark)
     sectioner = Sectioner(above_dark, transmission.shape)
     views = [sectioner.ls(transmission), sectioner.residual(transmission)]
-    inside = disc(len(image), pair.left.diameter_px)
+    inside = disc(sectioner.side, pair.left.diameter_px)
     try:
         smooth = CoreFilter.GAUSSIAN.prepared(image, inside)
     except MeasurementError:

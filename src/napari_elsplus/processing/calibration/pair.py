@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import cv2
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 LEAST_CORRELATION: Final = 0.1
 GAINS: Final = (0.5, 2.0)
 LEAST_RING: Final = 200
+SATURATED_NEARBY: Final = 0.02
+"""Share of the pixels around one that may be saturated if it is to count for the gain: patches do not, single cores do.
+Leaving out the brightest cores alone would favour the dim ones."""
 SAMPLING_PX: Final = 0.001
 """What pixels that sample the cores, and interpolation between them, add to the alignment's uncertainty."""
 
@@ -61,7 +65,9 @@ class Alignment:
     correlation: float
 
 
-def align_pair(image: NDArray[np.generic], left: Disc, right: Disc) -> Alignment:
+def align_pair(
+    image: NDArray[np.generic], left: Disc, right: Disc, saturated: NDArray[np.bool_] | None = None
+) -> Alignment:
     """Lay the right view onto the left by their cores, and compare their brightness.
 
     Parameters
@@ -70,6 +76,8 @@ def align_pair(image: NDArray[np.generic], left: Disc, right: Disc) -> Alignment
         Raw frame (rows, cols) of the bundle lit from its far end.
     left, right : Disc
         The two discs, from :func:`napari_elsplus.processing.calibration.bundle.locate_pair`.
+    saturated : numpy.ndarray, optional
+        Pixels (rows, cols) that do not count for the brightness.
 
     Returns
     -------
@@ -91,7 +99,7 @@ def align_pair(image: NDArray[np.generic], left: Disc, right: Disc) -> Alignment
             f"the two views do not show the same cores (correlation {fit.correlation:.2f})",
             "is the bundle in focus in both, and the light bright enough?",
         )
-    gain, gain_uncertainty = _gain(frame, left, right, fit.motion, matcher)
+    gain, gain_uncertainty = _gain(frame, left, right, fit.motion, matcher, saturated)
     return Alignment(
         residual_to_confocal=_right_to_left(fit.motion, left, right),
         model=model,
@@ -164,15 +172,31 @@ def _right_to_left(motion: Floats, left: Disc, right: Disc) -> Floats:
     return np.column_stack([back, shift])
 
 
-def _gain(frame: Image, left: Disc, right: Disc, motion: Floats, matcher: CoreMatcher) -> tuple[float, float]:
+def _gain(
+    frame: Image,
+    left: Disc,
+    right: Disc,
+    motion: Floats,
+    matcher: CoreMatcher,
+    saturated: NDArray[np.bool_] | None,
+) -> tuple[float, float]:
     """Brightness of the right view over the left, each above the darkness around it, and its uncertainty."""
     plane, covariance = _dark_plane(frame, left, right)
     above_dark = frame - _spread_out(plane, frame)
-    confocal, residual = (
-        resampled(above_dark, matcher.grid_to_frame(view.centre, shift), matcher.side)[matcher.inside]
-        for view, shift in ((left, np.eye(2, 3)), (right, motion))
-    )
+
+    def both(image: Image) -> list[Image]:
+        views = ((left, np.eye(2, 3)), (right, motion))
+        return [
+            resampled(image, matcher.grid_to_frame(view.centre, shift), matcher.side)[matcher.inside]
+            for view, shift in views
+        ]
+
+    confocal, residual = both(above_dark)
     tile, count = tiles(matcher.rows, matcher.cols)
+    if saturated is not None and saturated.any():
+        around = cv2.GaussianBlur(saturated.astype(np.float32), (0, 0), left.diameter_px / 60)
+        counts = np.maximum(*both(around)) < SATURATED_NEARBY
+        confocal, residual, tile = confocal[counts], residual[counts], tile[counts]
     gain = float(residual.sum(dtype=np.float64) / confocal.sum(dtype=np.float64))
     if not GAINS[0] < gain < GAINS[1]:
         raise MeasurementError(

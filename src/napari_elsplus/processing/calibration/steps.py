@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
 
 MOST_SATURATED: Final = 0.01
+MOST_OF_BUNDLE: Final = 0.05
+"""Of the bundle's image; a patch that is saturated has no say in the gain, and the cores around it are enough."""
+WHITE: Final = 0.98
+"""Of the largest grey level: a pixel that is saturated in most frames but, by its noise, not in all."""
 MOST_DRIFT: Final = 0.05
 _NEIGHBOURS: Final = 4
 """Runs of columns that are taken together: those of the two views do not hold quite the same cores."""
@@ -57,11 +61,17 @@ class SlitOffset:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Both bundle images, and the right one laid onto the left."""
+    """Both bundle images, the right one laid onto the left, and the share of the frame that was saturated."""
 
     left: bundles.Disc
     right: bundles.Disc
     alignment: Alignment
+    saturated: float = 0.0
+
+    @property
+    def shows_flat_field(self) -> bool:
+        """Whether the frames that told the pair may serve as a flat field."""
+        return self.saturated <= MOST_SATURATED
 
     @property
     def split(self) -> int:
@@ -221,9 +231,9 @@ def locate_pair(frames: Frames) -> Pair:
         If there are not two bundle images that show the same cores.
     """
     frame = mean_frame(frames)
-    _must_not_be_saturated(frames[0], "image of the bundle")
+    share = _must_not_be_saturated(frames[0], "image of the bundle", MOST_OF_BUNDLE)
     left, right = bundles.locate_pair(frame)
-    return Pair(left, right, align_pair(frame, left, right))
+    return Pair(left, right, align_pair(frame, left, right, frame >= WHITE * _white(frames[0])), share)
 
 
 def measure_flat(frames: Frames, calibration: Calibration) -> Image:
@@ -278,15 +288,20 @@ def mean_frame(frames: Frames) -> Image:
     return (total / len(frames)).astype(np.float32)
 
 
-def _must_not_be_saturated(frame: NDArray[Any], name: str) -> None:
-    if not np.issubdtype(frame.dtype, np.integer):
-        return
-    white = np.iinfo(frame.dtype).max
+def _must_not_be_saturated(frame: NDArray[Any], name: str, most: float = MOST_SATURATED) -> float:
+    """Share of the frame that is saturated."""
+    white = _white(frame)
     share = float(np.mean(frame == white))
-    if share > MOST_SATURATED:
+    if share > most:
         raise MeasurementError(
-            f"{100 * share:.0f} % of the {name} is saturated (grey level {white})", "lower the light or the gain"
+            f"{100 * share:.0f} % of the {name} is saturated (grey level {white:g})", "lower the light or the gain"
         )
+    return share
+
+
+def _white(frame: NDArray[Any]) -> float:
+    """Largest grey level of a camera that counts in whole ones."""
+    return float(np.iinfo(frame.dtype).max) if np.issubdtype(frame.dtype, np.integer) else float("inf")
 
 
 def _brightest(frames: Frames, background: Image | None) -> Image:
