@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from napari_elsplus.errors import InputError
@@ -42,6 +44,15 @@ def test_refusals_come_before_the_work(tmp_path):
     for target, force, said in (("a", False, "exists"), ("folder", True, "folder"), ("absent/a", False, "no folder")):
         with pytest.raises(InputError, match=said), replacing(tmp_path / target, force=force):
             raise AssertionError("work was done")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
+def test_a_device_or_a_pipe_is_not_replaced_by_a_file(tmp_path):
+    """A rename would: run as root, /dev/null would be a file from then on."""
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="pipe is a device or a pipe"), replacing(tmp_path / "pipe", force=True):
+        raise AssertionError("work was done")
+    assert (tmp_path / "pipe").is_fifo()
 
 
 def test_several_files_of_one_result_are_refused_together(tmp_path):

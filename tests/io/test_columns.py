@@ -31,6 +31,7 @@ def test_what_numpy_and_spreadsheets_write_is_read(tmp_path):
         ("", "line 1 is nothing"),
         ("1\n2\n", "line 1 is '1'"),
         ("volts\n1\n", "line 1 is 'volts'"),
+        ("depth_um\n1_0\n", "line 2 is '1_0'"),
         ("depth_um\n", "no number"),
         ("depth_um\n1\nx\n", "line 3 is 'x'"),
         ("depth_um\n1\n\n2\n", "line 3 is ''"),

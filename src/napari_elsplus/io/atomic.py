@@ -28,7 +28,7 @@ def refuse_existing(path: str | os.PathLike[str], *, force: bool = False) -> Non
     Raises
     ------
     InputError
-        If it exists and `force` is not given, is a folder, or lies in a folder that does not exist.
+        If it exists and `force` is not given, is a folder or a device, or lies in a folder that does not exist.
     """
     path = Path(path)
     if not path.parent.is_dir():
@@ -37,6 +37,8 @@ def refuse_existing(path: str | os.PathLike[str], *, force: bool = False) -> Non
         raise InputError(f"{path} exists", "give --force to replace it, or name another output")
     if path.is_dir() and path.suffix != ".zarr":
         raise InputError(f"{path} is a folder", "name a file")
+    if path.exists() and not path.is_dir() and not path.is_file():
+        raise InputError(f"{path} is a device or a pipe", "name a file")
 
 
 @contextmanager

@@ -116,7 +116,7 @@ def _lines(path: Path) -> list[str]:
 
 def _number(path: Path, line_number: int, line: str) -> float:
     try:
-        value = float(line)
+        value = float("nan") if "_" in line else float(line)
     except ValueError:
         value = float("nan")
     if not isfinite(value):

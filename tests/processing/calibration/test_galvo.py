@@ -130,6 +130,10 @@ def test_what_is_no_sweep_is_refused() -> None:
         fit_galvo(volts, [None] * 200)
     with pytest.raises(InputError, match=r"all voltages are 0\.5"):
         fit_galvo(np.full(200, 0.5), lines)
+    with pytest.raises(InputError, match=r"voltage of the sweep is 1e\+30 V"):
+        fit_galvo(np.where(np.arange(200) == 7, 1e30, volts), lines)
+    with pytest.raises(InputError, match=r"to 2\.2e-301 V"):
+        fit_galvo(1e-300 * volts, lines)
     with pytest.raises(MeasurementError, match=r"moves 0\.0 rows"):
         fit_galvo(volts, [line(100.0)] * 200)
     with pytest.raises(MeasurementError, match="out of step"):

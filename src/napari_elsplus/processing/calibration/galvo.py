@@ -28,6 +28,8 @@ PAPER_VOLTAGES: Final = 400
 FEWEST_LINES: Final = 5
 SHORTEST_CHORD: Final = 0.7
 """Of the longest line; nearer to the rim the line's halo is cut on one side and pulls the fit."""
+MOST_VOLTS, LEAST_VOLTS = 1e3, 1e-6
+"""What no galvo is driven with, and a sweep of less than which is none."""
 OUTLIER_SIGMAS: Final = 5.0
 RUNS: Final = 20
 LINES_OF_TRUST: Final = 4
@@ -147,6 +149,9 @@ def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: flo
         raise InputError(f"{volts.size} voltages for {len(lines)} frames", "give one voltage per frame")
     if not np.isfinite(volts).all():
         raise InputError(f"voltage {int(np.argmin(np.isfinite(volts)))} is not finite", "mend the list of volts")
+    largest = float(np.abs(volts).max(initial=0.0))
+    if largest > MOST_VOLTS:
+        raise InputError(f"a voltage of the sweep is {largest:g} V", f"give volts, at most {MOST_VOLTS:g}")
     seen = [(v, line) for v, line in zip(volts, lines, strict=True) if line is not None]
     longest = max((line.columns[1] - line.columns[0] for _, line in seen), default=0)
     whole = [(v, line) for v, line in seen if line.columns[1] - line.columns[0] >= SHORTEST_CHORD * longest]
@@ -159,8 +164,8 @@ def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: flo
         column = float(np.median([line.column for _, line in whole]))
     v = np.array([voltage for voltage, _ in whole])
     rows = np.array([line.row_at(column) for _, line in whole])
-    if np.ptp(v) == 0:
-        raise InputError(f"all voltages are {v[0]:g}", "sweep a range of voltages")
+    if np.ptp(v) < LEAST_VOLTS:
+        raise InputError(f"all voltages are {v[0]:g}, to {np.ptp(v):g} V", "sweep a range of voltages")
     slope = float(stats.theilslopes(rows, v).slope)
     away = rows - slope * v
     away -= np.median(away)
