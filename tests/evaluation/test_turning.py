@@ -36,6 +36,15 @@ def test_a_turn_that_is_noticed_late_is_told_to_what_was_linked_before_live_as_i
     assert live < finished + 0.5 < 2
 
 
+def test_views_with_two_fibres_do_not_pretend_that_the_probe_turns() -> None:
+    assert rung_of(Walk("sparse", "spiral", 8000.0, 0.0, 40, seed=1)) is Rung.TRANSLATION
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_where_a_turn_and_a_shift_look_alike_the_turn_goes_on_as_it_was(seed: int) -> None:
+    assert follow(Walk("sparse", "spiral", 8000.0, 50.0, 120, seed)).errors.wrong_links == 0
+
+
 @pytest.mark.slow
 def test_99_of_100_recordings_without_a_turn_are_tracked_by_translations() -> None:
     walks = [Walk(*way, 0.0, 60, seed) for seed in range(25) for way in WAYS]

@@ -13,10 +13,10 @@ from napari_elsplus.evaluation.rig import simulated_rig
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.motion import Displacement, Velocity
-from napari_elsplus.processing.tracking.prediction import UNEVEN, surprise_of, unevenly
+from napari_elsplus.processing.tracking.prediction import UNEVEN, needed_times, surprise_of, unevenly
 from napari_elsplus.processing.tracking.registration import Registrar
 from napari_elsplus.processing.tracking.second_look import DOUBT, SecondLook, unlit
-from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION, needed_times
+from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION
 from napari_elsplus.processing.tracking.warp_prior import warp_prior
 from napari_elsplus.simulation.scenes import picture
 from napari_elsplus.simulation.trajectories import Recorded, trajectory

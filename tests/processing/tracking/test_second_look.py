@@ -4,8 +4,16 @@ import cv2
 import numpy as np
 import pytest
 
+from napari_elsplus.processing.tracking.evidence import weakest_direction
 from napari_elsplus.processing.tracking.frontend import FrontEnd
-from napari_elsplus.processing.tracking.local_evidence import blocks, local_evidence
+from napari_elsplus.processing.tracking.local_evidence import (
+    LEAST_EVERYWHERE,
+    LEAST_NATS,
+    MOST_UNSURE_PX,
+    unlikelihood,
+)
+from napari_elsplus.processing.tracking.local_noise import blocks, local_evidence, shared_information
+from napari_elsplus.processing.tracking.lucas_kanade import Workspace
 from napari_elsplus.processing.tracking.motion import Displacement, RollingShutter, Velocity, Warp
 from napari_elsplus.processing.tracking.registration import Link, Registrar, View
 from napari_elsplus.processing.tracking.second_look import SecondLook
@@ -99,15 +107,48 @@ def test_evidence_counts_where_the_frames_differ_however_small_the_place() -> No
     for shift in (0, 3):
         image = np.zeros((side, side), np.float32)
         image[10:14] = 100.0  # the same wherever it is shifted along its rows
-        image[60:64, 40 + shift : 44 + shift] = 20.0
+        image[60:64, 40 + shift : 44 + shift] = 25.0
         frames.append(image + rng.normal(0, 0.2, image.shape).astype(np.float32))
     moved, still = np.array([1.0, 0.0, 0.0, 3.0]), np.array([1.0, 0.0, 0.0, 0.0])
     sums = blocks(2 * side)
     forth = local_evidence(frames[0], frames[1], first, last, 48.0, moved, still, sums)
     back = local_evidence(frames[0], frames[1], first, last, 48.0, still, moved, sums)
-    assert forth > 1
-    assert back < -1
-    assert local_evidence(frames[0], frames[1], first, last, 48.0, moved, moved, sums) == 0
+    assert np.all(np.divide(forth, (LEAST_NATS, LEAST_EVERYWHERE)) > 1)
+    assert np.all(np.divide(back, (LEAST_NATS, LEAST_EVERYWHERE)) < -1)
+    assert local_evidence(frames[0], frames[1], first, last, 48.0, moved, moved, sums) == (0, 0)
+
+
+def test_what_speaks_against_a_warp_is_a_stretch_that_its_shift_does_not_ask_for() -> None:
+    registrar, _, _ = looked_at(texture(900, 2))
+    prior = known(registrar, (0.0, 0.0))
+    expected = np.array(prior.expected)
+    follows = np.array(prior.slopes)
+    slid = expected + np.array([0.0, 5.0, 0.0, -4.0])
+    asked = slid + np.array([5.0 * follows[0], 0.0, -4.0 * follows[1], 0.0])
+    assert unlikelihood(expected, expected, prior.terms) == 0
+    assert unlikelihood(asked, expected, prior.terms) == pytest.approx(0, abs=1e-9)
+    assert unlikelihood(slid, expected, prior.terms) > 1
+
+
+def test_noise_along_a_fibre_is_no_structure() -> None:
+    """Both frames show a fibre from rim to rim: what is known along it comes from what is known beforehand alone."""
+    rng = np.random.default_rng(2)
+    side = 96
+    first, last = np.full(side, 1, np.int32), np.full(side, side - 1, np.int32)
+    fibre = np.zeros((side, side), np.float32)
+    fibre[46:50] = 40.0
+    ended = fibre.copy()
+    ended[:, 60:] = 0.0
+    here, stiff, information = np.array([1.0, 0.0, 0.0, 0.0]), np.diag([1e6, 1e-4, 1e6, 1e-4]), np.empty((4, 4))
+    sigmas = []
+    for scene in (fibre, ended):
+        noisy = (scene + rng.normal(0, 2.0, (2, side, side))).astype(np.float32)
+        earlier, later = (cv2.GaussianBlur(frame, (0, 0), 1.0) for frame in noisy)
+        sums, work = blocks(2 * side), Workspace.of(2 * side)
+        shared_information(earlier, later, first, last, 48.0, here, stiff, sums, information, work)
+        sigmas.append(weakest_direction(information)[0])
+    assert sigmas[0] > 2 * MOST_UNSURE_PX
+    assert sigmas[1] < MOST_UNSURE_PX
 
 
 @pytest.mark.parametrize("middle", [0.5, 0.4])

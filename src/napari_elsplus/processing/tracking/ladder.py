@@ -9,6 +9,7 @@ it is compared again, so that everything else stays as it is for a probe that do
 from __future__ import annotations
 
 from enum import IntEnum
+from math import inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
@@ -144,6 +145,7 @@ def remainder(
     px: float,
     stiffness: tuple[float, float],
     correlated_px: float,
+    turn: tuple[float, float] = (0.0, inf),
 ) -> Remainder | None:
     """Ask what rotation and scale would add to a warp.
 
@@ -163,6 +165,8 @@ def remainder(
         Information on a and s that is there beforehand.
     correlated_px : float
         Pixels of these images that share one noise value.
+    turn : tuple of float
+        Rotation that is expected, radians, and its standard deviation.
 
     Returns
     -------
@@ -178,6 +182,8 @@ def remainder(
     noise *= correlated_px
     normal[0, 0] += stiffness[0] * noise
     normal[2, 2] += stiffness[1] * noise
+    normal[4, 4] += noise / turn[1] ** 2
+    right[4] += turn[0] * noise / turn[1] ** 2
     try:
         inverse = np.linalg.inv(normal * _FREE_PAIRS + _HELD_AT_ZERO)
     except np.linalg.LinAlgError:

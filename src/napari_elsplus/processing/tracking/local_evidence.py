@@ -1,9 +1,10 @@
 """How much two frames say for a warp against its rivals, place by place: for views in which little is to be seen.
 
-A correlation weighs all pixels alike, so that in a view with one fibre its bright, even length drowns its end, which
-alone tells the motion along it. Here every block of pixels has a noise of its own, learnt from what the warp leaves
-unexplained there; blocks are then summed as log-likelihoods. Chance may favour a warp by a little in every block along
-a fibre, so the frames as a whole must agree.
+Every block of pixels has a noise of its own (:mod:`napari_elsplus.processing.tracking.local_noise`). Three things are
+asked of a warp. What both frames show must tell the shift well enough in every direction. Each rival a few pixels away
+must explain the frames worse; what is known of the motion counts: a rival that slides along a fibre by another stretch
+than its shift asks for pays for that. Chance may favour a warp by a little in every block along a fibre, so the frames
+as a whole must agree.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ import numpy as np
 from napari_elsplus.compiled import lean_kernel
 from napari_elsplus.processing.tracking.descent import CORRELATED_PX
 from napari_elsplus.processing.tracking.evidence import HELD, in_pixels_of, weakest_direction
-from napari_elsplus.processing.tracking.lucas_kanade import align, fitted_tone
-from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours, row_shift
+from napari_elsplus.processing.tracking.local_noise import local_evidence, shared_information
+from napari_elsplus.processing.tracking.lucas_kanade import align
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,18 +27,15 @@ if TYPE_CHECKING:
     Levels = tuple[NDArray[np.float32], ...]
     Columns = tuple[NDArray[np.int32], ...]
 
-LEAST_NATS: Final = 6.0
-"""Evidence that a warp needs against each of its rivals, the blocks taken together."""
-LEAST_EVERYWHERE: Final = 0.15
-"""The same if all pixels had one noise, nats per pixel: what is left of the core pattern favours a warp by chance, a
-little in many blocks."""
-BLOCK_PX: Final = 8
-"""Side of the blocks, pixels of half resolution."""
-_STRUCTURE: Final = 0.01
-_FLOOR: Final = 0.3
-"""Unexplained variance that is no evidence: that part of the brightest block's, and so many squared grey levels."""
-_LEAST_PIXELS: Final = 20
-_LEAST_NOISE: Final = 1e-6
+LEAST_NATS: Final = 3.0
+"""Evidence that a warp needs against each of its rivals, the blocks and what is known of the motion taken together."""
+LEAST_EVERYWHERE: Final = 0.1
+"""The same of the frames alone if all pixels had one noise, nats per pixel: what is left of the core pattern favours a
+warp by chance, a little in many blocks."""
+MOST_UNSURE_PX: Final = 0.85
+"""Uncertainty of the shift, where it is known least, up to which it is told: one standard deviation."""
+_HOPELESS: Final = 0.1
+"""Part of what is needed below which rivals are not asked."""
 _RIVALS_PX: Final = (-8.0, -6.0, -4.0, 4.0, 6.0, 8.0)
 _STEPS: Final = (8, 12, 16)
 _TOLERANCE_PX: Final = (0.02, 0.02, 0.05)
@@ -45,12 +43,7 @@ _ROW_STEPS: Final = (2, 2, 1)
 """Of each level, the finest first: largest number of steps, smallest step in its own pixels, rows used."""
 _RIVAL_STEPS: Final = 4
 _HALF: Final = 1
-
-
-def blocks(side: int) -> NDArray[np.float64]:
-    """Return what :func:`look_again` sums blocks in, for frames of such a side at full resolution."""
-    across = -(-(side // 2) // BLOCK_PX)
-    return np.zeros((5, across * across))
+_FREEDOM: Final = 4.0
 
 
 @lean_kernel
@@ -100,7 +93,7 @@ def look_again(
     count : float
         Number of pixels in it.
     certainty : float
-        Evidence for this warp against the best of its rivals, over what is needed.
+        Evidence for this warp, over what is needed.
     """
     equations = work.equations
     stiff, middle_of_prior, scaled = equations[3], equations[5, 0], equations[5, 1]
@@ -118,11 +111,19 @@ def look_again(
         if correlation == 0.0:
             return 0.0, count, 0.0
         in_pixels_of(1 / px, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
-    certainty = _against_rivals(
+    in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), scaled)
+    hold(2.0, prior, stiff)
+    shared_information(
+        earlier[_HALF], later[_HALF], first[_HALF], last[_HALF], middles[_HALF], scaled, stiff, sums, information, work
+    )
+    told = (MOST_UNSURE_PX / weakest_direction(information)[0]) ** 2
+    if told < _HOPELESS:
+        return correlation, count * _ROW_STEPS[0], told
+    against = _against_rivals(
         earlier[_HALF], later[_HALF], first[_HALF], last[_HALF], middles[_HALF], expected, prior, warp, information,
         sums, work,
     )  # fmt: skip
-    return correlation, count * _ROW_STEPS[0], certainty
+    return correlation, count * _ROW_STEPS[0], min(told, against)
 
 
 @lean_kernel
@@ -183,6 +184,7 @@ def _against_rivals(
     stiffness, tie, row_slope, col_slope = prior
     equations = work.equations
     held, found, rival, start = equations[3], equations[6, 0], equations[6, 1], equations[6, 2]
+    unlikely = unlikelihood(warp, expected, prior)
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), found)
     smallest = np.inf
     for k in range(len(_RIVALS_PX)):
@@ -212,112 +214,23 @@ def _against_rivals(
             template, image, first, last, middle, 2, _RIVAL_STEPS, 0.02, False, start, held, CORRELATED_PX / 8, rival,
             equations[4], work,
         )  # fmt: skip
-        smallest = min(smallest, local_evidence(template, image, first, last, middle, found, rival, sums))
+        nats, everywhere = local_evidence(template, image, first, last, middle, found, rival, sums)
+        in_pixels_of(0.5, (rival[0], rival[1], rival[2], rival[3]), start)
+        nats += unlikelihood(start, expected, prior) - unlikely
+        smallest = min(smallest, nats / LEAST_NATS, everywhere / LEAST_EVERYWHERE)
     return float(smallest)
 
 
 @lean_kernel
-def local_evidence(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: float,
-    found: NDArray[np.float64],
-    rival: NDArray[np.float64],
-    sums: NDArray[np.float64],
+def unlikelihood(
+    warp: NDArray[np.float64], expected: NDArray[np.float64], prior: tuple[float, float, float, float]
 ) -> float:
-    """Evidence for a warp against another, where both have the frames overlap, over what is needed.
+    """Nats by which stretch and shear of a warp speak against its shift; pixels of full resolution.
 
-    Parameters
-    ----------
-    template, image : numpy.ndarray
-        (n, n) float32 frames at half resolution.
-    first, last : numpy.ndarray
-        (n,) int32: lit columns of each row.
-    middle : float
-        Row of the bundle's centre.
-    found, rival : numpy.ndarray
-        (4,) warps in pixels of half resolution.
-    sums : numpy.ndarray
-        From :func:`blocks`.
-
-    Returns
-    -------
-    float
-        Positive where the first warp explains the frames better. The smaller of two: with a noise of its own for each
-        block, and with one for all.
+    What is known of a velocity may be wrong by more than is thought: the tails are heavy, those of Student's t.
     """
-    gain, offset = _tone(template, image, first, last, middle, found)
-    other_gain, other_offset = _tone(template, image, first, last, middle, rival)
-    height = template.shape[0]
-    across = (height + BLOCK_PX - 1) // BLOCK_PX
-    sums[:] = 0.0
-    for row in range(height):
-        above, down, whole, aside, begin, end = row_shift(row, height, middle, found, first, last)
-        above2, down2, whole2, aside2, begin2, end2 = row_shift(row, height, middle, rival, first, last)
-        begin, end = max(begin, begin2), min(end, end2)
-        if end <= begin:
-            continue
-        here = template[row, begin:end]
-        corners, weights = neighbours(image, above, begin + whole, end - begin), bilinear(down, aside)
-        corners2, weights2 = neighbours(image, above2, begin + whole2, end - begin), bilinear(down2, aside2)
-        for k in range(end - begin):
-            t = here[k]
-            left = between(corners, weights, k) - gain * t - offset
-            left2 = between(corners2, weights2, k) - other_gain * t - other_offset
-            block = row // BLOCK_PX * across + (begin + k) // BLOCK_PX
-            sums[0, block] += 1.0
-            sums[1, block] += left * left
-            sums[2, block] += left2 * left2
-            sums[3, block] += t
-            sums[4, block] += t * t
-    pixels, total = 0.0, 0.0
-    for block in range(sums.shape[1]):
-        pixels += sums[0, block]
-        total += sums[3, block]
-    if pixels == 0:
-        return 0.0
-    mean, brightest = total / pixels, 0.0
-    for block in range(sums.shape[1]):
-        n = sums[0, block]
-        if n > _LEAST_PIXELS:
-            brightest = max(brightest, sums[4, block] / n - 2 * mean * sums[3, block] / n + mean * mean)
-    least, nats, unexplained, otherwise = _STRUCTURE * brightest + _FLOOR, 0.0, 0.0, 0.0
-    for block in range(sums.shape[1]):
-        n = sums[0, block]
-        if n > 0:
-            unexplained += sums[1, block]
-            otherwise += sums[2, block]
-            values = n / (CORRELATED_PX / 4)
-            nats += 0.5 * values * np.log((sums[2, block] + n * least) / (sums[1, block] + n * least))
-    everywhere = 0.5 * np.log((otherwise + _LEAST_NOISE * pixels) / (unexplained + _LEAST_NOISE * pixels))
-    return float(min(nats / LEAST_NATS, everywhere / LEAST_EVERYWHERE))
-
-
-@lean_kernel
-def _tone(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: float,
-    warp: NDArray[np.float64],
-) -> tuple[float, float]:
-    """Gain and offset of an image against a template."""
-    height = template.shape[0]
-    count, t1, i1, tt, ti = 0.0, 0.0, 0.0, 0.0, 0.0
-    for row in range(height):
-        above, down, whole, aside, begin, end = row_shift(row, height, middle, warp, first, last)
-        if end <= begin:
-            continue
-        here = template[row, begin:end]
-        corners, weights = neighbours(image, above, begin + whole, end - begin), bilinear(down, aside)
-        for k in range(end - begin):
-            t, i = float(here[k]), float(between(corners, weights, k))
-            t1 += t
-            i1 += i
-            tt += t * t
-            ti += t * i
-        count += end - begin
-    return fitted_tone(count, t1, i1, tt, ti)
+    _, tie, row_slope, col_slope = prior
+    stretch = warp[0] - expected[0] - row_slope * (warp[1] - expected[1])
+    shear = warp[2] - expected[2] - col_slope * (warp[3] - expected[3])
+    misfit = tie * (stretch * stretch + shear * shear)
+    return float(0.5 * (_FREEDOM + 2) * np.log1p(misfit / _FREEDOM))

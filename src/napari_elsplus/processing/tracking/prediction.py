@@ -17,12 +17,17 @@ if TYPE_CHECKING:
 AT_REST: Final = Velocity(0.0, 0.0)
 UNEVEN: Final = 0.03
 """Error of a displacement, root mean square, per change of the acceleration (pixels per frame squared)."""
+SMOOTH_MOTION_PX: Final = 5.0
+"""Spread of the velocity up to which the motion is so smooth that it tells where to look."""
 _LEAST_SPREAD: Final = 1.0
 _MEMORY: Final = 0.3
 _FIRST_SURPRISE: Final = 4.0
 _SPREAD_OF_SURPRISE: Final = 1.5
 _UNEVENLY: Final = 0.15
 """Part of the surprise by which the velocity does not change evenly from frame to frame."""
+_FIRST_TURN: Final = 0.004
+_LEAST_TURN: Final = 0.0005
+"""Radians per frame by which a turn may well differ from what is expected: before any was seen, and at least."""
 _KEPT: Final = 0.5
 """Part of the last change of velocity that is expected to go on."""
 
@@ -106,9 +111,52 @@ class Motion:
         return Displacement(step.row + (frames - 1) * later.row, step.col + (frames - 1) * later.col)
 
 
+class Turning:
+    """How fast the probe turns, as far as accepted links tell, and how much that has been worth.
+
+    Attributes
+    ----------
+    rate : float
+        Radians per frame.
+
+    Examples
+    --------
+    >>> turning = Turning()
+    >>> for _ in range(20):
+    ...     turning.follow(0.002, 1)
+    >>> round(turning.rate, 4), turning.spread(1) < 0.001
+    (0.002, True)
+    """
+
+    def __init__(self) -> None:
+        self.rate = 0.0
+        self._surprise = _FIRST_TURN
+
+    def follow(self, turned: float, frames: int) -> None:
+        """Take note of what the probe has turned within so many frames."""
+        miss = turned / frames - self.rate
+        self._surprise += _MEMORY * (abs(miss) - self._surprise)
+        self.rate += _MEMORY * miss
+
+    def spread(self, frames: int) -> float:
+        """Return the standard deviation of the turn within so many frames about what is expected."""
+        return frames * (_LEAST_TURN + _SPREAD_OF_SURPRISE * self._surprise)
+
+
 def surprise_of(spread_px: float) -> float:
     """Return the surprise that makes the velocity spread so much."""
     return max(spread_px - _LEAST_SPREAD, 0.0) / _SPREAD_OF_SURPRISE
+
+
+def needed_times(spread_px: float) -> float:
+    """How many times the least evidence a link needs: the more, the less the motion tells where to look.
+
+    Parameters
+    ----------
+    spread_px : float
+        How far velocities were, of late, from what was expected of them.
+    """
+    return max(1.0, spread_px / SMOOTH_MOTION_PX)
 
 
 def unevenly(surprise_px: float) -> float:

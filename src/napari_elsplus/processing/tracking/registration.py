@@ -179,12 +179,22 @@ class Registrar:
         overlap = overlap_of_discs(hypot(warp[1], warp[3]) / (FIELD * self.grid.diameter))
         return Link(Warp(*warp.tolist()), information, correlation, overlap, evidence)
 
-    def remainder(self, earlier: View, later: View, warp: Warp, spread: tuple[float, float]) -> ladder.Remainder | None:
-        """Ask what rotation and scale would add to a warp; None where the frames say nothing."""
+    def remainder(
+        self,
+        earlier: View,
+        later: View,
+        warp: Warp,
+        spread: tuple[float, float],
+        turn: tuple[float, float] = (0.0, inf),
+    ) -> ladder.Remainder | None:
+        """Ask what rotation and scale would add to a warp, where such a rotation is expected, give or take as much.
+
+        None where the frames say nothing.
+        """
         first, last = self._spans[1]
         stiffness = spread[0] ** -2, spread[1] ** -2
         return ladder.remainder(
-            earlier.levels[1], later.levels[1], first, last, self._centre, warp, 2.0, stiffness, CORRELATED_PX / 4
+            earlier.levels[1], later.levels[1], first, last, self._centre, warp, 2.0, stiffness, CORRELATED_PX / 4, turn
         )
 
     def turned(self, view: View, velocity: Velocity, turn: float, zoom: float, out: View) -> View:
@@ -216,6 +226,7 @@ class Registrar:
         rung: ladder.Rung,
         scratch: View,
         reach_px: float | None = None,
+        turn_spread: float = inf,
     ) -> Link | None:
         """Refine a warp between frames one of which may be turned against the other.
 
@@ -235,6 +246,9 @@ class Registrar:
             Is filled with the earlier frame, turned.
         reach_px : float, optional
             All shifts are searched, with a prior of that scale; from what is expected alone by default.
+        turn_spread : float
+            Standard deviation of the turn about what is expected, radians. In a view with one fibre a turn and a shift
+            look alike.
 
         Returns
         -------
@@ -251,7 +265,8 @@ class Registrar:
             link = self.link(upright, later, start, spread)
             if reach_px is not None and not (link.observed and link.correlation > _SURE):
                 link = self.search(upright, later, start, spread, reach_px)
-            found = None if link is None else self.remainder(upright, later, link.warp, spread)
+            left = turn - expected[2], turn_spread
+            found = None if link is None else self.remainder(upright, later, link.warp, spread, left)
             if link is None or found is None:
                 return None
             start, form = ladder.composed(link.warp, found.step[rung])

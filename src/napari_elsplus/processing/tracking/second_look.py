@@ -16,8 +16,9 @@ import numpy as np
 
 from napari_elsplus.processing.tracking.descent import LEVELS, fill_coarser
 from napari_elsplus.processing.tracking.grid import lit_pixels
-from napari_elsplus.processing.tracking.local_evidence import blocks, look_again, look_at_half
-from napari_elsplus.processing.tracking.motion import Warp
+from napari_elsplus.processing.tracking.local_evidence import look_again, look_at_half
+from napari_elsplus.processing.tracking.local_noise import blocks
+from napari_elsplus.processing.tracking.motion import Velocity, Warp
 from napari_elsplus.processing.tracking.prediction import AT_REST
 from napari_elsplus.processing.tracking.registration import Link, Registrar, View
 from napari_elsplus.processing.tracking.shift_search import prior, support
@@ -26,7 +27,6 @@ from napari_elsplus.processing.tracking.warp_prior import warp_prior
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.motion import Velocity
     from napari_elsplus.processing.tracking.warp_prior import WarpPrior
 
 DOUBT: Final = 1.0
@@ -37,8 +37,8 @@ HIGH_PASS_PX: Final = 8.0
 """Sigma of what is taken away, pixels of full resolution."""
 _LEAST_FINE: Final = 0.3
 """Part of the variance that must be left: what there is to see must not be taken away."""
-_MOST_MISFIT: Final = 3.0
-"""Standard deviations by which stretch and shear may miss what is expected, where they do not follow the shift."""
+_MOST_MISFIT: Final = 6.0
+"""Standard deviations by which stretch and shear may miss what is expected of them."""
 _ALIKE_PX: Final = 1.5
 _COARSE_PX: Final = 2 ** (LEVELS - 1)
 _LEAST_CORRELATION: Final = 0.3
@@ -119,7 +119,7 @@ class SecondLook:
 
     def confirmed(
         self, link: Link, earlier: View, later: View, velocities: tuple[Velocity, Velocity], spread_px: float,
-        scratch: View,
+        scratch: View, trust_px: float | None = None,
     ) -> Link:  # fmt: skip
         """Look again, where a doubtful link leads, at frames one of which may be turned; return it with what is seen.
 
@@ -135,16 +135,21 @@ class SecondLook:
             What these are trusted to.
         scratch : View
             Is filled with the earlier frame, turned.
+        trust_px : float, optional
+            How well the earlier one is known, if the frames are successive.
         """
         if link.evidence >= DOUBT:
             return link
         before, after = velocities
         shutter = self._registrar.grid.shutter
         moved = shutter.displacement(link.warp, after)
+        if trust_px is not None:  # the displacement is the mean of the velocities
+            part = shutter.middle
+            after = Velocity(*((d - (1 - part) * v) / part for d, v in zip(moved, before, strict=True)))
         if isfinite(link.turn_sigma):
             earlier = self._registrar.turned(earlier, before, link.turn, link.zoom, scratch)
             before = AT_REST
-        again = self.link(earlier, later, warp_prior(shutter, (before, after), moved, spread_px))
+        again = self.link(earlier, later, warp_prior(shutter, (before, after), moved, spread_px, trust_px))
         if again is None:
             return unlit(link)
         alike = hypot(again.warp.b - link.warp.b, again.warp.d - link.warp.d) < _ALIKE_PX
@@ -163,7 +168,7 @@ class SecondLook:
         if correlation == 0.0:
             return None
         found, overlap = Warp(*warp.tolist()), count / self._pixels[0]
-        if not known.tie and known.misfit(found) > _MOST_MISFIT:
+        if known.misfit(found) > _MOST_MISFIT:
             certainty = min(certainty, 0.0)
         return Link(found, information, correlation, overlap, again=certainty)
 

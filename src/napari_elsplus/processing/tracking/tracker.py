@@ -17,7 +17,7 @@ from napari_elsplus.processing.tracking.evidence import stretch_and_shear_varian
 from napari_elsplus.processing.tracking.ladder import Rung, turned_by
 from napari_elsplus.processing.tracking.motion import Displacement, Velocity
 from napari_elsplus.processing.tracking.pose import Pose, State
-from napari_elsplus.processing.tracking.prediction import AT_REST, Motion, unevenly
+from napari_elsplus.processing.tracking.prediction import AT_REST, Motion, Turning, needed_times, unevenly
 from napari_elsplus.processing.tracking.registration import Link, Registrar, View
 from napari_elsplus.processing.tracking.second_look import DOUBT, SecondLook, unlit
 from napari_elsplus.processing.tracking.warp_prior import WarpPrior, velocity_sigma, warp_prior
@@ -36,14 +36,11 @@ FARTHEST: Final = 0.6
 """Predicted displacement, in bundle diameters, beyond which no link is tried."""
 SURE_CORRELATION: Final = 0.9
 """Correlation below which a predicted link is compared with all other shifts."""
-SMOOTH_MOTION_PX: Final = 5.0
-"""Spread of the velocity up to which the motion is so smooth that it tells where to look."""
 MOST_UNEVEN_PX: Final = 0.7
 """Error of a displacement from uneven motion within the frames, up to which a link is used."""
 FALL_OF_CORRELATION: Final = 0.08
 """How far a link's correlation may lie below what was usual so far."""
 _MEMORY: Final = 0.2
-_MEMORY_OF_TURN: Final = 0.3
 _RISE_OF_CORRELATION: Final = 0.03
 _ASK_EVERY: Final = 4
 """Frames between two questions whether the probe turns, as long as it does not."""
@@ -72,17 +69,6 @@ class _Placed:
     """What the velocity is trusted to if no such link tells."""
 
 
-def needed_times(spread_px: float) -> float:
-    """How many times the least evidence a link needs: the more, the less the motion tells where to look.
-
-    Parameters
-    ----------
-    spread_px : float
-        How far velocities were, of late, from what was expected of them.
-    """
-    return max(1.0, spread_px / SMOOTH_MOTION_PX)
-
-
 class Tracker:
     """Tracks the probe through a sequence of tracking images.
 
@@ -109,7 +95,7 @@ class Tracker:
         self._asked = 0
         self._began = self._covered = 0
         self._turned = 0.0
-        self._turn_rate = 0.0
+        self._turning = Turning()
         self._uneven = 0.0
         self._motion = Motion(grid.shutter)
         self._key: _Placed | None = None
@@ -208,9 +194,7 @@ class Tracker:
         assert key is not None
         assert last is not None
         wait = _ASK_EVERY if renew else _ASK_AT_REST
-        if renew and link is not None and isfinite(link.again):
-            wait = 1
-        if link is None or last is key or last.index - self._asked < wait:
+        if link is None or isfinite(link.again) or last is key or last.index - self._asked < wait:
             return
         self._asked = last.index
         found = self.registrar.remainder(key.view, last.view, link.warp, self._spread)
@@ -220,8 +204,8 @@ class Tracker:
         rung = self._climb.weigh(found, keep=renew)
         covered, turned = self._covered + apart, self._turned + turn
         if rung is not Rung.TRANSLATION:
-            self._turn_rate = turned / covered
-            last.angle = self._turn_rate * (last.index - self._began)
+            self._turning.rate = turned / covered
+            last.angle = self._turning.rate * (last.index - self._began)
             key.angle = last.angle - turn
         elif renew:
             self._covered, self._turned = covered, turned
@@ -272,13 +256,19 @@ class Tracker:
 
     def _known(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> WarpPrior:
         """Return what the motion so far tells of the warp between two frames."""
-        last, motion, trust = self._last, self._motion, None
+        motion = self._motion
+        velocities = earlier.velocity, motion.next_velocity
+        return warp_prior(self.grid.shutter, velocities, ahead, motion.spread, self._trust(here))
+
+    def _trust(self, here: _Placed) -> float | None:
+        """How well the velocity before a frame is known; None if there was no link just before."""
+        last = self._last
         assert last is not None
-        if motion.known and here.index - last.index == 1:
-            told = last.told_by
-            sigma = last.velocity_sigma if told is None else velocity_sigma(told.information, self.grid.shutter)
-            trust = hypot(sigma, unevenly(motion.surprise))
-        return warp_prior(self.grid.shutter, (earlier.velocity, motion.next_velocity), ahead, motion.spread, trust)
+        if not self._motion.known or here.index - last.index > 1:
+            return None
+        told = last.told_by
+        sigma = last.velocity_sigma if told is None else velocity_sigma(told.information, self.grid.shutter)
+        return hypot(sigma, unevenly(self._motion.surprise))
 
     def _reach(self, here: _Placed) -> float:
         """How far the shift may well be from what is expected."""
@@ -300,16 +290,20 @@ class Tracker:
         """Link two frames of a probe that turns."""
         last, motion = self._last, self._motion
         assert last is not None
-        turn = last.angle - earlier.angle + self._turn_rate * (here.index - last.index) if motion.known else 0.0
+        turn = last.angle - earlier.angle + self._turning.rate * (here.index - last.index) if motion.known else 0.0
         zoom = last.scale / earlier.scale if motion.known else 1.0
+        trust = self._trust(here) if earlier is last else None
+        spread = self._turning.spread(here.index - last.index) if motion.known and self.rung is rung else inf
         for reach in (None, self._reach(here)) if motion.known else (self._reach(here),):
             link = self.registrar.turned_link(
                 earlier.view, here.view, (ahead.row, ahead.col, turn, zoom), (earlier.velocity, motion.next_velocity),
-                self._spread, rung, self._scratch, reach,
+                self._spread, rung, self._scratch, reach, spread,
             )  # fmt: skip
             if link is not None:
                 velocities = earlier.velocity, motion.next_velocity
-                link = self._second.confirmed(link, earlier.view, here.view, velocities, motion.spread, self._scratch)
+                link = self._second.confirmed(
+                    link, earlier.view, here.view, velocities, motion.spread, self._scratch, trust
+                )
             if link is not None and self._accepted(link, here) and (reach or link.correlation > SURE_CORRELATION):
                 return link
         return None
@@ -372,7 +366,7 @@ class Tracker:
         assert last is not None
         gap = here.index - last.index
         if self.rung is not Rung.TRANSLATION:
-            self._turn_rate += _MEMORY_OF_TURN * ((here.angle - last.angle) / gap - self._turn_rate)
+            self._turning.follow(here.angle - last.angle, gap)
         self._motion.follow(here.velocity, successive=gap == 1)
         self._last, self._newest = here, link
         known = isfinite(self._usual)

@@ -54,8 +54,9 @@ class WarpPrior(NamedTuple):
         return a + follows * self.slopes[0] * (b - b0), b, s + follows * self.slopes[1] * (d - d0), d
 
     def misfit(self, warp: Warp) -> float:
-        """How far stretch and shear are from what is expected of them, in standard deviations."""
-        return sqrt(self.stiffness) * hypot(warp.a - self.expected.a, warp.s - self.expected.s)
+        """How far stretch and shear are from what is expected of them at this shift, in standard deviations."""
+        a, _, s, _ = self.at(warp.b, warp.d)
+        return sqrt(self.stiffness + self.tie) * hypot(warp.a - a, warp.s - s)
 
 
 def warp_prior(
