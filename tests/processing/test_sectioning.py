@@ -190,3 +190,11 @@ def test_sectioning_gives_back_what_is_in_focus(open_recording: Path) -> None:
     assert correlation[Mode.LS] < 0.92
     brightness_kept = np.polyfit(smooth(expected), smooth(mean[Mode.ELS]), 1)[0]
     assert brightness_kept == pytest.approx(1, abs=0.05)
+
+
+def test_a_bundle_far_larger_than_the_frame_is_refused_before_memory_is_asked_for() -> None:
+    known = calibrated()
+    assert known.bundle is not None
+    vast = known.model_copy(update={"bundle": known.bundle.model_copy(update={"diameter_px": 1e9})})
+    with pytest.raises(CalibrationError, match=r"diameter is 1e\+09 px, the frame has 120 x 240"):
+        Sectioner(vast, SHAPE)

@@ -19,7 +19,7 @@ from napari_elsplus.processing.resampling import Resampler
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.calibration import BundleSection, Calibration
 
 
 class Mode(StrEnum):
@@ -109,6 +109,7 @@ class Sectioner:
         calibration.require("bundle")
         assert calibration.bundle is not None
         _check_fits(calibration, frame_shape)
+        _check_possible(calibration.bundle, frame_shape)
         bundle = calibration.bundle
         self.diameter_px = bundle.diameter_px
         self.side = side_px(bundle.diameter_px)
@@ -192,6 +193,15 @@ class _View:
         else:
             np.subtract(raw[self._in_frame], self._background, out=self._on_sensor, casting="unsafe")
         return np.multiply(self._resampler(out), self._brightness, out=out)
+
+
+def _check_possible(bundle: BundleSection, frame_shape: tuple[int, int]) -> None:
+    """Refuse images larger than memory before they are allocated."""
+    if bundle.diameter_px > 2 * max(frame_shape):
+        raise CalibrationError(
+            f"the bundle's diameter is {bundle.diameter_px:g} px, the frame has {frame_shape[0]} x {frame_shape[1]}",
+            "locate the pair again",
+        )
 
 
 def _check_fits(calibration: Calibration, frame_shape: tuple[int, int]) -> None:
