@@ -49,7 +49,8 @@ class Alignment:
     uncertainty_px : float
         One standard deviation of the map along a row or column, at the disc's rim, where it is least certain.
     gain : float
-        Brightness of the right view over the left.
+        Brightness of the right view over the left, per area and not per core: of a larger view, each core may hold more
+        light than the gain says.
     gain_uncertainty : float
         One standard deviation of the gain.
     correlation : float
