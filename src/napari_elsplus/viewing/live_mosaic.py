@@ -67,7 +67,7 @@ class LiveMosaics:
         return self._feed is not None
 
     def update(self, *, all_rows: bool = False) -> bool:
-        """Copy what is new; whether there was anything.
+        """Copy what is new; whether there was anything. Of a board that is gone stays what was copied.
 
         Parameters
         ----------
@@ -75,7 +75,10 @@ class LiveMosaics:
             All of the track, where much has come or changed; else that comes in several looks.
         """
         feed = self._feed
-        if feed is None or not feed.update(all_rows=all_rows):
+        try:
+            if feed is None or not feed.update(all_rows=all_rows):
+                return False
+        except FileNotFoundError:  # a part of it that was never looked at
             return False
         self._canvases = {mode: dict(feed.canvases.get(image, {})) for image, mode in enumerate(self.plan.modes)}
         self.revision = feed.revision

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from napari.layers import Image
 
 from napari_elsplus.processing.mosaicing.coverage import CELL_PX
-from napari_elsplus.widgets.own_layers import COVERAGE, QUALITY
+from napari_elsplus.widgets.own_layers import COVERAGE, QUALITY, move
 from napari_elsplus.widgets.track_layers import SCORES
 
 if TYPE_CHECKING:
@@ -49,8 +49,13 @@ def draw_maps(own: OwnLayers, maps: Coverage, place: tuple[float, float]) -> Non
         )  # fmt: skip
         if layer is None:
             continue
-        if not made:
+        if not made and layer.data.shape == data.shape:
+            layer.data[:] = data
+            layer.refresh(extent=False, highlight=False)
+        elif not made:
             layer.data = data
-            if kind == COVERAGE:
-                layer.contrast_limits = limits
-        layer.scale, layer.translate = (cell, cell), corner
+        if kind == COVERAGE and layer.contrast_limits != list(limits):
+            layer.contrast_limits = limits
+        if tuple(layer.scale) != (cell, cell):
+            layer.scale = cell, cell
+        move(layer, corner)
