@@ -240,7 +240,7 @@ def turning_table(found: dict[Walk, Turned]) -> list[str]:
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for walk, t in found.items():
-        strayed = "; ".join("-" if np.isnan(px) else f"{px:.2f}" for px in t.strayed_px)
+        strayed = "; ".join(f"{px:.2f}" for px in t.strayed_px)
         lines.append(
             f"| {walk.scene}, {walk.path}, {walk.speed_um_s / 1000:g} mm/s | {walk.turn_deg_s:g} | {t.angle_deg:.2f} "
             f"| {t.rung.name.lower()} | {'-' if t.since is None else t.since} | {t.angle_error_deg:.3f} "

@@ -12,6 +12,7 @@ from napari_elsplus.evaluation.rig import simulated_rig, tissue
 from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.processing.tracking.ladder import Rung, turned_by
+from napari_elsplus.processing.tracking.pose import State
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.trajectories import Turning, trajectory
 from napari_elsplus.tracking_pipeline import Pipeline
@@ -68,7 +69,7 @@ class Turned(NamedTuple):
         Of the finished track.
     strayed_px : tuple of float
         Largest distance from the truth, camera pixels: from frame to frame alone, with all that is corrected live, and
-        of the finished track. NaN if the track falls apart.
+        of the finished track.
     """
 
     rung: Rung
@@ -110,9 +111,11 @@ def follow(walk: Walk) -> Turned:
 
 
 def _strayed_px(rows: Sequence[TrackPoint], true_px: NDArray[np.float64]) -> float:
-    known = [(row.row_px, row.col_px) if row.segment == rows[0].segment else (np.nan, np.nan) for row in rows]
-    found = np.array(known)
-    return float(np.hypot(*(found - found[0] - true_px + true_px[0]).T).max())
+    """Largest distance of the first segment's frames from the truth, its first one lying right."""
+    tracked = [k for k, row in enumerate(rows) if row.state == State.TRACKED]
+    first = [k for k in tracked if rows[k].segment == rows[tracked[0]].segment]
+    found = np.array([(rows[k].row_px, rows[k].col_px) for k in first])
+    return float(np.hypot(*(found - found[0] - true_px[first] + true_px[first[0]]).T).max())
 
 
 def rung_of(walk: Walk) -> Rung:

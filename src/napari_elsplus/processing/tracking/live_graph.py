@@ -243,7 +243,8 @@ class LiveGraph:
         known = self._told(edge)
         if self._view(edge.earlier) is None or self._view(edge.later) is None:
             return known
-        return self._closing().again(edge, known.turn) or known
+        found = self._closing().again(edge, known.turn)
+        return known if found is None or found.turn_sigma >= _UNTOLD else found
 
     def _turn_between(self, earlier: int, later: int) -> float:
         """How far the probe has turned between two nodes: evenly, until it was noticed."""
