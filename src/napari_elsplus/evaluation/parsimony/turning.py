@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -68,8 +69,8 @@ class Turned(NamedTuple):
     errors : TrackErrors
         Of the finished track.
     strayed_px : tuple of float
-        Largest distance from the truth, camera pixels: from frame to frame alone, with all that is corrected live, and
-        of the finished track.
+        Largest distance of the longest segment's frames from the truth, camera pixels: from frame to frame alone, with
+        all that is corrected live, and of the finished track.
     """
 
     rung: Rung
@@ -98,7 +99,7 @@ def follow(walk: Walk) -> Turned:
     for index in range(walk.frames):
         pipeline.track(raw[index], index)
     since = next((k for k, pose in enumerate(pipeline.poses) if pose.angle != 0), None)
-    strayed_px = _strayed_px(pipeline.rows, place), _strayed_px(tracked_live(rig, raw), place)
+    strayed_px = _strayed_px(pipeline.rows, place, angle), _strayed_px(tracked_live(rig, raw), place, angle)
     pipeline.finish(RawPairs(raw, "els"))
     found = np.array([pose.angle for pose in pipeline.poses])
     known = np.isfinite([pose.row for pose in pipeline.poses])
@@ -107,15 +108,17 @@ def follow(walk: Walk) -> Turned:
     zoomed, turned = any(zoom for _, zoom in forms), any(turn for turn, _ in forms)
     rung = Rung.SIMILARITY if zoomed else Rung.RIGID if turned else Rung.TRANSLATION
     largest, errors = float(np.rad2deg(np.abs(angle).max())), track_errors(pipeline.rows, place)
-    return Turned(rung, since, largest, error, errors, (*strayed_px, _strayed_px(pipeline.rows, place)))
+    return Turned(rung, since, largest, error, errors, (*strayed_px, _strayed_px(pipeline.rows, place, angle)))
 
 
-def _strayed_px(rows: Sequence[TrackPoint], true_px: NDArray[np.float64]) -> float:
-    """Largest distance of the first segment's frames from the truth, its first one lying right."""
+def _strayed_px(rows: Sequence[TrackPoint], true_px: NDArray[np.float64], true_angle: NDArray[np.float64]) -> float:
+    """Largest distance of the longest segment's frames from the truth, its first one lying right."""
     tracked = [k for k, row in enumerate(rows) if row.state == State.TRACKED]
-    first = [k for k in tracked if rows[k].segment == rows[tracked[0]].segment]
-    found = np.array([(rows[k].row_px, rows[k].col_px) for k in first])
-    return float(np.hypot(*(found - found[0] - true_px[first] + true_px[first[0]]).T).max())
+    longest, _ = Counter(rows[k].segment for k in tracked).most_common(1)[0]
+    those = [k for k in tracked if rows[k].segment == longest]
+    found = np.array([(rows[k].row_px, rows[k].col_px) for k in those])
+    true = (true_px[those] - true_px[those[0]]) @ turned_by(-float(true_angle[those[0]])).T
+    return float(np.hypot(*(found - found[0] - true).T).max())
 
 
 def rung_of(walk: Walk) -> Rung:
