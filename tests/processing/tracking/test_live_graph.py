@@ -11,9 +11,9 @@ from napari_elsplus.processing.tracking import live_graph
 from napari_elsplus.processing.tracking.correction import Correction, Corrections
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.processing.tracking.live_graph import LiveGraph
-from napari_elsplus.processing.tracking.motion import Velocity
+from napari_elsplus.processing.tracking.motion import Velocity, Warp
 from napari_elsplus.processing.tracking.pose import Pose, State
-from napari_elsplus.processing.tracking.registration import Registrar
+from napari_elsplus.processing.tracking.registration import Link, Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.processing.tracking.trail import Node, Trail
 from recordings import Truth, record, texture
@@ -123,3 +123,18 @@ def test_the_longer_the_way_between_two_nodes_the_less_it_is_trusted() -> None:
     sigma = np.sqrt([np.linalg.eigvalsh(node.covariance)[-1] for node in nodes[1:]])
     assert (sigma > 0.001 * gone).all()
     assert sigma.max() < 0.5
+
+
+def test_the_node_at_which_a_turn_was_noticed_does_not_say_how_far_the_probe_turned_since_the_one_before() -> None:
+    grid = FrontEnd(truth().calibration, truth().frames.shape[1:]).grid
+    trail = Trail(grid)
+    link = Link(Warp(1.0, -2.0, 0.0, 0.0), np.eye(4) * 1e4, 0.95, 0.9, 1.0, turn=0.01, turn_sigma=1e-3)
+    pose = Pose(1, 0.0, 0.0, Velocity(2.0, 0.0), 0.9, 0.1, State.TRACKED)
+    first = trail.add(0, pose, (0, 1, link))
+    assert first is not None
+    assert trail.add(1, pose._replace(row=2.0), (1, 2, link)) is None
+    node = trail.add(2, pose._replace(row=4.0, angle=0.1), (2, 3, link))
+    assert node is not None
+    assert node.upright == (1, pose._replace(row=2.0))
+    assert node.turn_sigma == 1.0
+    assert trail.add(3, pose._replace(row=6.0, angle=0.11), (3, 4, link)) is None

@@ -98,7 +98,9 @@ class Trail:
         noticed = pose.angle != 0 and before.angle == 0
         if self._gone < self._spacing_px and not noticed:
             return None
-        node = Node(frame, pose, self._gone, *self._spread(), known if noticed else None)
+        node = Node(frame, pose, self._gone, *self._spread())
+        if noticed:  # what the angles differ by is not what the probe turned by since
+            node = node._replace(turn_sigma=1.0, upright=known)
         self._node, self._gone, self._since = link, 0.0, []
         return node
 
