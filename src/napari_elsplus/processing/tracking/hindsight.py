@@ -41,11 +41,13 @@ def hindsight(links: Sequence[Found], registrar: Registrar, view: Callable[[int]
         Returns the prepared view of a frame by its index.
     """
     keys = {earlier for earlier, _, _, _ in links}
-    # those to other frames share a key frame, and its errors; those looked at again cannot tell a turn from a stretch
-    between = [found for found in links if found[1] in keys and not np.isfinite(found[3].again)]
+    between = [found for found in links if found[1] in keys]  # those to other frames share a key frame, and its errors
     chosen = between[:: -(-len(between) // _MOST_ASKED) or 1]
-    asked = [registrar.remainder(view(a), view(b), link.warp, _LOOSE) for a, b, _, link in chosen]
-    return asked_for([found for found in asked if found is not None])
+    asked = [(registrar.remainder(view(a), view(b), link.warp, _LOOSE), link) for a, b, _, link in chosen]
+    every = [found for found, _ in asked if found is not None]
+    # those looked at again cannot tell a turn from a stretch: alone they say nothing
+    sure = [found for found, link in asked if found is not None and not np.isfinite(link.again)]
+    return min(asked_for(every), asked_for(sure))
 
 
 def turned_links(
