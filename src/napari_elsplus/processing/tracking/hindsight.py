@@ -45,8 +45,7 @@ def hindsight(links: Sequence[Found], registrar: Registrar, view: Callable[[int]
     chosen = between[:: -(-len(between) // _MOST_ASKED) or 1]
     asked = [(registrar.remainder(view(a), view(b), link.warp, _LOOSE), link) for a, b, _, link in chosen]
     every = [found for found, _ in asked if found is not None]
-    # those looked at again cannot tell a turn from a stretch: alone they say nothing
-    sure = [found for found, link in asked if found is not None and not np.isfinite(link.again)]
+    sure = [found for found, link in asked if found is not None and link.tells_turn]
     return min(asked_for(every), asked_for(sure))
 
 

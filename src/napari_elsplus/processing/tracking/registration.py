@@ -38,6 +38,7 @@ EVIDENCE_AT_REST: Final = 0.2
 """The same where nothing seems to have moved: what the flat field leaves of the bundle's own pattern never moves."""
 _AT_REST_PX: Final = 2.0
 _AT_REST: Final = Velocity(0.0, 0.0)
+_TELLING_PX: Final = 0.1
 _SURE: Final = 0.9
 _TURNS: Final = 4
 _SMALL_TURN: Final = 0.004
@@ -118,6 +119,11 @@ class Link(NamedTuple):
     def sigma(self) -> float:
         """Larger axis of the shift's uncertainty, one standard deviation in pixels."""
         return float(weakest_direction(self.information)[0])
+
+    @property
+    def tells_turn(self) -> bool:
+        """Whether there is enough in view to tell a turn from a stretch: one or two fibres do not."""
+        return not isfinite(self.again) or self.sigma < _TELLING_PX
 
     @property
     def covariance(self) -> NDArray[np.float64]:

@@ -194,7 +194,9 @@ class Tracker:
         assert key is not None
         assert last is not None
         wait = _ASK_EVERY if renew else _ASK_AT_REST
-        if link is None or isfinite(link.again) or last is key or last.index - self._asked < wait:
+        if renew and link is not None and isfinite(link.again):
+            wait = 1
+        if link is None or not link.tells_turn or last is key or last.index - self._asked < wait:
             return
         self._asked = last.index
         found = self.registrar.remainder(key.view, last.view, link.warp, self._spread)
