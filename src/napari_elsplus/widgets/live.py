@@ -139,7 +139,7 @@ class Live(EnginePanel):
         calibrating = status is not None and status.progress is not None
         recording = status is not None and status.recording is not None and status.recording.running
         self.form.allow(live=live, busy=busy, calibrating=calibrating, recording=recording)
-        self.form.status.setText(said_of(status, self._display_hz, busy=busy))
+        self.form.status.setText(said_of(status, self.connection.calibration, self._display_hz, busy=busy))
         self._tell_once(status)
 
     def stretch(self) -> None:

@@ -8,18 +8,34 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.status import Status
+    from napari_elsplus.calibration import Calibration
 
 SATURATED: Final = 0.001
 """Share of saturated pixels from which the light is said to be too much."""
 
 
-def said_of(status: Status | None, display_hz: float, *, busy: bool) -> str:
+def advice_on(calibration: Calibration | None) -> str:
+    """Say what is missing where a mirror is driven by a calibration without the scan's lag; empty if nothing is.
+
+    Parameters
+    ----------
+    calibration : Calibration or None
+        In force.
+    """
+    if calibration is None or calibration.galvo is None or calibration.galvo.lag_s != 0:
+        return ""
+    return "The scan lag was not measured: where images are dim, do step 4 of Calibration."
+
+
+def said_of(status: Status | None, calibration: Calibration | None, display_hz: float, *, busy: bool) -> str:
     """Say how the stream goes, as rich text.
 
     Parameters
     ----------
     status : Status or None
         Of the engine, where a rig is connected.
+    calibration : Calibration or None
+        In force.
     display_hz : float
         Images shown each second.
     busy : bool
@@ -44,4 +60,6 @@ def said_of(status: Status | None, display_hz: float, *, busy: bool) -> str:
     if measures.saturated > SATURATED:
         lines.append("<b>Saturated</b>: lower the light or the gain.")
     lines += [f"stale: {section} ({reason})" for section, reason in status.stale.items()]
+    if status.scanning and (advice := advice_on(calibration)):
+        lines.append(advice)
     return "<br>".join(lines)

@@ -20,6 +20,7 @@ from napari_elsplus.viewing.track import speed_of
 from napari_elsplus.widgets.choosing import chosen_image, renew_choices
 from napari_elsplus.widgets.engine_panel import EnginePanel
 from napari_elsplus.widgets.layer_list import LayerList
+from napari_elsplus.widgets.live_status import advice_on
 from napari_elsplus.widgets.mosaic_form import MosaicForm
 from napari_elsplus.widgets.mosaic_layers import MosaicLayers
 from napari_elsplus.widgets.mosaic_sources import Source, source_of
@@ -303,6 +304,8 @@ class MosaicPanel(EnginePanel):
             words += f" Places recognised {track.loops} times."
         if track is not None and not track.lays_anew:
             words += " There is no memory left to lay it anew: where loops close it stays as it is."
+        if track is not None and track.running and (advice := advice_on(self.connection.calibration)):
+            words += f" {advice}"
         return words
 
     def _chosen(self) -> Image:
