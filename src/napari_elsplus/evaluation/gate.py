@@ -19,6 +19,7 @@ from napari_elsplus.processing.tracking.second_look import DOUBT, SecondLook, un
 from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION
 from napari_elsplus.processing.tracking.warp_prior import warp_prior
 from napari_elsplus.simulation.scenes import picture
+from napari_elsplus.simulation.textures import draw_fibres
 from napari_elsplus.simulation.trajectories import Recorded, trajectory
 
 if TYPE_CHECKING:
@@ -36,8 +37,10 @@ if TYPE_CHECKING:
 SMOOTH_PX: Final = 4.0
 JERKY_PX: Final = 12.0
 """How far links start from the truth, root mean square in each direction, pixels of the tracking grid."""
-_SCENE_PX: Final = 2400
+_SCENE_UM: Final = 4800.0
 _SCENE_UM_PER_PX: Final = 2.0
+_HALF_WIDTH_UM: Final = 4.0
+_HALF_LENGTHS_UM: Final = (100.0, 400.0)
 _SPEED_UM_S: Final = 3000.0
 _SMOOTH_SPREAD_PX: Final = 2.7
 """Spread of the velocity that the tracker learns from smooth motion."""
@@ -105,14 +108,20 @@ class Gate(NamedTuple):
 
 
 def few_fibres(seed: int, count: int = 180) -> Scene:
-    """Straight fibres so far apart that some views show one of them, or none."""
+    """Straight fibres so far apart that some views show one of them, or none.
+
+    They are smooth along their length: steps at their edges, as a line drawn without care has them, would tell shifts
+    along a fibre, up to whole steps.
+    """
     random = np.random.default_rng(seed)
-    image = np.zeros((_SCENE_PX, _SCENE_PX), np.float32)
-    for _ in range(count):
-        middle, angle = random.uniform(0, _SCENE_PX, 2), random.uniform(0, np.pi)
-        along = random.uniform(50, 200) * np.array([np.cos(angle), np.sin(angle)])
-        ends = [(int(x), int(y)) for x, y in (middle - along, middle + along)]
-        cv2.line(image, ends[0], ends[1], float(random.uniform(0.5, 1.0)), 4, cv2.LINE_AA)
+    fibres = np.empty((count, 2, 4), np.float32)
+    for ends in fibres:
+        middle, angle = random.uniform(0, _SCENE_UM, 2), random.uniform(0, np.pi)
+        along = random.uniform(*_HALF_LENGTHS_UM) * np.array([np.cos(angle), np.sin(angle)])
+        ends[:, :2] = middle - along, middle + along
+        ends[:, 2:] = _HALF_WIDTH_UM, random.uniform(0.5, 1.0)
+    image = np.zeros((int(_SCENE_UM / _SCENE_UM_PER_PX),) * 2, np.float32)
+    draw_fibres(image, 0.0, 0.0, _SCENE_UM_PER_PX, fibres)
     return picture(cv2.GaussianBlur(image, (0, 0), 1.0), _SCENE_UM_PER_PX)
 
 

@@ -79,7 +79,7 @@ class Fibres:
             range(int(np.floor((axis[0] - reach) / _CELL_UM)), int(np.floor((axis[-1] + reach) / _CELL_UM)) + 1)
             for axis in (rows_um, cols_um)
         )
-        _draw_fibres(out, rows_um[0], cols_um[0], step_um(rows_um), _fibres_of_cells(self, *cells))
+        draw_fibres(out, rows_um[0], cols_um[0], step_um(rows_um), _fibres_of_cells(self, *cells))
         return out
 
 
@@ -145,7 +145,18 @@ def _draw_fibre(out: Picture, row0: float, col0: float, step: float, fibre: Pict
 
 
 @kernel
-def _draw_fibres(out: Picture, row0: float, col0: float, step: float, fibres: Picture) -> None:
+def draw_fibres(out: Picture, row0: float, col0: float, step: float, fibres: Picture) -> None:
+    """Draw fibres into a picture whose first pixel lies at (row0, col0), each pixel a step further, micrometres.
+
+    Parameters
+    ----------
+    out : numpy.ndarray
+        (rows, cols) float32, drawn into; where fibres cross, the brighter one is seen.
+    row0, col0, step : float
+        Where its pixels lie.
+    fibres : numpy.ndarray
+        (fibres, points, 4) float32: row, col, half width, brightness.
+    """
     for n in range(len(fibres)):
         _draw_fibre(out, row0, col0, step, fibres[n])
 
