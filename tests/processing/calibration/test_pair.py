@@ -90,3 +90,9 @@ def test_a_view_that_is_half_dark_is_refused() -> None:
     image[:105, 211:] = 4
     with pytest.raises(MeasurementError, match=r"0\.\d+ times as bright"):
         aligned(RIG, image)
+
+
+def test_where_saturation_leaves_nothing_to_compare_it_says_so() -> None:
+    image = RIG.bundle()[0]
+    with pytest.raises(MeasurementError, match="saturated here and there all over"):
+        align_pair(image, *locate_pair(image), saturated=np.ones(image.shape, bool))

@@ -87,7 +87,7 @@ def align_pair(
     Raises
     ------
     MeasurementError
-        If the two views do not show the same cores.
+        If the two views do not show the same cores, or saturation leaves nothing to compare their brightness by.
     """
     frame = np.asarray(image, np.float32)
     matcher = CoreMatcher(frame, left, right)
@@ -197,6 +197,10 @@ def _gain(
     if saturated is not None and saturated.any():
         around = cv2.GaussianBlur(saturated.astype(np.float32), (0, 0), left.diameter_px / 60)
         counts = np.maximum(*both(around)) < SATURATED_NEARBY
+        if not counts.any():
+            raise MeasurementError(
+                "the bundle's images are saturated here and there all over", "lower the light or the gain"
+            )
         confocal, residual, tile = confocal[counts], residual[counts], tile[counts]
     gain = float(residual.sum(dtype=np.float64) / confocal.sum(dtype=np.float64))
     if not GAINS[0] < gain < GAINS[1]:
