@@ -96,7 +96,7 @@ def weigh(
     --------
     >>> at_29_um = weigh(-29.0, 2.9, LINE_MODELS["a"], 80.0)
     >>> round(at_29_um.drop_10db_um), round(at_29_um.signal_kept, 2), round(at_29_um.clipped, 2)
-    (121, 0.82, 0.06)
+    (120, 0.82, 0.06)
     """
     offset_um = abs(offset_um)
     drops = drop_offs(offset_um=offset_um, slit_um=slit_um, line=line)

@@ -213,6 +213,6 @@ def signal_kept(*, offset_um: float, slit_um: float = 2.9, line: LineModel = LIN
     Examples
     --------
     >>> round(signal_kept(offset_um=29.0), 2), round(signal_kept(offset_um=77.0), 3)
-    (0.82, 0.977)
+    (0.82, 0.967)
     """
     return float(axial_response(0.0, offset_um=offset_um, slit_um=slit_um, line=line).els)
