@@ -18,7 +18,7 @@ from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.virtual.timeline import BenchClock
 from napari_elsplus.hardware.virtual.u3v_device import VirtualCamera
 from napari_elsplus.hardware.virtual.usb_bus import Plug, VirtualBus
-from napari_elsplus.optics import PRESETS
+from napari_elsplus.instrument.optics import PRESETS
 
 
 class DarkBench:

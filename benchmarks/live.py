@@ -12,7 +12,7 @@ import click
 
 from napari_elsplus.evaluation.engine_run import run_engine
 from napari_elsplus.evaluation.engines import Apart, Here
-from napari_elsplus.optics import PRESETS
+from napari_elsplus.instrument.optics import PRESETS
 
 TITLES = (
     "run", "frames", "lost", "median ms", "p99 ms", "99.9 % ms", "largest ms",

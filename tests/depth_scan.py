@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from napari_elsplus.calibration import Calibration
+from napari_elsplus.instrument.calibration import Calibration
 
 SHAPE = (300, 640)
 DEPTH_UM = np.array([0.0, 10, 20, 30, 40, 60, 90, 150, 700])

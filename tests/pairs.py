@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import tifffile
 
-from napari_elsplus.calibration import Calibration
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import write_calibration
 
 if TYPE_CHECKING:

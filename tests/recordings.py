@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from scipy import sparse, spatial
 
-from napari_elsplus.calibration import Calibration
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.calibration.calibrate import measure_flat
 
 if TYPE_CHECKING:

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.pipeline import Images, images
 
 SHAPE = (60, 130)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus import _sample_data
-from napari_elsplus.optics import PRESETS
+from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.simulation.instrument import Instrument
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.calibration import OpticsSection
+from napari_elsplus.instrument.calibration import OpticsSection
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.tracking_methods import OurTracking
 
 if TYPE_CHECKING:
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.pipeline import RawPairs
 
 _LOOKED_AT: Final = 600

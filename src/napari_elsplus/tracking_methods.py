@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.tracking.grid import Grid
     from napari_elsplus.processing.tracking.pose import Pose
     from napari_elsplus.processing.tracking.registration import Link, View

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.mosaicing.tiles import TileStore
     from napari_elsplus.processing.tracking.grid import Grid
     from napari_elsplus.processing.tracking.ladder import Rung

@@ -13,8 +13,8 @@ from napari_elsplus.acquisition.engine import Engine
 from napari_elsplus.acquisition.live_images import View
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import RecordingWriter, open_recording
 from napari_elsplus.pipeline import images
 

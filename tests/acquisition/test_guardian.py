@@ -20,7 +20,7 @@ from napari_elsplus.hardware.parking import ParkOrder
 from napari_elsplus.hardware.virtual.card import VirtualCard
 from napari_elsplus.hardware.virtual.card_process import RemoteCard
 from napari_elsplus.hardware.virtual.grpc_server import CardServer
-from napari_elsplus.optics import PRESETS
+from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.simulation.instrument import Instrument
 
 PRESET = PRESETS["240hz"]
@@ -31,7 +31,7 @@ DRIVE = """
     from napari_elsplus.hardware.virtual.bench import Simulation
     from napari_elsplus.hardware.virtual.timeline import StrobeTrain
     from napari_elsplus.hardware.waveform import ScanTiming, els_waveform
-    from napari_elsplus.optics import PRESETS
+    from napari_elsplus.instrument.optics import PRESETS
     from napari_elsplus.simulation.scenes import empty
 
     preset = PRESETS["240hz"]

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from napari_elsplus.acquisition.live_images import LiveImages, View, focus
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.pipeline import images
 from napari_elsplus.processing.cores import CoreFilter
 

@@ -9,7 +9,7 @@ from napari_elsplus.acquisition.simulated import calibrate_simulated
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.hardware.rigs import open_rig
-from napari_elsplus.optics import preset
+from napari_elsplus.instrument.optics import preset
 from napari_elsplus.simulation.scenes import empty
 
 

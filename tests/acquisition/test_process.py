@@ -16,9 +16,9 @@ from napari_elsplus.acquisition.live_images import View
 from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
 from napari_elsplus.hardware.virtual.card_process import start_card
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording
 from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.sectioning import Mode
@@ -34,7 +34,7 @@ from napari_elsplus.acquisition.client import EngineClient
 from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings
-from napari_elsplus.calibration import Calibration
+from napari_elsplus.instrument.calibration import Calibration
 GALVO = {GALVO}
 path, *command = sys.argv[1:]
 client = EngineClient(command)

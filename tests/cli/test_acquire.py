@@ -14,8 +14,8 @@ import pytest
 import tifffile
 
 from napari_elsplus.hardware.rigs import open_rig
+from napari_elsplus.instrument.optics import preset
 from napari_elsplus.io import open_recording, read_track, write_calibration
-from napari_elsplus.optics import preset
 
 if TYPE_CHECKING:
     from collections.abc import Callable

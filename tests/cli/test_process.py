@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from napari_elsplus.calibration import Calibration
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import write_calibration
 
 SHAPE = (60, 130)

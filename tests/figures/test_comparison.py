@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import InputError
 from napari_elsplus.figures.comparison import compare, draw_comparison
 from napari_elsplus.figures.files import save_figure
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.sectioning import Mode
 
 SHAPE = (60, 130)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.hardware.card_output import CardSettings
 from napari_elsplus.hardware.flea3 import Flea3
 from napari_elsplus.hardware.u3v.camera import U3vCamera
@@ -23,6 +22,7 @@ from napari_elsplus.hardware.virtual.timeline import BenchClock, StrobeTrain
 from napari_elsplus.hardware.virtual.u3v_device import Shot, VirtualCamera
 from napari_elsplus.hardware.virtual.usb_bus import Plug, VirtualBus
 from napari_elsplus.hardware.waveform import MirrorLimits
+from napari_elsplus.instrument.calibration import Calibration
 
 LINE_PERIOD_S = 1 / 130_750.6
 PARK_V = -0.7

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import beside, calibration_beside, read_calibration, write_calibration
 from napari_elsplus.io.calibrations import parse_calibration
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import RecordingWriter, open_recording, read_calibration
 from napari_elsplus.io.pages import PageLayout
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording, write_mosaic, write_stack
 
 IMAGES = np.random.default_rng(3).normal(size=(6, 33, 33)).astype(np.float32)

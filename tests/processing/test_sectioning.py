@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.sectioning import Mode, Sectioner, disc, side_px
 
 SHAPE = (120, 240)

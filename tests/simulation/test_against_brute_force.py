@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from brute_force import core_values
 
-from napari_elsplus.optics import Optics, Preset
+from napari_elsplus.instrument.optics import Optics, Preset
 from napari_elsplus.simulation.axial_response import LineModel
 from napari_elsplus.simulation.bundle import Bundle
 from napari_elsplus.simulation.instrument import Instrument, RightView

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from depth_scan import DEPTH_UM, calibration, frames
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording, write_calibration, write_column, write_stack
 from napari_elsplus.processing.axial import axial_response
 from napari_elsplus.viewing.axial import (

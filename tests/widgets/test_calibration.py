@@ -21,8 +21,8 @@ from napari_elsplus.acquisition.guided import TARGETS
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
+from napari_elsplus.instrument.optics import preset
 from napari_elsplus.io import read_calibration
-from napari_elsplus.optics import preset
 from napari_elsplus.processing.calibration.draft import State, Step
 from napari_elsplus.processing.sectioning import Sectioner, disc
 from napari_elsplus.settings import calibration_in_force

@@ -10,7 +10,7 @@ import numpy as np
 
 from napari_elsplus.acquisition import procedures
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.optics import BUNDLE_UM
+from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.calibration.calibrate import Findings, measure, measure_background
 
 if TYPE_CHECKING:

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.status import Settings
     from napari_elsplus.acquisition.tally import Latencies
     from napari_elsplus.acquisition.usage import Usage
-    from napari_elsplus.calibration import Calibration
     from napari_elsplus.errors import MeasurementError
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.calibration.calibrate import Background, Findings, Pair, SlitOffset
     from napari_elsplus.processing.calibration.draft import Flat, LitPair, Setup

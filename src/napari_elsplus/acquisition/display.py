@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from napari_elsplus.acquisition.ring import Layout
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 
 def on_the_heap(layout: Layout) -> tuple[str, Ring]:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.ring import Layout, Ring
     from napari_elsplus.acquisition.status import Settings
     from napari_elsplus.acquisition.workers import FrameConsumer
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 BUFFER_S: Final = 2.0
 """Seconds of raw frames that stay in memory."""

@@ -12,7 +12,7 @@ import numpy as np
 from napari_elsplus.acquisition import procedures
 from napari_elsplus.acquisition.calibrating import SWEEP_VOLTAGES, Target
 from napari_elsplus.hardware.virtual.frame_source import Circle
-from napari_elsplus.optics import preset
+from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.calibration.calibrate import Background, locate_pair, mean_frame, measure_flat
 from napari_elsplus.processing.calibration.draft import Draft, Flat, Found, LitPair, Setup, Step
 from napari_elsplus.processing.calibration.galvo import GalvoMap
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine import Engine
     from napari_elsplus.acquisition.procedures import Watch
     from napari_elsplus.acquisition.rig import Rig
-    from napari_elsplus.calibration import Calibration
     from napari_elsplus.errors import MeasurementError
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.calibrate import SlitOffset
     from napari_elsplus.processing.calibration.lag import ScanLag
 

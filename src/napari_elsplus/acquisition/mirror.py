@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.camera_setup import CameraSetup
     from napari_elsplus.acquisition.guardian import Guardian
     from napari_elsplus.acquisition.rig import Rig
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 
 class Mirror:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.faults import FaultLog
     from napari_elsplus.acquisition.stream import Stream
     from napari_elsplus.acquisition.tally import Tally
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 _PATIENCE_S: Final = 0.1
 

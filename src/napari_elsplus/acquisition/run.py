@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.faults import FaultLog
     from napari_elsplus.acquisition.recorder import RecordingPlan
     from napari_elsplus.acquisition.workers import FrameConsumer, Shown
-    from napari_elsplus.calibration import Calibration
     from napari_elsplus.hardware.protocols import Camera
+    from napari_elsplus.instrument.calibration import Calibration
 
 SHALLOWEST: Final = 64
 """Frames that the stream holds at least."""

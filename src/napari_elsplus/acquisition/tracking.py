@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.mosaic_board import MosaicBoard
     from napari_elsplus.acquisition.ring import Stamp
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackPoint
     from napari_elsplus.processing.mosaicing.kept import Kept
 

@@ -13,8 +13,8 @@ from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.cli.live import live_engine, watch_calibration
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.optics import BUNDLE_UM, PRESETS
 from napari_elsplus.io import open_recording, read_volts, write_calibration
-from napari_elsplus.optics import BUNDLE_UM, PRESETS
 from napari_elsplus.processing.calibration.calibrate import Findings, measure
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
 from napari_elsplus.processing.quality import PAPER_ALIGNMENT_PERCENT

@@ -22,8 +22,8 @@ from napari_elsplus.cli.options import (
     refuse_outputs,
 )
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.io import beside, replacing, write_calibration, write_column, write_stack
-from napari_elsplus.optics import PRESETS
 from napari_elsplus.simulation import calibration_scenes, truth
 from napari_elsplus.simulation.axial_response import LINE_MODELS
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 preset_option = click.option(
     "--preset",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from napari_elsplus.diagnosis.finding import ok, warning
-from napari_elsplus.optics import PRESETS
+from napari_elsplus.instrument.optics import PRESETS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

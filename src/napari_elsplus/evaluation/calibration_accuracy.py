@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import ElsPlusError
-from napari_elsplus.optics import LINE_RATE_HZ
+from napari_elsplus.instrument.optics import LINE_RATE_HZ
 from napari_elsplus.processing.calibration.calibrate import Findings, Pair, measure
 from napari_elsplus.processing.calibration.lag import search_lag
 

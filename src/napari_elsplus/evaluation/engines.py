@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.status import Status
     from napari_elsplus.acquisition.tally import Latencies
     from napari_elsplus.acquisition.usage import Usage
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 
 class Driven(Protocol):

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import tifffile
 
-from napari_elsplus.calibration import BundleSection, Calibration
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import BundleSection, Calibration
 from napari_elsplus.processing.calibration.bundle import Disc, locate_bundle
 from napari_elsplus.processing.calibration.calibrate import measure_flat
 from napari_elsplus.processing.sectioning import Sectioner, disc

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.tracking.grid import Grid
     from napari_elsplus.processing.tracking.motion import Warp
     from napari_elsplus.processing.tracking.paper import PaperTracker

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 TITLES: Final = {Mode.LS: "LS", Mode.ELSA: "ELSA", Mode.ELS: "ELS+"}
 COLOURS: Final = {Mode.LS: "#0072b2", Mode.ELSA: "#e69f00", Mode.ELS: "#009e73"}

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
     from napari_elsplus.figures.comparison import Comparison
+    from napari_elsplus.instrument.calibration import Calibration
 
 
 def draw_contact_sheet(

@@ -22,7 +22,7 @@ from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.control import Control, RegisterError
 from napari_elsplus.hardware.u3v.discovery import choose_camera, endpoints
 from napari_elsplus.hardware.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
-from napari_elsplus.optics import PRESETS, SENSOR_SHAPE, preset
+from napari_elsplus.instrument.optics import PRESETS, SENSOR_SHAPE, preset
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.u3v.control import MANIFEST
-from napari_elsplus.optics import LINE_RATE_HZ
+from napari_elsplus.instrument.optics import LINE_RATE_HZ
 
 if TYPE_CHECKING:
     from napari_elsplus.hardware.protocols import Region

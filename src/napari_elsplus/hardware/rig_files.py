@@ -13,7 +13,7 @@ from napari_elsplus.folders import config_folder
 from napari_elsplus.hardware.card_output import CardSettings
 from napari_elsplus.hardware.flea3 import Flea3
 from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase
-from napari_elsplus.optics import LINE_RATE_HZ
+from napari_elsplus.instrument.optics import LINE_RATE_HZ
 
 if TYPE_CHECKING:
     from collections.abc import Callable

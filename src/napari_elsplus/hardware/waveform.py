@@ -22,7 +22,7 @@ from napari_elsplus.hardware.scan_path import LEAD_IN_S, TURN_S, ScanPath
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import BundleSection, Calibration, GalvoSection
+    from napari_elsplus.instrument.calibration import BundleSection, Calibration, GalvoSection
 
     Volts = NDArray[np.float64]
 
@@ -186,7 +186,7 @@ def els_waveform(calibration: Calibration, timing: ScanTiming, limits: MirrorLim
 
     Examples
     --------
-    >>> from napari_elsplus.calibration import Calibration
+    >>> from napari_elsplus.instrument.calibration import Calibration
     >>> bundle = {"diameter_px": 650, "confocal_centre": [540, 330], "residual_centre": [510, 990],
     ...           "residual_to_confocal": [[1, 0, 30], [0, 1, -660]]}
     >>> galvo = {"volts_per_row": 0.00126, "volts_at_row_zero": -0.459, "r_squared": 1, "rms_rows": 0, "lag_s": 2e-4}

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from napari_elsplus.calibration import FORMAT, Calibration
 from napari_elsplus.errors import CalibrationError
+from napari_elsplus.instrument.calibration import FORMAT, Calibration
 from napari_elsplus.io.atomic import refuse_existing, replacing
 
 if TYPE_CHECKING:

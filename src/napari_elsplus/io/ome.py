@@ -11,7 +11,7 @@ import numpy as np
 import tifffile
 
 from napari_elsplus import __version__
-from napari_elsplus.calibration import FORMAT
+from napari_elsplus.instrument.calibration import FORMAT
 from napari_elsplus.io.calibrations import format_calibration
 from napari_elsplus.io.sources import positive
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 SOFTWARE: Final = f"napari-elsplus {__version__}"
 SETTINGS: Final = "napari-elsplus/settings"

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import DTypeLike, NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 FLUSH_PERIOD_S: Final = 1.0
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 CLASSIC_LIMIT: Final = 2 << 30
 """Bytes; what is larger, or of unknown length, is written as BigTIFF."""

@@ -19,7 +19,7 @@ from napari_elsplus.processing.resampling import Resampler
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import BundleSection, Calibration
+    from napari_elsplus.instrument.calibration import BundleSection, Calibration
 
 
 class Mode(StrEnum):

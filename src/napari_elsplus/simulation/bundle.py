@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.optics import BUNDLE_UM, CORE_PITCH_UM
+from napari_elsplus.instrument.optics import BUNDLE_UM, CORE_PITCH_UM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.optics import PIXEL_PITCH_UM, SENSOR_SHAPE, Optics, Preset, preset
+from napari_elsplus.instrument.optics import PIXEL_PITCH_UM, SENSOR_SHAPE, Optics, Preset, preset
 from napari_elsplus.simulation.axial_response import LINE_MODELS, LineModel
 from napari_elsplus.simulation.bundle import Bundle
 

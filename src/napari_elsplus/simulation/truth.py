@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from napari_elsplus.calibration import (
+from napari_elsplus.instrument.calibration import (
     AcquiredWith,
     BundleSection,
     Calibration,

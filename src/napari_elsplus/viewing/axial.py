@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 FEWEST_FOR_A_FIT = 3
 
@@ -153,7 +153,7 @@ def slit_um(calibration: Calibration) -> tuple[float | None, float | None]:
 
     Examples
     --------
-    >>> from napari_elsplus.calibration import Calibration
+    >>> from napari_elsplus.instrument.calibration import Calibration
     >>> known = {"offset": {"rows": -12.0, "uncertainty_rows": 0.01}, "optics": {"um_per_px": 2.0}}
     >>> slit_um(Calibration.parse(known))
     (24.0, None)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.sectioning import Frames
     from napari_elsplus.viewing.stack import Stack
 

@@ -15,7 +15,7 @@ from napari_elsplus.viewing.stack import files_for_script
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.viewing.mosaics import Mosaics
     from napari_elsplus.viewing.stack import Stack

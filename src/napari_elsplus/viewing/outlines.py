@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import BundleSection, Calibration
+    from napari_elsplus.instrument.calibration import BundleSection, Calibration
     from napari_elsplus.viewing.layers import Layer
 
 OUTLINE_COLOURS: Final = ("#56b4e9", "#e69f00")
@@ -72,7 +72,7 @@ def summary(calibration: Calibration) -> str:
 
     Examples
     --------
-    >>> from napari_elsplus.calibration import Calibration
+    >>> from napari_elsplus.instrument.calibration import Calibration
     >>> summary(Calibration.parse({"offset": {"rows": -12.03, "uncertainty_rows": 0.01}}))
     'slit offset -12.03 ± 0.01 rows'
     """

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.instrument.calibration import Calibration
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

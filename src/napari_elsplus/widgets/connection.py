@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.acquisition.status import Settings
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 _latest: Callable[[], Connection | None] = lambda: None  # noqa: E731 - a dead weak reference says the same
 

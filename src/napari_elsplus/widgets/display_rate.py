@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from napari_elsplus.acquisition.client import EngineClient
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 PRESET: Final = "240hz"
 SETTLE_S: Final = 1.0

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.client import EngineClient
     from napari_elsplus.acquisition.status import Status
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 TICK_MS: Final = 16
 STATUS_S: Final = 0.25

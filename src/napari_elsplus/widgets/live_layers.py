@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.ring import Ring, Stamp
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 KINDS: Final = {RAW: "raw", **{mode.value: TITLES[mode] for mode in Mode}}
 """What can be shown, by the names of the display ring's fields."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.status import Status
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 SATURATED: Final = 0.001
 """Share of saturated pixels from which the light is said to be too much."""

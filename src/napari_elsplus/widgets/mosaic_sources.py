@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import napari.viewer
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.sectioning import Frames
 

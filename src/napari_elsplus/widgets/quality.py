@@ -36,7 +36,7 @@ from napari_elsplus.widgets.work import Work
 if TYPE_CHECKING:
     import napari.viewer
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.viewing.quality import Box
     from napari_elsplus.viewing.stack import Stack
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import napari.viewer
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.viewing.lazy import LazyPlanes
     from napari_elsplus.viewing.stack import Stack
 

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from napari_elsplus.calibration import Calibration
 from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.processing.tracking.grid import Grid

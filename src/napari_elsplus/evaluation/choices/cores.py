@@ -14,7 +14,7 @@ from napari_elsplus.evaluation.against_truth import unexplained
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
-from napari_elsplus.optics import CORE_PITCH_UM
+from napari_elsplus.instrument.optics import CORE_PITCH_UM
 from napari_elsplus.pipeline import finishing
 from napari_elsplus.processing.cores import GAUSSIAN_SIGMA_PITCHES, CoreFilter
 from napari_elsplus.processing.sectioning import Sectioner, disc

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from napari_elsplus.evaluation.engine_run import SETTLE_S, EngineRun, run_engine
 from napari_elsplus.evaluation.engines import Apart, Here
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, Claim, Judgement, Method, Role, TimedElsewhere
-from napari_elsplus.optics import preset
+from napari_elsplus.instrument.optics import preset
 
 if TYPE_CHECKING:
     from collections.abc import Callable

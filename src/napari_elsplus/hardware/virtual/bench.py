@@ -11,7 +11,7 @@ import numpy as np
 from napari_elsplus.hardware.virtual.frame_source import Circle, FrameSource
 from napari_elsplus.hardware.virtual.galvo import FORGETS_S, STEP_S, GalvoModel
 from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain, mean_volts
-from napari_elsplus.optics import PRESETS, Preset
+from napari_elsplus.instrument.optics import PRESETS, Preset
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.scenes import Scene, fibres
 from napari_elsplus.simulation.trajectories import Still, Trajectory
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
     from napari_elsplus.hardware.virtual.u3v_device import Shot
+    from napari_elsplus.instrument.calibration import Calibration
 
 _STEADY_AFTER: Final = 10
 """Frames after which the mirror repeats itself."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from napari_elsplus.hardware import flea3
 from napari_elsplus.hardware.u3v import control, stream
 from napari_elsplus.hardware.virtual.description import describe
-from napari_elsplus.optics import SENSOR_SHAPE
+from napari_elsplus.instrument.optics import SENSOR_SHAPE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -20,7 +20,7 @@ from napari_elsplus.hardware.virtual.timeline import BenchClock
 from napari_elsplus.hardware.virtual.u3v_device import VirtualCamera
 from napari_elsplus.hardware.virtual.usb_bus import Plug, VirtualBus
 from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase
-from napari_elsplus.optics import PRESETS
+from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.simulation.truth import park_volts
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from napari_elsplus.hardware import flea3
 from napari_elsplus.hardware.u3v import packets, stream
 from napari_elsplus.hardware.virtual.memory import SIRM, STROBE, Memory, MemoryFault
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain
-from napari_elsplus.optics import LINE_RATE_HZ
+from napari_elsplus.instrument.optics import LINE_RATE_HZ
 
 if TYPE_CHECKING:
     from array import array

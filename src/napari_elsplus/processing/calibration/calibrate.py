@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.calibration import (
+from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.instrument.calibration import (
     BundleSection,
     Calibration,
     FrameSection,
@@ -19,8 +20,7 @@ from napari_elsplus.calibration import (
     OpticsSection,
     QualitySection,
 )
-from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.optics import BUNDLE_UM
+from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.calibration.pair import darkness
 from napari_elsplus.processing.calibration.steps import (
     Background,

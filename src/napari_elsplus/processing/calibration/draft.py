@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from napari_elsplus.calibration import AcquiredWith, Calibration, FrameSection, OpticsSection
 from napari_elsplus.errors import InputError
-from napari_elsplus.optics import BUNDLE_UM
+from napari_elsplus.instrument.calibration import AcquiredWith, Calibration, FrameSection, OpticsSection
+from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.calibration.calibrate import (
     Background,
     Pair,

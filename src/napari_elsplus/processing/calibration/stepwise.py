@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from napari_elsplus.calibration import FrameSection
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import FrameSection
 from napari_elsplus.processing.calibration.calibrate import (
     locate_pair,
     map_galvo,

@@ -21,7 +21,7 @@ from napari_elsplus.processing.tracking.grid import Grid, lit_pixels
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 _LOWEST_FLAT: Final = 0.2
 _BINOMIAL: Final = np.array([1, 4, 6, 4, 1], np.float32)

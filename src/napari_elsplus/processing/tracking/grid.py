@@ -13,7 +13,7 @@ from napari_elsplus.processing.tracking.motion import RollingShutter
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
 GRID_DIAMETER_PX: Final = 240.0
 """The bundle is binned to about this diameter, near one pixel per core: the paper down-samples to 250."""

@@ -21,7 +21,7 @@ from qtpy.QtWidgets import (
 
 from napari_elsplus.acquisition.calibrating import SWEEP_VOLTAGES
 from napari_elsplus.hardware.rigs import rig_names
-from napari_elsplus.optics import PRESETS
+from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.calibration.draft import State, Step
 from napari_elsplus.widgets.plots import ThemedPlot
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from napari_elsplus.processing.calibration.draft import Draft
 
 if TYPE_CHECKING:
-    from napari_elsplus.calibration import Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Found, Setup, Step
     from napari_elsplus.viewing.calibration_script import Source
     from napari_elsplus.widgets.calibration.picture import Picture

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from napari_elsplus.calibration import AcquiredWith, Calibration, FrameSection
 from napari_elsplus.errors import CalibrationError
+from napari_elsplus.instrument.calibration import AcquiredWith, Calibration, FrameSection
 
 RECORD: dict[str, Any] = {
     "format": "napari-elsplus/calibration",

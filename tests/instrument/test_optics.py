@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.optics import PRESETS, Optics, preset
+from napari_elsplus.instrument.optics import PRESETS, Optics, preset
 
 
 def test_slit_of_the_paper_is_whole_rows_at_the_bundle() -> None:
