@@ -20,8 +20,8 @@ from qtpy.QtWidgets import QApplication
 from napari_elsplus.evaluation.machine import machine
 from napari_elsplus.io import TrackPoint, TrackTable
 from napari_elsplus.mosaic_plan import MosaicPlan
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
-from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.grid import Grid
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration

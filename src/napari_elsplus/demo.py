@@ -34,8 +34,8 @@ from napari_elsplus.io import (
 )
 from napari_elsplus.pipeline import Images, RawPairs
 from napari_elsplus.processing.calibration.calibrate import measure
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.picture import picture
-from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.simulation import calibration_scenes as bench
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.renderer import Renderer

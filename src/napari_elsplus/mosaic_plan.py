@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.tracking_pipeline import Method
 
 TRACKED_FIRST: Final = (Mode.ELS, Mode.LS, Mode.RESIDUAL, Mode.ELSA)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.processing.cores import CoreFilter
-from napari_elsplus.processing.sectioning import Mode, Sectioner
+from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.sectioning import Frames
+    from napari_elsplus.processing.images.sectioning import Frames
 
 _DARKEST_FLAT = 0.1
 """Where the flat field is darker than this share of its mean, dividing by it would only show noise."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.instrument.calibration import OpticsSection
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.tracking_methods import OurTracking
 
 if TYPE_CHECKING:

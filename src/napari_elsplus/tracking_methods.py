@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from napari_elsplus.processing.sectioning import Mode, Sectioner
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.processing.tracking.ladder import Rung
 from napari_elsplus.processing.tracking.paper import PaperTracker

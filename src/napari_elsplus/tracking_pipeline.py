@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.io import TrackPoint
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.pose import Pose, State
 from napari_elsplus.tracking_methods import OurTracking, PapersTracking, Tracking
 

@@ -21,7 +21,7 @@ from napari_elsplus.hardware.virtual.card_process import start_card
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording
 from napari_elsplus.mosaic_plan import MosaicPlan
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 
 SLOW = Settings("240hz", frame_rate_hz=100.0)
 CLEAR_V = -0.9

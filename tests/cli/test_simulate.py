@@ -11,7 +11,7 @@ import pytest
 
 from napari_elsplus.io import open_recording, read_volts
 from napari_elsplus.pipeline import images
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 
 if TYPE_CHECKING:
     from collections.abc import Callable

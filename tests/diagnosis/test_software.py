@@ -68,7 +68,7 @@ def test_a_hidden_manifest_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_kernels_that_cannot_be_kept_are_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled = SimpleNamespace(stats=SimpleNamespace(cache_path=None))
-    monkeypatch.setattr("napari_elsplus.compiled.kernel", lambda function: compiled)
+    monkeypatch.setattr("napari_elsplus.processing.compiled.kernel", lambda function: compiled)
     finding = only(list(software.kernel_cache()))
     assert finding.level is Level.WARNING
     assert "NUMBA_CACHE_DIR" in finding.remedy

@@ -8,13 +8,13 @@ import pytest
 
 from napari_elsplus.evaluation.trade import Trade, weigh
 from napari_elsplus.figures import physics
-from napari_elsplus.processing import axial
+from napari_elsplus.processing.analysis import axial_response as axial
 from napari_elsplus.simulation.axial_response import LINE_MODELS, axial_response
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from napari_elsplus.processing.axial import AxialResponse
+    from napari_elsplus.processing.analysis.axial_response import AxialResponse
     from napari_elsplus.simulation.instrument import Instrument
 
 

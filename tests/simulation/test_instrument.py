@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.sectioning import Sectioner
+from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.bundle import Bundle
 from napari_elsplus.simulation.instrument import Instrument, RightView

@@ -8,8 +8,8 @@ import pytest
 from napari_elsplus.errors import InputError
 from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.pipeline import RawPairs
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.tracking_pipeline import Method, Pipeline
 from napari_elsplus.viewing.mosaicking import StackMosaics
 from napari_elsplus.viewing.trackable import images_as_they_are

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus.processing.sectioning import Mode, Sectioner
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.viewing.comparison import line_profiles
 from napari_elsplus.widgets.compare import BLINK, DIFFERENCE, Compare
 from pairs import calibration, frames, write_pair

@@ -25,7 +25,7 @@ from napari_elsplus.processing.calibration.calibrate import (
 )
 from napari_elsplus.processing.calibration.lag import ScanLag, search_lag
 from napari_elsplus.processing.calibration.live_offset import OffsetFollower
-from napari_elsplus.processing.sectioning import Sectioner, disc
+from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -15,7 +15,7 @@ from napari_elsplus.acquisition.closing import Closing, Seen
 from napari_elsplus.acquisition.laying import AlternatingLaying, Found, Laying
 from napari_elsplus.errors import InputError
 from napari_elsplus.mosaic_plan import MosaicPlan
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.correction import Corrections, Path
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.pose import State

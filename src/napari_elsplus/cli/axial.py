@@ -17,7 +17,7 @@ from napari_elsplus.io import (
     read_depths_um,
     replacing,
 )
-from napari_elsplus.processing.axial import AxialResponse, DropOff, axial_profiles, axial_response
+from napari_elsplus.processing.analysis.axial_response import AxialResponse, DropOff, axial_profiles, axial_response
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -15,9 +15,9 @@ from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, r
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.optics import BUNDLE_UM, PRESETS
 from napari_elsplus.io import open_recording, read_volts, write_calibration
+from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT
 from napari_elsplus.processing.calibration.calibrate import Findings, measure
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
-from napari_elsplus.processing.quality import PAPER_ALIGNMENT_PERCENT
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -83,7 +83,7 @@ def plugin() -> Iterator[Finding]:
 
 def kernel_cache() -> Iterator[Finding]:
     """See that compiled kernels are kept between runs."""
-    from napari_elsplus.compiled import kernel
+    from napari_elsplus.processing.compiled import kernel
 
     folder = kernel(_plus_one).stats.cache_path  # type: ignore[attr-defined]
     if folder:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
-from napari_elsplus.processing.quality import USED_DIAMETER
-from napari_elsplus.processing.sectioning import Mode, Sectioner, disc
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.simulation.truth import residual_to_confocal
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from napari_elsplus.acquisition.tracking import LiveTrack
 from napari_elsplus.evaluation.rig import dim
 from napari_elsplus.evaluation.stability.pairs import ELECTRONS_OF_WHITE
 from napari_elsplus.pipeline import RawPairs
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Recorded, Straight
 from napari_elsplus.tracking_pipeline import Pipeline

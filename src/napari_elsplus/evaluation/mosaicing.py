@@ -11,8 +11,8 @@ import numpy as np
 from napari_elsplus.evaluation.against_truth import TrackErrors, track_errors
 from napari_elsplus.evaluation.rig import StopAndGo, simulated_rig, without_timing
 from napari_elsplus.pipeline import RawPairs
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.grid import Grid
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import trajectory

@@ -10,10 +10,10 @@ import numpy as np
 from napari_elsplus.evaluation.against_truth import CalibrationErrors, TrackErrors, calibration_errors, track_errors
 from napari_elsplus.evaluation.choices.sectioning import Moment, judge
 from napari_elsplus.evaluation.rig import SimulatedRig, measured
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast
 from napari_elsplus.processing.calibration.calibrate import Findings, measure
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.mosaicing.picture import picture
-from napari_elsplus.processing.quality import USED_DIAMETER, contrast
-from napari_elsplus.processing.sectioning import Mode, Sectioner, disc
 from napari_elsplus.simulation import calibration_scenes as scenes
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.scenes import scene

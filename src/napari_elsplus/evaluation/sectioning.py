@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.evaluation.trade import Trade, weigh
-from napari_elsplus.processing.axial import AxialResponse, axial_profiles, axial_response
-from napari_elsplus.processing.sectioning import Sectioner
+from napari_elsplus.processing.analysis.axial_response import AxialResponse, axial_profiles, axial_response
+from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.simulation.axial_response import LINE_MODELS, drop_offs
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.calibration_scenes import background

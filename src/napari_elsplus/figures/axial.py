@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from napari_elsplus.figures.comparison import COLOURS
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from napari_elsplus.processing.axial import AxialResponse
+    from napari_elsplus.processing.analysis.axial_response import AxialResponse
 
 RESIDUAL_COLOUR = "0.45"
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from napari_elsplus.figures.comparison import COLOURS, TITLES
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

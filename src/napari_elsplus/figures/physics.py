@@ -15,7 +15,7 @@ from napari_elsplus.figures import physics_charts as charts
 from napari_elsplus.figures.axial import draw_axial_response
 from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill, require_marks
-from napari_elsplus.processing.axial import fit_saturation
+from napari_elsplus.processing.analysis.axial_response import fit_saturation
 from napari_elsplus.simulation.axial_response import LINE_MODELS, drop_offs
 from napari_elsplus.simulation.clipped_response import clipped_drop_offs
 from napari_elsplus.simulation.instrument import Instrument
@@ -23,7 +23,7 @@ from napari_elsplus.simulation.instrument import Instrument
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.axial import AxialResponse
+    from napari_elsplus.processing.analysis.axial_response import AxialResponse
 
 SLITS_UM: Final = (1.9, 2.9, 5.8)
 SHARP_SLITS_UM: Final = (2.9, 5.8, 8.8)

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from napari_elsplus.evaluation import printed
 from napari_elsplus.evaluation.sectioning import sharper_line_drop_offs
 from napari_elsplus.figures.comparison import COLOURS
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.simulation.axial_response import drop_offs, signal_kept
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.evaluation.trade import Trade
-    from napari_elsplus.processing.axial import AxialResponse
+    from napari_elsplus.processing.analysis.axial_response import AxialResponse
 
 PAPER_COLOUR: Final = "0.35"
 NAMES: Final = {Mode.LS: "LS", Mode.ELS: "ELS+"}

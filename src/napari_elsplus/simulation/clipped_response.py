@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
-from napari_elsplus.processing.axial import HALF, SQUARE_UM, TENTH
+from napari_elsplus.processing.analysis.axial_response import HALF, SQUARE_UM, TENTH
 from napari_elsplus.simulation.axial_response import DropOffs, Response, gaussian_over_slit
 from napari_elsplus.simulation.illumination import edge
 

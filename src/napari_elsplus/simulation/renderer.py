@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.compiled import kernel
 from napari_elsplus.errors import InputError
+from napari_elsplus.processing.compiled import kernel
 from napari_elsplus.simulation.layers import Layer
 from napari_elsplus.simulation.scan import CoreLight, Scan
 from napari_elsplus.simulation.sensor import expose

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from napari_elsplus.compiled import kernel
+from napari_elsplus.processing.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.axial import (
+from napari_elsplus.processing.analysis.axial_response import (
     AxialResponse,
     Doubts,
     Saturation,
@@ -138,7 +138,7 @@ def measure_scan(
     InputError
         If the depths are unknown.
     CalibrationError, MeasurementError
-        As :func:`napari_elsplus.processing.axial.axial_profiles`.
+        As :func:`napari_elsplus.processing.analysis.axial_response.axial_profiles`.
     """
     if stack.depth_um is None:
         raise InputError(

@@ -10,9 +10,9 @@ import numpy as np
 from skimage.measure import profile_line
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.cores import CoreFilter
-from napari_elsplus.processing.quality import USED_DIAMETER, contrast, white_level
-from napari_elsplus.processing.sectioning import Mode, disc
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
+from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.sectioning import Mode, disc
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
 from napari_elsplus.viewing.stack import files_for_script, um_per_px_of
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.sectioning import Frames
+    from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.viewing.stack import Stack
 
     Image = NDArray[np.float32]

@@ -12,8 +12,8 @@ import numpy as np
 
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.io import calibration_beside, open_recording, read_calibration
-from napari_elsplus.processing.quality import white_level
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.analysis.image_quality import white_level
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.stack import Stack, attributes, images_origin_px, provenance
 

@@ -10,7 +10,7 @@ import dask.array as da
 import numpy as np
 
 from napari_elsplus.pipeline import Images
-from napari_elsplus.processing.cores import CoreFilter
+from napari_elsplus.processing.images.cores import CoreFilter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import Recording
-    from napari_elsplus.processing.sectioning import Frames, Mode
+    from napari_elsplus.processing.images.sectioning import Frames, Mode
 
 CACHE_BYTES: Final = 64 << 20
 """Planes that each array keeps in memory."""

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.tracking import TrackState
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackTable
+    from napari_elsplus.processing.images.sectioning import Mode
     from napari_elsplus.processing.mosaicing.tiles import Canvas
-    from napari_elsplus.processing.sectioning import Mode
 
 
 class LiveMosaics:

@@ -56,7 +56,7 @@ from napari_elsplus.acquisition.client import EngineClient
 from napari_elsplus.acquisition.live_images import View
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings{imported}
-from napari_elsplus.processing.cores import CoreFilter
+from napari_elsplus.processing.images.cores import CoreFilter
 
 settings = {settings!r}
 view = View({view.background}, {view.flat_field}, CoreFilter.{view.cores.name}, {view.average})

@@ -99,7 +99,7 @@ from pathlib import Path
 from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.tracking_pipeline import Method
 from napari_elsplus.viewing.mosaic_files import save_mosaics
 from napari_elsplus.viewing.mosaicking import StackMosaics

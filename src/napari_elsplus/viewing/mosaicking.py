@@ -10,8 +10,8 @@ import numpy as np
 
 from napari_elsplus.io import TrackTable
 from napari_elsplus.pipeline import RawPairs
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
-from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.processing.tracking.grid import FIELD
 from napari_elsplus.processing.tracking.pose import State
 from napari_elsplus.timing import with_timing
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.mosaic_plan import MosaicPlan
+    from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.mosaicing.tiles import Canvas
-    from napari_elsplus.processing.sectioning import Frames
     from napari_elsplus.processing.tracking.pose import Pose
 
     Watch = Callable[[Iterable[int]], Iterable[int]]

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from napari_elsplus.io import TrackTable
+    from napari_elsplus.processing.images.sectioning import Mode
     from napari_elsplus.processing.mosaicing.tiles import Canvas
-    from napari_elsplus.processing.sectioning import Mode
 
 
 class Mosaics(Protocol):

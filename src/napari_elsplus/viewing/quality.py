@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.cores import CoreFilter
-from napari_elsplus.processing.quality import USED_DIAMETER, alignment_error, edge_artefact
-from napari_elsplus.processing.resolution import (
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, alignment_error, edge_artefact
+from napari_elsplus.processing.analysis.resolution import (
     RESOLVED_CONTRAST,
     BarElement,
     bars_within,
@@ -18,7 +17,8 @@ from napari_elsplus.processing.resolution import (
     nearest_usaf_1951,
     smallest_resolved_line_pair_um,
 )
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.stack import files_for_script, um_per_px_of
 
@@ -232,7 +232,7 @@ def quality_script(
     return f'''"""How well {stack.file_name} is aligned, what it resolves, and where its rim fails."""
 
 from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.quality import measure_alignment, measure_edge, measure_resolution
 from napari_elsplus.viewing.stack import Stack

@@ -10,7 +10,7 @@ import numpy as np
 from napari_elsplus import __version__
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import beside, read_depths_um
-from napari_elsplus.processing.sectioning import side_px
+from napari_elsplus.processing.images.sectioning import side_px
 from napari_elsplus.viewing.lazy import raw_planes
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from napari_elsplus.widgets.plots import Curve
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from napari_elsplus.processing.axial import DropOff, Saturation
+    from napari_elsplus.processing.analysis.axial_response import DropOff, Saturation
     from napari_elsplus.viewing.axial import DropOffs, Scan
 
     Mark = tuple[float, str, str]

@@ -10,9 +10,9 @@ from magicgui.widgets import ComboBox, Container, PushButton
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
-from napari_elsplus.processing.cores import CoreFilter
-from napari_elsplus.processing.quality import white_level
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.analysis.image_quality import white_level
+from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.comparison import (
     Comparison,
     Figures,

@@ -13,8 +13,8 @@ from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from napari_elsplus.acquisition.live_images import RAW, View
 from napari_elsplus.acquisition.recorder import RecordingPlan
-from napari_elsplus.processing.cores import CoreFilter
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.settings import recall, remember
 from napari_elsplus.widgets.live_layers import KINDS
 

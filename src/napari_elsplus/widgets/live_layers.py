@@ -9,8 +9,8 @@ from napari.layers import Image
 
 from napari_elsplus import __version__
 from napari_elsplus.acquisition.live_images import RAW
-from napari_elsplus.processing.quality import white_level
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.analysis.image_quality import white_level
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLES
 
 if TYPE_CHECKING:

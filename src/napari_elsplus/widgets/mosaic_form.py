@@ -10,8 +10,8 @@ from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # w
 from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from napari_elsplus.mosaic_plan import MosaicPlan
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.processing.sectioning import Mode
 from napari_elsplus.settings import recall, remember
 from napari_elsplus.tracking_pipeline import Method
 from napari_elsplus.viewing.layers import TITLES

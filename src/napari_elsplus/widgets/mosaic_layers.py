@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     import napari.viewer
 
-    from napari_elsplus.processing.sectioning import Mode
+    from napari_elsplus.processing.images.sectioning import Mode
     from napari_elsplus.viewing.growing import Change
     from napari_elsplus.viewing.mosaics import Mosaics
 

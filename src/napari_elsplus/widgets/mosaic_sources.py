@@ -9,7 +9,7 @@ import numpy as np
 from napari.layers import Image
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.viewing.trackable import images_as_they_are
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.mosaic_plan import MosaicPlan
-    from napari_elsplus.processing.sectioning import Frames
+    from napari_elsplus.processing.images.sectioning import Frames
 
 
 @dataclass(frozen=True)

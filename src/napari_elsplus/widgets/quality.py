@@ -11,10 +11,10 @@ from napari.layers import Image, Shapes
 from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QVBoxLayout
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.processing.cores import CoreFilter
-from napari_elsplus.processing.quality import PAPER_ALIGNMENT_PERCENT
-from napari_elsplus.processing.resolution import RESOLVED_CONTRAST
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT
+from napari_elsplus.processing.analysis.resolution import RESOLVED_CONTRAST
+from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.quality import (
     AlignmentErrors,

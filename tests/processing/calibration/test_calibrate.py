@@ -22,7 +22,7 @@ from napari_elsplus.processing.calibration.calibrate import (
     measure_flat,
     measure_offset,
 )
-from napari_elsplus.processing.sectioning import Sectioner, disc
+from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 RIG = Rig(left=(112.0, 103.0), right=(98.4, 318.7), diameter_px=190.0, tilt_deg=1.5, gain=0.93, volts_per_row=-0.0012)
 

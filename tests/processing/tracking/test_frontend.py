@@ -7,7 +7,7 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.processing.tracking.grid import Grid
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.sampling import between, bilinear, finely_sampled, neighbours, reaches
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
 from napari_elsplus.instrument.optics import CORE_PITCH_UM
 from napari_elsplus.pipeline import finishing
-from napari_elsplus.processing.cores import GAUSSIAN_SIGMA_PITCHES, CoreFilter
-from napari_elsplus.processing.sectioning import Sectioner, disc
+from napari_elsplus.processing.images.cores import GAUSSIAN_SIGMA_PITCHES, CoreFilter
+from napari_elsplus.processing.images.sectioning import Sectioner, disc
 from napari_elsplus.simulation.scenes import Scene, scene
 from napari_elsplus.simulation.trajectories import Still
 

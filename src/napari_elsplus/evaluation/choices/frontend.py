@@ -16,7 +16,7 @@ from napari_elsplus.evaluation.choices.sectioning import Crop
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role
 from napari_elsplus.evaluation.rig import simulated_rig
 from napari_elsplus.pipeline import finishing
-from napari_elsplus.processing.sectioning import Sectioner
+from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.processing.tracking.frontend import FrontEnd
 from napari_elsplus.processing.tracking.paper import SIDE_PX, takes_median
 from napari_elsplus.simulation.scenes import scene

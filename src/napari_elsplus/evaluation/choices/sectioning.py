@@ -14,8 +14,8 @@ import numpy as np
 from napari_elsplus.evaluation.against_truth import SMOOTHING_PX, unexplained
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
-from napari_elsplus.processing.quality import USED_DIAMETER
-from napari_elsplus.processing.sectioning import Mode, Sectioner, disc
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Straight
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.linalg import expm
 
-from napari_elsplus.compiled import kernel
+from napari_elsplus.processing.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -21,6 +21,7 @@ from napari_elsplus.instrument.calibration import (
     QualitySection,
 )
 from napari_elsplus.instrument.optics import BUNDLE_UM
+from napari_elsplus.processing.analysis.image_quality import alignment_error
 from napari_elsplus.processing.calibration.pair import darkness
 from napari_elsplus.processing.calibration.steps import (
     Background,
@@ -33,9 +34,8 @@ from napari_elsplus.processing.calibration.steps import (
     measure_flat,
     measure_offset,
 )
-from napari_elsplus.processing.cores import CoreFilter
-from napari_elsplus.processing.quality import alignment_error
-from napari_elsplus.processing.sectioning import Sectioner, disc
+from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.calibration.galvo import GalvoMap
-    from napari_elsplus.processing.sectioning import Frames
+    from napari_elsplus.processing.images.sectioning import Frames
 
 __all__ = [
     "Background",

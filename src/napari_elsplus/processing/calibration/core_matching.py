@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.uncertainty import clustered
-from napari_elsplus.processing.resampling import resampled
+from napari_elsplus.processing.analysis.uncertainty import clustered
+from napari_elsplus.processing.images.resampling import resampled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

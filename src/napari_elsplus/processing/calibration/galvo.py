@@ -14,8 +14,8 @@ import numpy as np
 from scipy import stats
 
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.analysis.uncertainty import clustered_influence, overlapping_influence
 from napari_elsplus.processing.calibration.line import Line, locate_line
-from napari_elsplus.processing.calibration.uncertainty import clustered_influence, overlapping_influence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

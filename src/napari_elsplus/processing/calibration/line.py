@@ -14,8 +14,8 @@ import numpy as np
 from scipy import ndimage
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.analysis.uncertainty import clustered
 from napari_elsplus.processing.calibration.line_search import Streak, brightest_streak, without_hot_pixels
-from napari_elsplus.processing.calibration.uncertainty import clustered
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from napari_elsplus.compiled import kernel
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

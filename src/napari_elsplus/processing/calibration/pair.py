@@ -14,7 +14,7 @@ import numpy as np
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.core_matching import CoreFit, CoreMatcher, PairModel, tiles
-from napari_elsplus.processing.resampling import resampled
+from napari_elsplus.processing.images.resampling import resampled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import optimize
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.uncertainty import clustered, clustered_influence
+from napari_elsplus.processing.analysis.uncertainty import clustered, clustered_influence
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.analysis.uncertainty import in_line
 from napari_elsplus.processing.calibration import bundle as bundles
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, lines_in_sweep
 from napari_elsplus.processing.calibration.line import Line, locate_line
 from napari_elsplus.processing.calibration.pair import Alignment, align_pair
-from napari_elsplus.processing.calibration.uncertainty import in_line
-from napari_elsplus.processing.sectioning import Sectioner, disc
+from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.sectioning import Frames
+    from napari_elsplus.processing.images.sectioning import Frames
 
     Image = NDArray[np.float32]
 
@@ -249,7 +249,7 @@ def measure_flat(frames: Frames, calibration: Calibration) -> Image:
     Returns
     -------
     numpy.ndarray
-        (n, n) float32, on the grid of :class:`napari_elsplus.processing.sectioning.Sectioner`.
+        (n, n) float32, on the grid of :class:`napari_elsplus.processing.images.sectioning.Sectioner`.
 
     Raises
     ------

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, exposure, overlap_sums
 from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
 from napari_elsplus.processing.tracking.grid import FIELD, lit_pixels

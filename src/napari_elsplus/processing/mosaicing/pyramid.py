@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.compiled import kernel
+from napari_elsplus.processing.compiled import kernel
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, HeapTiles, Rectangle, TileStore, tile_rectangle
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from napari_elsplus.compiled import lean_kernel, prefetch
+from napari_elsplus.processing.compiled import lean_kernel, prefetch
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

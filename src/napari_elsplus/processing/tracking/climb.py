@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.ladder import Remainder, Rung
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.evidence import in_pixels_of, rival_evidence, weakest_direction
 from napari_elsplus.processing.tracking.lucas_kanade import align
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.processing.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.binning import is_blank, scratch, subtract_views
 from napari_elsplus.processing.tracking.grid import Grid, lit_pixels
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import cv2
 import numpy as np
 
-from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.lucas_kanade import fitted_tone
 from napari_elsplus.processing.tracking.motion import Warp
 from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours, row_shift

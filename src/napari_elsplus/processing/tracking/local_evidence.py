@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.descent import CORRELATED_PX
 from napari_elsplus.processing.tracking.evidence import HELD, in_pixels_of, weakest_direction
 from napari_elsplus.processing.tracking.local_noise import local_evidence, shared_information

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.descent import CORRELATED_PX
 from napari_elsplus.processing.tracking.lucas_kanade import PARAMETERS, fitted_tone, solve
 from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours, row_shift

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT
 from napari_elsplus.processing.calibration.calibrate import Background, SlitOffset
 from napari_elsplus.processing.calibration.draft import MOVED_ROWS, Draft, Flat, Found, LitPair, Setup, Step
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES, GalvoMap
 from napari_elsplus.processing.calibration.lag import ScanLag
-from napari_elsplus.processing.quality import PAPER_ALIGNMENT_PERCENT
 from napari_elsplus.widgets.calibration.offset_picture import offset_picture
 from napari_elsplus.widgets.calibration.picture import Picture, Plot, told
 from napari_elsplus.widgets.plots import Curve

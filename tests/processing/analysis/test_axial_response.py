@@ -7,7 +7,13 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.processing.axial import Doubts, axial_profiles, axial_response, contrast_to_noise, fit_saturation
+from napari_elsplus.processing.analysis.axial_response import (
+    Doubts,
+    axial_profiles,
+    axial_response,
+    contrast_to_noise,
+    fit_saturation,
+)
 
 DEPTH_UM = np.arange(0.0, 800.0, 2.0)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.processing.sectioning import Mode, Sectioner, disc, side_px
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc, side_px
 
 SHAPE = (120, 240)
 DIAMETER_PX = 90.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.sectioning import disc
+from napari_elsplus.processing.images.sectioning import disc
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

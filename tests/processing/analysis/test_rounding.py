@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.rounding import noise_between, rounding_dn
+from napari_elsplus.processing.analysis.rounding import noise_between, rounding_dn
 
 
 @pytest.mark.parametrize("noise_dn", [0.2, 0.3, 0.4])

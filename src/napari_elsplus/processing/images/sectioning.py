@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.processing.resampling import Resampler
+from napari_elsplus.processing.images.resampling import Resampler
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.quality import alignment_error, contrast, edge_artefact, white_level
-from napari_elsplus.processing.sectioning import disc
+from napari_elsplus.processing.analysis.image_quality import alignment_error, contrast, edge_artefact, white_level
+from napari_elsplus.processing.images.sectioning import disc
 
 
 def test_one_pixel_in_ten_thousand_saturates() -> None:

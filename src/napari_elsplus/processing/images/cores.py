@@ -19,8 +19,8 @@ from scipy.signal import resample
 from scipy.spatial import Delaunay
 from skimage.feature import peak_local_max
 
-from napari_elsplus.compiled import kernel
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.compiled import kernel
 
 if TYPE_CHECKING:
     from collections.abc import Callable

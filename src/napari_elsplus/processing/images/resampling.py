@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
-from napari_elsplus.compiled import kernel
+from napari_elsplus.processing.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

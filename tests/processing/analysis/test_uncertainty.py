@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.calibration.uncertainty import clustered_influence, in_line, overlapping_influence
+from napari_elsplus.processing.analysis.uncertainty import clustered_influence, in_line, overlapping_influence
 
 
 def test_lumpy_residuals_are_not_taken_for_independent_ones() -> None:

@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.cores import CoreFilter, core_pitch_px, find_cores
-from napari_elsplus.processing.sectioning import disc
+from napari_elsplus.processing.images.cores import CoreFilter, core_pitch_px, find_cores
+from napari_elsplus.processing.images.sectioning import disc
 
 SIDE = 201
 INSIDE = disc(SIDE, 190)

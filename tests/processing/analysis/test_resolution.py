@@ -7,8 +7,8 @@ from scipy.ndimage import gaussian_filter
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.instrument.optics import CORE_PITCH_UM
-from napari_elsplus.processing.resolution import BarElement, element_contrast, smallest_resolved_line_pair_um
-from napari_elsplus.processing.sectioning import Sectioner
+from napari_elsplus.processing.analysis.resolution import BarElement, element_contrast, smallest_resolved_line_pair_um
+from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.pictures import usaf_1951
 from napari_elsplus.simulation.renderer import Renderer

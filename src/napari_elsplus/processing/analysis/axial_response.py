@@ -13,8 +13,8 @@ import numpy as np
 from scipy.optimize import curve_fit, isotonic_regression
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
-from napari_elsplus.processing.rounding import noise_between, rounding_dn
-from napari_elsplus.processing.sectioning import Sectioner
+from napari_elsplus.processing.analysis.rounding import noise_between, rounding_dn
+from napari_elsplus.processing.images.sectioning import Sectioner
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.sectioning import Frames
+    from napari_elsplus.processing.images.sectioning import Frames
 
     Curve = NDArray[np.float64]
 
