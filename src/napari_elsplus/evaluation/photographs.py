@@ -11,7 +11,7 @@ import tifffile
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import BundleSection, Calibration
-from napari_elsplus.processing.calibration.bundle import Disc, locate_bundle
+from napari_elsplus.processing.calibration.bundle.location import Disc, locate_bundle
 from napari_elsplus.processing.calibration.calibrate import measure_flat
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 

@@ -13,7 +13,7 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere, plain
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.random_rigs import Rig
-from napari_elsplus.processing.calibration.bundle import locate_pair
+from napari_elsplus.processing.calibration.bundle.location import locate_pair
 from napari_elsplus.processing.calibration.calibrate import locate_pair as measure_pair
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from napari_elsplus.evaluation.choices.pair import Lit
 from napari_elsplus.evaluation.choices.pair import judge as judge_pair
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, Judgement, Method, Role
 from napari_elsplus.evaluation.random_rigs import Rig
-from napari_elsplus.processing.calibration.bundle import locate_pair
-from napari_elsplus.processing.calibration.core_matching import CoreMatcher, PairModel
+from napari_elsplus.processing.calibration.bundle.core_matching import CoreMatcher, PairModel
+from napari_elsplus.processing.calibration.bundle.location import locate_pair
+from napari_elsplus.processing.calibration.bundle.view_alignment import align_pair
 from napari_elsplus.processing.calibration.galvo import lines_in_sweep
-from napari_elsplus.processing.calibration.pair import align_pair
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -22,7 +22,7 @@ from napari_elsplus.instrument.calibration import (
 )
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.analysis.image_quality import alignment_error
-from napari_elsplus.processing.calibration.pair import darkness
+from napari_elsplus.processing.calibration.bundle.view_alignment import darkness
 from napari_elsplus.processing.calibration.steps import (
     Background,
     Pair,

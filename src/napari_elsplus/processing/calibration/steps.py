@@ -12,10 +12,10 @@ import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import in_line
-from napari_elsplus.processing.calibration import bundle as bundles
+from napari_elsplus.processing.calibration.bundle import location as bundles
+from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_pair
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, lines_in_sweep
 from napari_elsplus.processing.calibration.line import Line, locate_line
-from napari_elsplus.processing.calibration.pair import Alignment, align_pair
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:

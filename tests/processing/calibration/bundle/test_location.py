@@ -11,7 +11,7 @@ import tifffile
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.evaluation.random_rigs import Rig
-from napari_elsplus.processing.calibration.bundle import locate_bundle, locate_pair
+from napari_elsplus.processing.calibration.bundle.location import locate_bundle, locate_pair
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.core_matching import CoreFit, CoreMatcher, PairModel, tiles
+from napari_elsplus.processing.calibration.bundle.core_matching import CoreFit, CoreMatcher, PairModel, tiles
 from napari_elsplus.processing.images.resampling import resampled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.calibration.bundle import Disc
+    from napari_elsplus.processing.calibration.bundle.location import Disc
 
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]
@@ -76,7 +76,7 @@ def align_pair(
     image : numpy.ndarray
         Raw frame (rows, cols) of the bundle lit from its far end.
     left, right : Disc
-        The two discs, from :func:`napari_elsplus.processing.calibration.bundle.locate_pair`.
+        The two discs, from :func:`napari_elsplus.processing.calibration.bundle.location.locate_pair`.
     saturated : numpy.ndarray, optional
         Pixels (rows, cols) that do not count for the brightness.
 

@@ -9,9 +9,9 @@ import pytest
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.evaluation.random_rigs import Rig
-from napari_elsplus.processing.calibration.bundle import locate_pair
-from napari_elsplus.processing.calibration.core_matching import PairModel
-from napari_elsplus.processing.calibration.pair import Alignment, align_pair
+from napari_elsplus.processing.calibration.bundle.core_matching import PairModel
+from napari_elsplus.processing.calibration.bundle.location import locate_pair
+from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_pair
 
 RIG = Rig(left=(105.0, 103.0), right=(95.5, 318.3), diameter_px=190.0)
 

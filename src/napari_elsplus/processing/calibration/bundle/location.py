@@ -16,7 +16,7 @@ from skimage.filters import threshold_li
 from skimage.measure import label
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.rim import circle_through, fit_rim
+from napari_elsplus.processing.calibration.bundle.rim import circle_through, fit_rim
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -21,7 +21,7 @@ from napari_elsplus.processing.images.resampling import resampled
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.calibration.bundle import Disc
+    from napari_elsplus.processing.calibration.bundle.location import Disc
 
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]

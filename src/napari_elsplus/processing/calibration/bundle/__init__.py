@@ -1,0 +1,1 @@
+"""The two images of the bundle: location, rim, matched cores, view alignment and gain."""
