@@ -14,7 +14,7 @@ import numpy as np
 from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.evaluation.machine import machine
-from napari_elsplus.processing.tracking.pose import State
+from napari_elsplus.processing.tracking.motion.pose import State
 
 PLUGIN = "napari-elsplus"
 START_S = 240.0

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.instrument.calibration import OpticsSection
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.tracking_methods import OurTracking
+from napari_elsplus.processing.tracking.methods import OurTracking
 
 if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration

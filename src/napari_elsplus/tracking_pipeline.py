@@ -11,8 +11,8 @@ import numpy as np
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.tracking.pose import Pose, State
-from napari_elsplus.tracking_methods import OurTracking, PapersTracking, Tracking
+from napari_elsplus.processing.tracking.methods import OurTracking, PapersTracking, Tracking
+from napari_elsplus.processing.tracking.motion.pose import Pose, State
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.mosaicing.tiles import TileStore
-    from napari_elsplus.processing.tracking.grid import Grid
-    from napari_elsplus.processing.tracking.ladder import Rung
-    from napari_elsplus.processing.tracking.registration import Link
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.registration.motion_models import Rung
+    from napari_elsplus.processing.tracking.registration.pair_registration import Link
 
 
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"

@@ -15,8 +15,8 @@ from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
-from napari_elsplus.processing.tracking.grid import Grid
-from napari_elsplus.processing.tracking.motion import RollingShutter
+from napari_elsplus.processing.tracking.front_end.grid import Grid
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
 
 GRID = Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0))
 LOOK = """

@@ -24,7 +24,7 @@ from napari_elsplus.figures.mosaicing import (
     table,
     turning_table,
 )
-from napari_elsplus.processing.tracking.ladder import Rung
+from napari_elsplus.processing.tracking.registration.motion_models import Rung
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
-from napari_elsplus.processing.tracking.grid import Grid
-from napari_elsplus.processing.tracking.motion import RollingShutter
+from napari_elsplus.processing.tracking.front_end.grid import Grid
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
 from napari_elsplus.viewing.growing import COARSEST_PX, GrowingImage
 
 GRID = Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0))
@@ -79,7 +79,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pathlib import Path
-from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration

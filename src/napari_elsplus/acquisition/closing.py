@@ -1,6 +1,6 @@
 """Loops closed behind the live track: a thread that never keeps it waiting.
 
-The thread that tracks hands over nodes (:mod:`napari_elsplus.processing.tracking.trail`) and goes on. Here they are
+The thread that tracks hands over nodes (:mod:`napari_elsplus.processing.tracking.pose_graph.keyframes`) and goes on. Here they are
 compared with earlier ones; once one shows a place again, all nodes are solved for, the newest frames are corrected at
 once, and the tiles on which frames lie wrong are laid anew, one by one.
 """
@@ -13,18 +13,18 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from napari_elsplus.errors import ElsPlusError
-from napari_elsplus.processing.tracking.live_graph import LiveGraph
-from napari_elsplus.processing.tracking.registration import Registrar, View
-from napari_elsplus.processing.tracking.views import RecentViews
+from napari_elsplus.processing.tracking.pose_graph.live_graph import LiveGraph
+from napari_elsplus.processing.tracking.registration.pair_registration import Registrar, View
+from napari_elsplus.processing.tracking.registration.prepared_frames import RecentViews
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from napari_elsplus.processing.mosaicing.kept import Kept
-    from napari_elsplus.processing.tracking.correction import Corrections
-    from napari_elsplus.processing.tracking.grid import Grid
-    from napari_elsplus.processing.tracking.ladder import Rung
-    from napari_elsplus.processing.tracking.trail import Node
+    from napari_elsplus.processing.mosaicing.keyframe_store import Kept
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.pose_graph.correction import Corrections
+    from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
+    from napari_elsplus.processing.tracking.registration.motion_models import Rung
 
 OFF_PX: Final = 0.5
 """Frames further than this from where they belong are laid anew while the probe moves; pixels of the mosaic."""

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.mosaicing.kept import KeptFrames
+from napari_elsplus.processing.mosaicing.keyframe_store import KeptFrames
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, around_all, tile_rectangle
-from napari_elsplus.processing.tracking.pose import State
+from napari_elsplus.processing.tracking.motion.pose import State
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.mosaic_board import MosaicBoard
-    from napari_elsplus.processing.mosaicing.kept import Kept
-    from napari_elsplus.processing.tracking.correction import Corrections
-    from napari_elsplus.processing.tracking.pose import Pose
+    from napari_elsplus.processing.mosaicing.keyframe_store import Kept
+    from napari_elsplus.processing.tracking.motion.pose import Pose
+    from napari_elsplus.processing.tracking.pose_graph.correction import Corrections
     from napari_elsplus.tracking_pipeline import Pipeline
 
     Where = tuple[int, tuple[int, int]]

@@ -16,10 +16,10 @@ from napari_elsplus.acquisition.laying import AlternatingLaying, Found, Laying
 from napari_elsplus.errors import InputError
 from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.processing.tracking.correction import Corrections, Path
-from napari_elsplus.processing.tracking.grid import FIELD
-from napari_elsplus.processing.tracking.pose import State
-from napari_elsplus.processing.tracking.trail import Trail
+from napari_elsplus.processing.tracking.front_end.grid import FIELD
+from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.pose_graph.correction import Corrections, Path
+from napari_elsplus.processing.tracking.pose_graph.keyframes import Trail
 from napari_elsplus.tracking_pipeline import Method, Pipeline
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.ring import Stamp
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackPoint
-    from napari_elsplus.processing.mosaicing.kept import Kept
+    from napari_elsplus.processing.mosaicing.keyframe_store import Kept
 
 REMEMBERED_FRAMES: Final = 2400
 """Rows of the track that are kept here, where a board has them all: ten seconds."""

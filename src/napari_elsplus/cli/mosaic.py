@@ -14,7 +14,7 @@ from napari_elsplus.pipelined import Pipelined
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.mosaicing.picture import picture
-from napari_elsplus.processing.tracking.pose import State
+from napari_elsplus.processing.tracking.motion.pose import State
 from napari_elsplus.timing import with_timing
 from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline
 

@@ -10,14 +10,14 @@ import numpy as np
 
 from napari_elsplus.evaluation.against_truth import WRONG_PX
 from napari_elsplus.evaluation.rig import simulated_rig
-from napari_elsplus.processing.tracking.frontend import FrontEnd
-from napari_elsplus.processing.tracking.grid import FIELD
-from napari_elsplus.processing.tracking.motion import Displacement, Velocity
-from napari_elsplus.processing.tracking.prediction import UNEVEN, needed_times, surprise_of, unevenly
-from napari_elsplus.processing.tracking.registration import Registrar
-from napari_elsplus.processing.tracking.second_look import DOUBT, SecondLook, unlit
+from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
+from napari_elsplus.processing.tracking.front_end.grid import FIELD
+from napari_elsplus.processing.tracking.motion.prediction import UNEVEN, needed_times, surprise_of, unevenly
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
+from napari_elsplus.processing.tracking.motion.warp_prior import warp_prior
+from napari_elsplus.processing.tracking.registration.low_texture import DOUBT, SecondLook, unlit
+from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION
-from napari_elsplus.processing.tracking.warp_prior import warp_prior
 from napari_elsplus.simulation.scenes import picture
 from napari_elsplus.simulation.textures import draw_fibres
 from napari_elsplus.simulation.trajectories import Recorded, trajectory
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.evaluation.rig import SimulatedRig
-    from napari_elsplus.processing.tracking.grid import Grid
-    from napari_elsplus.processing.tracking.registration import Link, View
-    from napari_elsplus.processing.tracking.warp_prior import WarpPrior
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.motion.warp_prior import WarpPrior
+    from napari_elsplus.processing.tracking.registration.pair_registration import Link, View
     from napari_elsplus.simulation.scenes import Scene
     from napari_elsplus.simulation.trajectories import Trajectory
 

@@ -13,7 +13,7 @@ from napari_elsplus.evaluation.rig import StopAndGo, simulated_rig, without_timi
 from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import trajectory
 from napari_elsplus.tracking_pipeline import Method, Pipeline

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.calibration.calibrate import measure_flat
-from napari_elsplus.processing.tracking.frontend import FrontEnd
+from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.simulation.calibration_scenes import background, transmission
 from napari_elsplus.simulation.instrument import REFERENCE_SLIT_ROWS, Instrument
 from napari_elsplus.simulation.renderer import Renderer

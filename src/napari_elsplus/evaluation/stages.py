@@ -9,11 +9,11 @@ import numpy as np
 
 from napari_elsplus.evaluation.running import thread_clock
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
-from napari_elsplus.processing.tracking.descent import CORRELATED_PX
-from napari_elsplus.processing.tracking.evidence import rival_evidence
-from napari_elsplus.processing.tracking.frontend import FrontEnd
-from napari_elsplus.processing.tracking.pose import State
-from napari_elsplus.processing.tracking.registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
+from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.registration.evidence import rival_evidence
+from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.registration.pyramid_descent import CORRELATED_PX
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.tracking.grid import Grid
-    from napari_elsplus.processing.tracking.motion import Warp
-    from napari_elsplus.processing.tracking.paper import PaperTracker
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+    from napari_elsplus.processing.tracking.template_tracking import PaperTracker
 
     Image = NDArray[np.float32] | NDArray[np.uint8]
 

@@ -59,9 +59,9 @@ class GrowingImage:
 
     Examples
     --------
-    >>> from napari_elsplus.processing.tracking.grid import Grid
+    >>> from napari_elsplus.processing.tracking.front_end.grid import Grid
     >>> from napari_elsplus.processing.mosaicing.mosaic import Mosaic
-    >>> from napari_elsplus.processing.tracking.motion import RollingShutter
+    >>> from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
     >>> mosaic = Mosaic(Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0)))
     >>> _ = mosaic.insert(np.full((120, 120), 7, np.float32), 0.0, 0.0)
     >>> image = GrowingImage()

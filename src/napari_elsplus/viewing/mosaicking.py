@@ -12,8 +12,8 @@ from napari_elsplus.io import TrackTable
 from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
-from napari_elsplus.processing.tracking.grid import FIELD
-from napari_elsplus.processing.tracking.pose import State
+from napari_elsplus.processing.tracking.front_end.grid import FIELD
+from napari_elsplus.processing.tracking.motion.pose import State
 from napari_elsplus.timing import with_timing
 from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline
 from napari_elsplus.viewing.growing import GrowingImage
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.mosaicing.tiles import Canvas
-    from napari_elsplus.processing.tracking.pose import Pose
+    from napari_elsplus.processing.tracking.motion.pose import Pose
 
     Watch = Callable[[Iterable[int]], Iterable[int]]
 

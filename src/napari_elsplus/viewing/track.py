@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.io.tracks import STATES
-from napari_elsplus.processing.tracking.paper import SIDE_PX, TEMPLATE_PX
-from napari_elsplus.processing.tracking.pose import State
+from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TEMPLATE_PX
 from napari_elsplus.processing.tracking.tracker import FARTHEST
 from napari_elsplus.tracking_pipeline import Method
 

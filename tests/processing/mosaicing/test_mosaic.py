@@ -8,9 +8,9 @@ from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.mosaicing.picture import picture
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, HeapTiles, Rectangle
-from napari_elsplus.processing.tracking.frontend import FrontEnd
-from napari_elsplus.processing.tracking.grid import Grid
-from napari_elsplus.processing.tracking.motion import RollingShutter, Velocity
+from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
+from napari_elsplus.processing.tracking.front_end.grid import Grid
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
 from napari_elsplus.tracking_pipeline import Pipeline
 from recordings import record, smooth_path, texture
 

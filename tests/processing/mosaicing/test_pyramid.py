@@ -5,8 +5,8 @@ import numpy as np
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.processing.mosaicing.pyramid import Pyramid
 from napari_elsplus.processing.mosaicing.tiles import Rectangle
-from napari_elsplus.processing.tracking.grid import Grid
-from napari_elsplus.processing.tracking.motion import RollingShutter
+from napari_elsplus.processing.tracking.front_end.grid import Grid
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
 
 GRID = Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0))
 

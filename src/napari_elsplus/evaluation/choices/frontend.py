@@ -17,8 +17,8 @@ from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method
 from napari_elsplus.evaluation.rig import simulated_rig
 from napari_elsplus.pipeline import finishing
 from napari_elsplus.processing.images.sectioning import Sectioner
-from napari_elsplus.processing.tracking.frontend import FrontEnd
-from napari_elsplus.processing.tracking.paper import SIDE_PX, takes_median
+from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
+from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, takes_median
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Still
 

@@ -12,8 +12,8 @@ from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
 from napari_elsplus.processing.mosaicing.mosaic import STILL, Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.tracking.grid import Grid, lit_pixels
-from napari_elsplus.processing.tracking.motion import Velocity
+from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Straight
 

@@ -17,7 +17,7 @@ from napari_elsplus.evaluation.running import thread_clock
 from napari_elsplus.evaluation.stages import PapersCanvas, our_stages, papers_stages
 from napari_elsplus.pipelined import Pipelined
 from napari_elsplus.processing.images.sectioning import Sectioner
-from napari_elsplus.processing.tracking.paper import SIDE_PX, PaperTracker
+from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, PaperTracker
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import HandHeld, Straight, Trajectory
 from napari_elsplus.tracking_pipeline import Pipeline

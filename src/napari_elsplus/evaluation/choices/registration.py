@@ -16,11 +16,11 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.evaluation.harness import Benchmark, Case, Claim, Judgement, Method, Role, TimedElsewhere, plain
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import SimulatedRig, StopAndGo, jumps, simulated_rig, tissue
-from napari_elsplus.processing.tracking.grid import Grid, lit_pixels
-from napari_elsplus.processing.tracking.motion import Warp
-from napari_elsplus.processing.tracking.paper import TEMPLATE_PX
-from napari_elsplus.processing.tracking.registration import Link, Registrar, View
-from napari_elsplus.processing.tracking.shift_search import LEAST_OVERLAP
+from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP
+from napari_elsplus.processing.tracking.template_tracking import TEMPLATE_PX
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,9 +13,9 @@ import numpy as np
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, Judgement, Method, Role
 from napari_elsplus.evaluation.rig import simulated_rig, tissue
-from napari_elsplus.processing.tracking.grid import Grid
-from napari_elsplus.processing.tracking.motion import Velocity, Warp
-from napari_elsplus.processing.tracking.registration import Link, Registrar
+from napari_elsplus.processing.tracking.front_end.grid import Grid
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
+from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar
 from napari_elsplus.simulation.trajectories import Straight, Trajectory, trajectory
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.evaluation.choices.registration import METHODS, WRONG_PX, Pair, judge, pairs_along
 from napari_elsplus.evaluation.harness import Absent, Benchmark, Case, Chart, Claim, TimedElsewhere, named
 from napari_elsplus.evaluation.rig import StopAndGo, dim, measured, tissue
-from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.simulation.instrument import Instrument
 
 if TYPE_CHECKING:

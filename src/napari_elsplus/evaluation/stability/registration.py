@@ -11,7 +11,7 @@ import numpy as np
 from napari_elsplus.evaluation.choices.registration import METHODS, judge, pairs_along
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, named, stressed
 from napari_elsplus.evaluation.rig import SimulatedRig, dim, jumps, measured, simulated_rig
-from napari_elsplus.processing.tracking.grid import Grid
+from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.simulation.instrument import Instrument
 from napari_elsplus.simulation.scenes import Plane, Scene, fibres
 from napari_elsplus.simulation.textures import Fibres

@@ -1,7 +1,7 @@
 """Frames laid into a mosaic: unsheared row by row, to a fraction of a pixel, as dead leaves or blended.
 
 A frame is first freed of the stretch and shear that its own motion gave it
-(:mod:`napari_elsplus.processing.tracking.motion`): each row of the mosaic then takes its pixels from one place between
+(:mod:`napari_elsplus.processing.tracking.motion.rolling_shutter`): each row of the mosaic then takes its pixels from one place between
 two rows of the frame, so that the interpolation weights of a row are constants.
 """
 
@@ -16,15 +16,15 @@ import numpy as np
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, exposure, overlap_sums
 from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
-from napari_elsplus.processing.tracking.grid import FIELD, lit_pixels
-from napari_elsplus.processing.tracking.ladder import turned_by, unsheared, upright
-from napari_elsplus.processing.tracking.motion import Velocity
-from napari_elsplus.processing.tracking.sampling import between, bilinear, neighbours
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, lit_pixels
+from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
+from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared, upright
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.grid import Grid
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
 
 _RAMP: Final = 0.25
 """Part of the radius over which the weight of a frame falls off towards its rim."""

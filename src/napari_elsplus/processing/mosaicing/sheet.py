@@ -37,9 +37,9 @@ class Sheet:
 
     Examples
     --------
-    >>> from napari_elsplus.processing.tracking.grid import Grid
+    >>> from napari_elsplus.processing.tracking.front_end.grid import Grid
     >>> from napari_elsplus.processing.mosaicing.mosaic import Mosaic
-    >>> from napari_elsplus.processing.tracking.motion import RollingShutter
+    >>> from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
     >>> grid = Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0))
     >>> first, second = Mosaic(grid), Mosaic(grid)
     >>> for mosaic in (first, second):

@@ -12,21 +12,21 @@ from dataclasses import dataclass
 from math import hypot, inf, isfinite, nan
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.processing.tracking.climb import Climb
-from napari_elsplus.processing.tracking.evidence import stretch_and_shear_variance
-from napari_elsplus.processing.tracking.ladder import Rung, turned_by
-from napari_elsplus.processing.tracking.motion import Displacement, Velocity
-from napari_elsplus.processing.tracking.pose import Pose, State
-from napari_elsplus.processing.tracking.prediction import AT_REST, Motion, Turning, needed_times, unevenly
-from napari_elsplus.processing.tracking.registration import Link, Registrar, View
-from napari_elsplus.processing.tracking.second_look import DOUBT, SecondLook, unlit
-from napari_elsplus.processing.tracking.warp_prior import WarpPrior, velocity_sigma, warp_prior
+from napari_elsplus.processing.tracking.motion.pose import Pose, State
+from napari_elsplus.processing.tracking.motion.prediction import AT_REST, Motion, Turning, needed_times, unevenly
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
+from napari_elsplus.processing.tracking.motion.warp_prior import WarpPrior, velocity_sigma, warp_prior
+from napari_elsplus.processing.tracking.registration.evidence import stretch_and_shear_variance
+from napari_elsplus.processing.tracking.registration.low_texture import DOUBT, SecondLook, unlit
+from napari_elsplus.processing.tracking.registration.model_selection import Climb
+from napari_elsplus.processing.tracking.registration.motion_models import Rung, turned_by
+from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.grid import Grid
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
 
 KEY_FRAME_REACH: Final = 0.1
 """Displacement from the key frame, in bundle diameters, at which it is renewed."""

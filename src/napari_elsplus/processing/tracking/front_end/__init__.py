@@ -1,0 +1,1 @@
+"""Raw frame to the image that is tracked: binning, grid, sampling."""

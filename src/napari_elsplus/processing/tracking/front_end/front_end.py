@@ -1,0 +1,169 @@
+"""From a raw frame to the image that is tracked and laid into the mosaic, in one pass over the camera's memory.
+
+What the paper does in steps (background, split, subtract, smooth, down-sample), fused: the two views are binned onto a
+coarser grid while they are read, the residual with its sub-pixel alignment in the binning weights, subtracted signed,
+smoothed over about one core, and divided by the flat. Thrapp and Hughes, Methods, "Image Processing".
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final
+
+import cv2
+import numpy as np
+
+from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.tracking.front_end.binning import is_blank, scratch, subtract_views
+from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+
+_LOWEST_FLAT: Final = 0.2
+_BINOMIAL: Final = np.array([1, 4, 6, 4, 1], np.float32)
+
+
+class FrontEnd:
+    """Turns raw frames into tracking images; built once per calibration, allocates nothing per frame.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Needs the bundle section; background, flat and rows per frame are used where they are known.
+    frame_shape : tuple of int
+        Rows and columns of the raw frames.
+    mode : Mode
+        Which image is made.
+
+    Raises
+    ------
+    CalibrationError
+        If the bundle was not located, or lies outside of such a frame.
+    """
+
+    def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode = Mode.ELS) -> None:
+        self.grid = grid = Grid.of(calibration)
+        self._frame_shape = (int(frame_shape[0]), int(frame_shape[1]))
+        assert calibration.bundle is not None
+        bundle, q = calibration.bundle, grid.binning
+        to_residual = np.linalg.inv(np.vstack([bundle.residual_to_confocal, (0.0, 0.0, 1.0)]))[:2]
+        gain = bundle.residual_gain
+        self._confocal = _Binning(grid, np.eye(3)[:2], frame_shape, 0.0 if mode is Mode.RESIDUAL else 1 / q**2)
+        sign = {Mode.LS: 0.0, Mode.RESIDUAL: 1.0, Mode.ELS: -1.0, Mode.ELSA: -1.0}[mode]
+        self._residual = _Binning(grid, to_residual, frame_shape, sign / gain / q**2)
+        self._work = scratch(grid.side, frame_shape[1])
+        self.lit = grid.spans(1.0)
+        inside = lit_pixels(*self.lit).astype(np.float32)
+        weights = _smooth(inside)
+        if calibration.flat is not None:
+            weights = np.maximum(_smooth(inside * self._binned_flat(calibration.flat)), _LOWEST_FLAT * weights)
+        self._scale = np.divide(inside, weights, out=np.zeros_like(inside), where=inside > 0)
+        self._offset = np.zeros_like(inside)
+        if calibration.background is not None:
+            if calibration.background.shape != tuple(frame_shape):
+                raise CalibrationError(
+                    f"the calibration's background has {calibration.background.shape} pixels, the frames {frame_shape}",
+                    "use the calibration that was made with this camera region",
+                )
+            background = np.ascontiguousarray(calibration.background, np.float32)
+            self._offset = self.image(background, np.zeros_like(inside))
+
+    def image(
+        self, raw: NDArray[Any], out: NDArray[np.float32], raw_residual: NDArray[Any] | None = None
+    ) -> NDArray[np.float32]:
+        """Make the tracking image of a raw frame.
+
+        Parameters
+        ----------
+        raw : numpy.ndarray
+            (rows, cols) raw frame, integer or float.
+        out : numpy.ndarray
+            (n, n) float32: filled with signed grey levels.
+        raw_residual : numpy.ndarray, optional
+            The frame that the residual is taken from, in ELSA.
+
+        Raises
+        ------
+        InputError
+            If a frame has another size.
+        """
+        for frame in (raw, raw_residual):
+            if frame is not None and frame.shape != self._frame_shape:
+                raise InputError(
+                    f"a frame has {frame.shape} pixels, the calibration is for {self._frame_shape}",
+                    "all frames of a recording must have one size",
+                )
+        confocal, residual = self._confocal, self._residual
+        subtract_views(
+            raw,
+            raw if raw_residual is None else raw_residual,
+            confocal.matrix,
+            residual.matrix,
+            (confocal.weight, residual.weight),
+            self.grid.binning,
+            *self.lit,
+            self._scale,
+            self._offset,
+            self._work,
+            out,
+        )
+        return out
+
+    def blank(self, raw: NDArray[Any]) -> bool:
+        """Whether the confocal view shows nothing, so that only background and flat field have structure.
+
+        Most of it is at the camera's limit, or all of it at one level.
+        """
+        grid = self.grid
+        top, left = grid.origin
+        reach = grid.side * grid.binning
+        return bool(is_blank(raw, top + reach // 4, left + reach // 4, reach // 2, _largest(raw.dtype)))
+
+    def _binned_flat(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the flat, whose middle is the bundle's centre, on the grid."""
+        grid, q = self.grid, self.grid.binning
+        where = (np.arange(grid.side * q) + 0.5) / q - 0.5
+        rows, cols = (
+            ((where - c) * q + (n - 1) / 2).astype(np.float32) for c, n in zip(grid.centre, flat.shape, strict=True)
+        )
+        fine = cv2.remap(flat, *np.meshgrid(cols, rows), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        binned: NDArray[np.float32] = fine.reshape(grid.side, q, grid.side, q).mean(axis=(1, 3))
+        return binned
+
+
+@cache
+def _largest(dtype: np.dtype[Any]) -> float:
+    """Return the camera's limit."""
+    return float(np.iinfo(dtype).max) if dtype.kind == "u" else np.inf
+
+
+def _smooth(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    smooth: NDArray[np.float32] = cv2.sepFilter2D(image, -1, _BINOMIAL, _BINOMIAL, borderType=cv2.BORDER_CONSTANT)
+    return smooth
+
+
+class _Binning:
+    """Where the grid's pixels lie in one view of the frame."""
+
+    def __init__(
+        self, grid: Grid, from_confocal: NDArray[np.float64], frame_shape: tuple[int, int], weight: float
+    ) -> None:
+        self.weight = weight
+        self.matrix = from_confocal.copy()
+        self.matrix[:, 2] += from_confocal[:, :2] @ grid.origin  # from camera pixels counted from the grid's corner
+        first, last = grid.spans(1.0)
+        rows = np.flatnonzero(last > first)
+        q = grid.binning
+        edge = [(q * r + u, q * c + u) for r in rows for c in (first[r], last[r] - 1) for u in (0, q - 1)]
+        there = np.column_stack([edge, np.ones(len(edge))]) @ self.matrix.T
+        low, high = np.floor(there.min(axis=0)), np.floor(there.max(axis=0)) + 2
+        if weight and (low.min() < 0 or (high > frame_shape).any()):
+            raise CalibrationError(
+                f"a bundle image reaches from ({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f}), "
+                f"outside of the {frame_shape[0]} x {frame_shape[1]} frame",
+                "locate the pair again, or record a larger region",
+            )

@@ -1,0 +1,114 @@
+"""The grid on which frames are tracked and laid into the mosaic: near one pixel per core."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import acos, ceil, floor, pi, sqrt
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+
+GRID_DIAMETER_PX: Final = 240.0
+"""The bundle is binned to about this diameter, near one pixel per core: the paper down-samples to 250."""
+FIELD: Final = 0.9
+"""Part of the bundle's diameter that is used: the paper crops to 90 %."""
+INNER_FIELD: Final = 0.8
+"""Part of it in which out-of-focus light cancels. Nearer to the rim the residual's line, which stands aside, is cut off
+by it before the confocal one is; what is left there does not move with the scene."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The grid of the tracked images within the camera's frame.
+
+    Parameters
+    ----------
+    side : int
+        Rows and columns of an image.
+    binning : int
+        Camera pixels per grid pixel, in both directions.
+    origin : tuple of int
+        Camera row and column of the first pixel's corner pixel.
+    centre : tuple of float
+        Row and column of the confocal bundle's centre on the grid.
+    diameter : float
+        Diameter of the lit disc in grid pixels.
+    shutter : RollingShutter
+        Timing of the grid's rows; without `rows_per_frame` in the calibration an infinitely fast one.
+    """
+
+    side: int
+    binning: int
+    origin: tuple[int, int]
+    centre: tuple[float, float]
+    diameter: float
+    shutter: RollingShutter
+
+    @classmethod
+    def of(cls, calibration: Calibration, diameter_px: float = GRID_DIAMETER_PX) -> Grid:
+        """Return the grid on which a calibrated bundle is tracked."""
+        calibration.require("bundle")
+        assert calibration.bundle is not None
+        bundle = calibration.bundle
+        binning = max(1, round(bundle.diameter_px / diameter_px))
+        side = 4 * ceil((bundle.diameter_px / binning + 2) / 4)
+        origin = tuple(floor(c - (side * binning - 1) / 2 + 0.5) for c in bundle.confocal_centre)
+        centre = tuple(
+            (c - o - (binning - 1) / 2) / binning for c, o in zip(bundle.confocal_centre, origin, strict=True)
+        )
+        rows = calibration.optics.rows_per_frame if calibration.optics is not None else None
+        shutter = (
+            RollingShutter(np.inf) if rows is None else RollingShutter(rows / binning, bundle.confocal_centre[0] / rows)
+        )
+        return cls(side, binning, (origin[0], origin[1]), (centre[0], centre[1]), bundle.diameter_px / binning, shutter)
+
+    def spans(self, field: float = FIELD, level: int = 0) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """First column of each row inside the central part of the disc, and the one after the last.
+
+        Parameters
+        ----------
+        field : float
+            Part of the diameter.
+        level : int
+            How often the grid was halved.
+        """
+        side, scale = self.side >> level, 2.0**level
+        row, col = ((c - (scale - 1) / 2) / scale for c in self.centre)
+        radius = 0.5 * field * self.diameter / scale
+        y = np.arange(side) - row
+        half = np.sqrt(np.maximum(radius**2 - y**2, 0))
+        lit = np.abs(y) < radius
+        first = np.where(lit, np.ceil(col - half), 0)
+        last = np.where(lit, np.floor(col + half) + 1, 0)
+        inside = np.clip(first, 1, side - 1), np.clip(last, 1, side - 1)
+        return inside[0].astype(np.int32), np.maximum(inside[0], inside[1]).astype(np.int32)
+
+    def middle(self, level: int = 0) -> float:
+        """Row of the bundle's centre on the grid halved so often."""
+        scale = 2.0**level
+        return (self.centre[0] - (scale - 1) / 2) / scale
+
+
+def lit_pixels(first: NDArray[np.int32], last: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Which pixels of an (n, n) image lie in the lit columns of their rows: from `first` to before `last`, (n,)."""
+    columns = np.arange(len(first))
+    return (columns >= first[:, None]) & (columns < last[:, None])
+
+
+def overlap_of_discs(diameters: float) -> float:
+    """Share of a disc that another of its size covers, whose centre lies so many diameters away.
+
+    Examples
+    --------
+    >>> [round(overlap_of_discs(diameters), 3) for diameters in (0.0, 0.5, 1.0)]
+    [1.0, 0.391, 0.0]
+    """
+    apart = min(abs(diameters), 1.0)
+    return 2 / pi * (acos(apart) - apart * sqrt(1 - apart**2))

@@ -1,0 +1,1 @@
+"""Motion of the probe: rolling shutter, poses, prediction, and the prior that they give a warp."""

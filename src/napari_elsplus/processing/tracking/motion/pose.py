@@ -1,0 +1,54 @@
+"""Where a frame was found to be, and how much that is worth."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
+
+
+class State(StrEnum):
+    """How much is known of a frame's position."""
+
+    TRACKED = "tracked"
+    """Linked to other frames by what they show."""
+    PREDICTED = "predicted"
+    """Not linked; the position is what the motion before suggests."""
+    LOST = "lost"
+    """Unknown."""
+
+
+class Pose(NamedTuple):
+    """Where the probe was while one frame was read; pixels of the tracking grid.
+
+    Parameters
+    ----------
+    segment : int
+        Positions are comparable within a segment.
+    row, col : float
+        Position when the bundle's middle row is read, relative to the segment's first frame; nan if lost.
+    velocity : Velocity
+        Pixels per frame period.
+    score : float
+        Correlation of the overlap with the frame that this one was linked to.
+    sigma : float
+        Larger axis of the position's uncertainty relative to that frame, one standard deviation.
+    state : State
+        Tracked, predicted or lost.
+    angle : float
+        Of the probe against the segment's first frame, radians, from rows towards columns; zero until asked for.
+    scale : float
+        Pixels of the first frame per pixel of this one.
+    """
+
+    segment: int
+    row: float
+    col: float
+    velocity: Velocity
+    score: float
+    sigma: float
+    state: State
+    angle: float = 0.0
+    scale: float = 1.0

@@ -1,0 +1,1 @@
+"""Keyframes, loop closure, and the pose graph, live and after the end."""

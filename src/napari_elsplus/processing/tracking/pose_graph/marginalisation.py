@@ -1,0 +1,123 @@
+"""A graph that stays small however long the path: nodes are let go, and what linked them links their neighbours."""
+
+from __future__ import annotations
+
+from math import hypot
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from napari_elsplus.processing.tracking.registration.motion_models import turned_by
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge
+
+
+def those_that_stay(
+    path: NDArray[np.float64], segment: NDArray[np.int64], free: NDArray[np.bool_], most: int
+) -> NDArray[np.bool_]:
+    """Choose nodes to be let go, so that those that stay lie evenly along the path; ends of segments stay.
+
+    Parameters
+    ----------
+    path : numpy.ndarray
+        (n,) how far along the path each node lies, in their order.
+    segment : numpy.ndarray
+        (n,) of the tracker.
+    free : numpy.ndarray
+        (n,) bool: which may be let go.
+    most : int
+        How many shall be left, if there are enough that may go.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n,) bool.
+
+    Examples
+    --------
+    >>> path = np.array([0.0, 1, 2, 3, 4, 9, 14])
+    >>> those_that_stay(path, np.zeros(7, np.int64), np.ones(7, bool), 4).tolist()
+    [True, False, False, False, True, True, True]
+    """
+    stays = np.ones(len(path), bool)
+    surplus = len(path) - most
+    while surplus > 0:
+        left = np.flatnonzero(stays)
+        before, here, after = left[:-2], left[1:-1], left[2:]
+        within = (segment[before] == segment[here]) & (segment[here] == segment[after]) & free[here]
+        if not within.any():
+            break
+        gaps = np.where(within, path[after] - path[before], np.inf)
+        beside: set[int] = set()
+        for k in np.argsort(gaps, kind="stable")[: min(int(within.sum()), surplus)].tolist():
+            if k not in beside:
+                stays[here[k]] = False
+                surplus -= 1
+                beside |= {k - 1, k + 1}
+    return stays
+
+
+def linked_anew(
+    chain: Sequence[Edge], loops: Sequence[Edge], stays: NDArray[np.bool_]
+) -> tuple[list[Edge], list[Edge]]:
+    """Link the nodes that stay by what linked all of them; of links between the same two the surest is kept.
+
+    Parameters
+    ----------
+    chain : sequence of Edge
+        From each node to the next of its segment, in their order.
+    loops : sequence of Edge
+        Others, from earlier to later nodes.
+    stays : numpy.ndarray
+        (n,) bool: which nodes stay. The first and the last of each segment do.
+
+    Returns
+    -------
+    chain, loops : list of Edge
+        The nodes numbered as before.
+    """
+    up_to: dict[int, Edge] = {}
+    left = []
+    for edge in chain:
+        whole = edge if stays[edge.earlier] else joined(up_to[edge.earlier], edge)
+        if stays[edge.later]:
+            left.append(whole)
+        else:
+            up_to[edge.later] = whole
+    onwards: dict[int, Edge] = {}
+    for edge in reversed(chain):
+        if not stays[edge.earlier]:
+            onwards[edge.earlier] = edge if stays[edge.later] else joined(edge, onwards[edge.later])
+    surest: dict[tuple[int, int], Edge] = {}
+    for edge in loops:
+        whole = edge if stays[edge.earlier] else joined(up_to[edge.earlier], edge)
+        whole = whole if stays[edge.later] else joined(whole, onwards[edge.later])
+        ends = whole.earlier, whole.later
+        if ends not in surest or np.trace(whole.covariance) < np.trace(surest[ends].covariance):
+            surest[ends] = whole
+    return left, list(surest.values())
+
+
+def joined(first: Edge, second: Edge) -> Edge:
+    """Return what two links, one after the other, say of the frames at their ends.
+
+    Examples
+    --------
+    >>> from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge
+    >>> quarter = Edge(0, 1, (0.0, 10.0), np.eye(2), turn=np.pi / 2, turn_sigma=0.3)
+    >>> both = joined(quarter, quarter._replace(earlier=1, later=2, turn_sigma=0.4))
+    >>> [round(value, 6) for value in both.displacement], both.later, both.turn == np.pi, both.turn_sigma
+    ([10.0, 10.0], 2, True, 0.5)
+    """
+    turned = turned_by(-second.turn, 1 / second.zoom)
+    row, col = (turned @ first.displacement + second.displacement).tolist()
+    covariance = turned @ first.covariance @ turned.T + second.covariance
+    return first._replace(
+        later=second.later, displacement=(row, col), covariance=covariance, turn=first.turn + second.turn,
+        zoom=first.zoom * second.zoom, turn_sigma=min(1.0, hypot(first.turn_sigma, second.turn_sigma)),
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Registration of two frames: shift search, Lucas-Kanade, motion models, evidence."""

@@ -1,0 +1,353 @@
+"""Two frames brought onto each other to a hundredth of a pixel: inverse-compositional Lucas-Kanade.
+
+The model is the rolling shutter's warp (:mod:`napari_elsplus.processing.tracking.motion.rolling_shutter`): rows stretched, columns
+sheared. Differences of gain and offset between the frames are projected out.
+
+References
+----------
+Baker and Matthews, Int. J. Comput. Vis. 56, 221 (2004), doi:10.1023/B:VISI.0000011205.11775.fd.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.processing.compiled import lean_kernel
+from napari_elsplus.processing.tracking.front_end.sampling import (
+    between,
+    bilinear,
+    finely_sampled,
+    neighbours,
+    reaches,
+    row_shift,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+PARAMETERS = 4
+"""a, b, s, d of the warp."""
+_UNKNOWNS = PARAMETERS + 2  # and the gain and offset between the frames
+
+
+class Workspace(NamedTuple):
+    """What :func:`align` and what is built on it work in; one for each thread at work.
+
+    Parameters
+    ----------
+    equations : numpy.ndarray
+        (7, 6, 6) float64; align uses the first three.
+    samples : numpy.ndarray
+        (2, n) float32, as wide as the frames.
+    """
+
+    equations: NDArray[np.float64]
+    samples: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, side: int) -> Workspace:
+        """Return one for frames of so many pixels squared."""
+        return cls(np.zeros((7, _UNKNOWNS, _UNKNOWNS)), np.zeros((2, side), np.float32))
+
+
+@lean_kernel
+def accumulate(
+    template: NDArray[np.float32],
+    image: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle: float,
+    warp: NDArray[np.float64],
+    tone: NDArray[np.float64],
+    row_step: int,
+    finely: bool,
+    normal: NDArray[np.float64],
+    right: NDArray[np.float64],
+    samples: NDArray[np.float32],
+) -> tuple[float, float, float, float, float]:
+    """Fill the normal equations of a step.
+
+    Returns the number of pixels; the variances of template and image and their covariance, times that number; and the
+    mean squared difference between the frames, weighted by the squared gradient: noise counts where structure is.
+    """
+    normal[:] = 0.0
+    right[:] = 0.0
+    height = template.shape[0]
+    count, sum_t, sum_i, sum_tt, sum_ti, sum_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    steep, noise_level = 0.0, 0.0
+    gain, offset = np.float32(tone[0]), np.float32(tone[1])
+    for row in range(1, height - 1, row_step):
+        above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
+        if end <= begin:
+            continue
+        size = end - begin
+        here = template[row, begin:end]
+        left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
+        over, under = template[row - 1, begin:end], template[row + 1, begin:end]
+        corners, weights = neighbours(image, above, begin + whole, size), bilinear(down, across)
+        if finely and reaches(image.shape, above, begin + whole, size):
+            corners, weights = finely_sampled(image, above, down, begin + whole, across, size, samples)
+        zero = np.float32(0)
+        t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
+        y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
+        for k in range(size):
+            t = here[k]
+            gx = np.float32(0.5) * (right_of[k] - left[k])
+            gy = np.float32(0.5) * (under[k] - over[k])
+            i = between(corners, weights, k)
+            e = i - gain * t - offset
+            t1 += t
+            i1 += i
+            tt += t * t
+            ti += t * i
+            ii += i * i
+            y1 += gy
+            x1 += gx
+            yy += gy * gy
+            yx += gy * gx
+            xx += gx * gx
+            yt += gy * t
+            xt += gx * t
+            ye += gy * e
+            xe += gx * e
+            gg += (gy * gy + gx * gx) * e * e
+        y = row - middle
+        noise_level += float(gg)
+        steep += float(yy) + float(xx)
+        count += size
+        sum_t += float(t1)
+        sum_i += float(i1)
+        sum_tt += float(tt)
+        sum_ti += float(ti)
+        sum_ii += float(ii)
+        normal[0, 0] += y * y * yy
+        normal[0, 1] += y * yy
+        normal[0, 2] += y * y * yx
+        normal[0, 3] += y * yx
+        normal[0, 4] += y * yt
+        normal[0, 5] += y * y1
+        normal[1, 1] += yy
+        normal[1, 3] += yx
+        normal[1, 4] += yt
+        normal[1, 5] += y1
+        normal[2, 2] += y * y * xx
+        normal[2, 3] += y * xx
+        normal[2, 4] += y * xt
+        normal[2, 5] += y * x1
+        normal[3, 3] += xx
+        normal[3, 4] += xt
+        normal[3, 5] += x1
+        right[0] += y * ye
+        right[1] += ye
+        right[2] += y * xe
+        right[3] += xe
+    normal[1, 2] = normal[0, 3]
+    normal[4, 4] = sum_tt
+    normal[4, 5] = sum_t
+    normal[5, 5] = count
+    right[4] = sum_ti - tone[0] * sum_tt - tone[1] * sum_t
+    right[5] = sum_i - tone[0] * sum_t - tone[1] * count
+    for m in range(_UNKNOWNS):
+        for n in range(m):
+            normal[m, n] = normal[n, m]
+    if count == 0 or steep == 0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    return (
+        count,
+        sum_tt - sum_t * sum_t / count,
+        sum_ii - sum_i * sum_i / count,
+        sum_ti - sum_t * sum_i / count,
+        noise_level / steep,
+    )
+
+
+@lean_kernel
+def fitted_tone(count: float, t1: float, i1: float, tt: float, ti: float) -> tuple[float, float]:
+    """Gain and offset of an image i against a template t, from sums over pixels; 1 and 0 where these are even."""
+    spread = tt * count - t1 * t1
+    if not spread > 0:
+        return 1.0, 0.0
+    gain = (ti * count - t1 * i1) / spread
+    return gain, (i1 - gain * t1) / count
+
+
+@lean_kernel
+def correlation(
+    template: NDArray[np.float32],
+    image: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle: float,
+    warp: NDArray[np.float64],
+    row_step: int,
+) -> tuple[float, float]:
+    """Zero-mean normalised correlation of the overlap under a warp, and the number of its pixels."""
+    height = template.shape[0]
+    count, sum_t, sum_i, sum_tt, sum_ti, sum_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for row in range(0, height, row_step):
+        above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
+        if end <= begin:
+            continue
+        here, corners = template[row, begin:end], neighbours(image, above, begin + whole, end - begin)
+        weights = bilinear(down, across)
+        zero = np.float32(0)
+        t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
+        for k in range(end - begin):
+            t, i = here[k], between(corners, weights, k)
+            t1 += t
+            i1 += i
+            tt += t * t
+            ti += t * i
+            ii += i * i
+        count += end - begin
+        sum_t += float(t1)
+        sum_i += float(i1)
+        sum_tt += float(tt)
+        sum_ti += float(ti)
+        sum_ii += float(ii)
+    return _correlation(
+        count,
+        sum_tt - sum_t * sum_t / max(count, 1.0),
+        sum_ii - sum_i * sum_i / max(count, 1.0),
+        sum_ti - sum_t * sum_i / max(count, 1.0),
+    ), count
+
+
+@lean_kernel
+def _correlation(count: float, template: float, image: float, both: float) -> float:
+    if count < 2 or not (template > 0 and image > 0):
+        return 0.0
+    return float(both / np.sqrt(template * image))
+
+
+@lean_kernel
+def align(
+    template: NDArray[np.float32],
+    image: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle: float,
+    row_step: int,
+    steps: int,
+    tolerance_px: float,
+    finely: bool,
+    expected: NDArray[np.float64],
+    stiffness: NDArray[np.float64],
+    correlated_px: float,
+    warp: NDArray[np.float64],
+    information: NDArray[np.float64],
+    work: Workspace,
+) -> tuple[float, float]:
+    """Refine a warp in place; fill its information matrix; return correlation and number of pixels of the overlap.
+
+    Parameters
+    ----------
+    template, image : numpy.ndarray
+        (n, n) float32 frames on one grid.
+    first, last : numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
+    middle : float
+        Row of the bundle's centre.
+    row_step : int
+        Every how many rows are used.
+    steps : int
+        Largest number of Gauss-Newton steps.
+    tolerance_px : float
+        A step that moves no pixel farther than this is the last.
+    finely : bool
+        Whether the image is sampled through six by six pixels, else between four.
+    expected, stiffness : numpy.ndarray
+        (4,) and (4, 4) float64, or larger: what is known of the warp beforehand, and its information; zero leaves a
+        parameter free.
+    correlated_px : float
+        Number of pixels that share one independent noise value: scales the information.
+    warp : numpy.ndarray
+        (4,) float64: a, b, s, d; where to start, and the result.
+    information : numpy.ndarray
+        (4, 4) float64: inverse covariance of the result, what was known beforehand included.
+    work : Workspace
+        For frames of this size or larger.
+
+    Returns
+    -------
+    float
+        Zero-mean normalised correlation just before the last step; 0 where there is no overlap or no structure.
+    float
+        Number of pixels in it.
+    """
+    normal, right, tone = work.equations[0], work.equations[1, 0], work.equations[1, 1]
+    tone[0], tone[1] = 1.0, 0.0  # gain and offset of the image against the template
+    ncc, count = 0.0, 0.0
+    information[:] = 0.0
+    for _ in range(steps):
+        count, template_sum, image_sum, both, noise = accumulate(
+            template, image, first, last, middle, warp, tone, row_step, finely, normal, right, work.samples
+        )
+        ncc = _correlation(count, template_sum, image_sum, both)
+        if ncc == 0.0:
+            return 0.0, count
+        noise = max(noise, 1e-6 * image_sum / count) * correlated_px
+        for i in range(PARAMETERS):
+            for k in range(PARAMETERS):
+                normal[i, k] += stiffness[i, k] * noise
+                right[i] += stiffness[i, k] * noise * (warp[k] - expected[k])
+        if not solve(normal, right, work.equations[2]):
+            return 0.0, count
+        da, db, ds, dd = right[0], right[1], right[2], right[3]
+        if abs(da) > 0.2 or abs(ds) > 0.2:
+            return 0.0, count
+        s = (warp[2] - ds) / (1 + da)
+        a = warp[0] / (1 + da)
+        warp[1] -= a * db
+        warp[3] -= dd + s * db
+        warp[0], warp[2] = a, s
+        tone[0] += right[PARAMETERS]
+        tone[1] += right[PARAMETERS + 1]
+        # what is known of the warp once gain and offset are eliminated: the Schur complement, left by the elimination
+        for i in range(PARAMETERS):
+            for k in range(PARAMETERS):
+                information[i, k] = normal[i, k] / noise
+        if abs(db) + abs(dd) + (abs(da) + abs(ds)) * 0.5 * len(first) < tolerance_px:
+            break
+    return ncc, count
+
+
+@lean_kernel
+def solve(normal: NDArray[np.float64], right: NDArray[np.float64], rest: NDArray[np.float64]) -> bool:
+    """Solve symmetric equations in place, gain and offset first; leave the warp's Schur complement in `normal`.
+
+    `rest` is scratch of the size of `normal`.
+    """
+    size = len(right)
+    for pivot in range(size - 1, PARAMETERS - 1, -1):
+        p = normal[pivot, pivot]
+        if not p > 0:
+            return False
+        for i in range(pivot):
+            f = normal[i, pivot] / p
+            for k in range(pivot):
+                normal[i, k] -= f * normal[pivot, k]
+            right[i] -= f * right[pivot]
+    for i in range(PARAMETERS):
+        for k in range(PARAMETERS):
+            rest[i, k] = normal[i, k]
+    for pivot in range(PARAMETERS):
+        p = rest[pivot, pivot]
+        if not p > 1e-9 * normal[pivot, pivot]:
+            return False
+        for i in range(pivot + 1, PARAMETERS):
+            f = rest[i, pivot] / p
+            for k in range(pivot, PARAMETERS):
+                rest[i, k] -= f * rest[pivot, k]
+            right[i] -= f * right[pivot]
+    for i in range(PARAMETERS - 1, -1, -1):
+        for k in range(i + 1, PARAMETERS):
+            right[i] -= rest[i, k] * right[k]
+        right[i] /= rest[i, i]
+    for i in range(PARAMETERS, size):
+        for k in range(i):
+            right[i] -= normal[i, k] * right[k]
+        right[i] /= normal[i, i]
+    return True

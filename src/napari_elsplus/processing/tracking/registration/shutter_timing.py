@@ -1,0 +1,86 @@
+"""Rows per frame period, measured on a moving probe, for recordings whose calibration does not know it.
+
+While the probe gains velocity, each frame is stretched a little more than the one before; the gain itself shows in the
+shifts between frames. Their ratio is the rows per frame period, idle time included. Steady motion says nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
+    from napari_elsplus.processing.tracking.registration.pair_registration import Link
+
+_ROUNDS: Final = 6
+_TRUSTED: Final = 0.03
+"""Largest uncertainty of the rows per frame, as a part of them, at which they are used."""
+_FEWEST: Final = 10
+
+
+class RowsPerFrame(NamedTuple):
+    """Rows per frame period and one standard deviation of it, in rows of the grid."""
+
+    rows: float
+    sigma: float
+
+
+def estimate_rows_per_frame(
+    links: Sequence[tuple[int, int, Displacement, Link]], assumed: RollingShutter
+) -> RowsPerFrame | None:
+    """Estimate the rows per frame from the links of a track.
+
+    Parameters
+    ----------
+    links : sequence of tuple
+        (earlier frame, later frame, displacement, link); only those between successive frames are used, and of these
+        only runs of three.
+    assumed : RollingShutter
+        Timing with which the links were found; where to start.
+
+    Returns
+    -------
+    RowsPerFrame or None
+        None if the motion was too even, or too slow, to say it within 3 %.
+    """
+    # where frames were looked at again, stretch and shear were told by the timing that is to be found
+    free = (found for found in links if found[1] == found[0] + 1 and np.isnan(found[3].again))
+    warps = {earlier: link.warp for earlier, _, _, link in free}
+    runs = [k for k in warps if k - 1 in warps and k + 1 in warps]
+    if len(runs) < _FEWEST:
+        return None
+    inverse, sigma = 1 / assumed.rows_per_frame, np.inf
+    for _ in range(_ROUNDS):
+        shutter = RollingShutter(1 / inverse, assumed.middle)
+        gained, bent = _gains(warps, runs, shutter)
+        weight = np.ones(len(gained))
+        for _ in range(_ROUNDS):
+            inverse = float((weight * gained * bent).sum() / (weight * gained * gained).sum())
+            miss = bent - inverse * gained
+            scale = 1.4826 * float(np.median(np.abs(miss))) + 1e-12
+            weight = 1 / (1 + (miss / (3 * scale)) ** 2)
+        sigma = scale / float(np.sqrt((gained * gained).sum()))
+        if not inverse > sigma / _TRUSTED:
+            return None
+    return RowsPerFrame(1 / inverse, sigma / inverse**2)
+
+
+def _gains(
+    warps: dict[int, Warp], runs: Sequence[int], shutter: RollingShutter
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Velocity gained from frame to frame, rows then columns, and how much more bent the later frame is."""
+    after = {k: shutter.velocities(warp)[1] for k, warp in warps.items()}
+    step = {k: shutter.displacement(warp, after[k]) for k, warp in warps.items()}
+    r = shutter.rows_per_frame
+    rows = [((step[k + 1].row - step[k - 1].row) / 2, (1 - warps[k].a) * (1 + after[k].row / r)) for k in runs]
+    cols = [((step[k + 1].col - step[k - 1].col) / 2, (1 - warps[k].a) * after[k].col / r - warps[k].s) for k in runs]
+    both = np.array(rows + cols)
+    return both[:, 0], both[:, 1]

@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
+from napari_elsplus.processing.tracking.front_end.grid import Grid
+
+SHAPE = (524, 1328)
+LEFT, RIGHT = np.array([261.3, 300.7]), np.array([255.1, 900.4])
+
+
+def calibration(diameter: float = 464.0, turn_deg: float = 0.0, scale: float = 1.0, **more: Any) -> Calibration:
+    t = np.deg2rad(turn_deg)
+    turn = scale * np.array([(np.cos(t), -np.sin(t)), (np.sin(t), np.cos(t))])
+    bundle = {
+        "confocal_centre": LEFT.tolist(),
+        "residual_centre": RIGHT.tolist(),
+        "diameter_px": diameter,
+        "residual_to_confocal": np.column_stack([turn, LEFT - turn @ RIGHT]).tolist(),
+    } | more
+    return Calibration.parse({"bundle": bundle})
+
+
+def inside(grid: Grid, field: float = 0.95) -> np.ndarray:
+    first, last = grid.spans(field)
+    columns = np.arange(grid.side)
+    return (columns >= first[:, None]) & (columns < last[:, None])
+
+
+@pytest.mark.parametrize("diameter", [200.0, 464.0, 650.0])
+@pytest.mark.parametrize(("turn_deg", "scale"), [(0.0, 1.0), (0.3, 1.005), (-0.5, 0.99)])
+def test_residual_is_taken_from_where_the_calibration_maps_it(diameter: float, turn_deg: float, scale: float) -> None:
+    """On a linear image bilinear binning and smoothing are exact, so the position is checked to rounding."""
+    shape = (800, 1500)
+    record = calibration(diameter, turn_deg, scale)
+    shift = np.array([120.0, 60.0])
+    content = record.content()
+    for name in ("confocal_centre", "residual_centre"):
+        content["bundle"][name] = (np.array(content["bundle"][name]) + shift).tolist()
+    matrix = np.array(content["bundle"]["residual_to_confocal"])
+    matrix[:, 2] += shift - matrix[:, :2] @ shift
+    content["bundle"]["residual_to_confocal"] = matrix.tolist()
+    row, col = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+    front_end = FrontEnd(Calibration.parse(content), shape, Mode.RESIDUAL)
+    grid = front_end.grid
+    image = front_end.image(0.3 * row + 0.2 * col, np.empty((grid.side, grid.side), np.float32))
+    y, x = (
+        o + grid.binning * i + (grid.binning - 1) / 2
+        for o, i in zip(grid.origin, np.mgrid[: grid.side, : grid.side], strict=True)
+    )
+    there = np.linalg.inv(np.vstack([matrix, (0, 0, 1)])) @ np.stack([y.ravel(), x.ravel(), np.ones(y.size)])
+    expected = (0.3 * there[0] + 0.2 * there[1]).reshape(y.shape)
+    assert np.abs(image - expected)[inside(grid)].max() < 1e-3
+
+
+def test_els_is_ls_minus_residual_over_gain_and_keeps_its_sign() -> None:
+    rng = np.random.default_rng(1)
+    raw = rng.integers(0, 255, SHAPE, dtype=np.uint8)
+    record = calibration(residual_gain=0.93)
+    image = {}
+    for mode in (Mode.LS, Mode.RESIDUAL, Mode.ELS):
+        front_end = FrontEnd(record, SHAPE, mode)
+        image[mode] = front_end.image(raw, np.empty((front_end.grid.side,) * 2, np.float32)).copy()
+    np.testing.assert_allclose(image[Mode.ELS], image[Mode.LS] - image[Mode.RESIDUAL], atol=1e-3)
+    assert image[Mode.ELS][inside(front_end.grid)].min() < 0
+
+
+def test_background_and_flat_leave_the_scene() -> None:
+    record = calibration(280.0)
+    side = 284
+    row, col = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    vignette = 1.2 - 0.5 * ((row - LEFT[0]) ** 2 + (col - LEFT[1]) ** 2) / 140**2
+    background = (7 + 0.01 * col).astype(np.float32)
+    middle = np.arange(side) - (side - 1) / 2
+    flat = (1.2 - 0.5 * (middle[:, None] ** 2 + middle**2) / 140**2).astype(np.float32)
+    record = record.model_copy(update={"background": background, "flat": flat})
+    front_end = FrontEnd(record, SHAPE, Mode.LS)
+    raw = (50 * vignette + background).astype(np.float32)
+    image = front_end.image(raw, np.empty((front_end.grid.side,) * 2, np.float32))
+    assert np.abs(image - 50)[inside(front_end.grid, 0.9)].max() < 0.2
+
+
+def test_bundle_is_binned_to_about_one_pixel_per_core() -> None:
+    for diameter, binning in ((150.0, 1), (270.0, 1), (464.0, 2), (650.0, 3)):
+        grid = Grid.of(calibration(diameter))
+        assert grid.binning == binning
+        centre = [o + (binning - 1) / 2 + binning * c for o, c in zip(grid.origin, grid.centre, strict=True)]
+        assert centre == pytest.approx(LEFT)
+
+
+def test_rows_per_frame_are_counted_on_the_grid() -> None:
+    content = calibration().content() | {"optics": {"rows_per_frame": 544.8}}
+    grid = Grid.of(Calibration.parse(content))
+    assert grid.shutter.rows_per_frame == pytest.approx(272.4)
+    assert grid.shutter.middle == pytest.approx(261.3 / 544.8)
+    assert np.isinf(Grid.of(calibration()).shutter.rows_per_frame)
+
+
+def test_views_outside_of_the_frame_are_refused() -> None:
+    with pytest.raises(CalibrationError, match="outside of the 400 x 1328 frame"):
+        FrontEnd(calibration(), (400, 1328))
+    with pytest.raises(CalibrationError, match="background"):
+        FrontEnd(calibration().model_copy(update={"background": np.zeros((9, 9), np.float32)}), SHAPE)
+
+
+def test_frames_of_another_size_are_refused() -> None:
+    front_end = FrontEnd(calibration(), SHAPE)
+    out = np.empty((front_end.grid.side,) * 2, np.float32)
+    for frames in ((np.zeros((300, 600), np.uint8),), (np.zeros(SHAPE, np.uint8), out, np.zeros((9, 9), np.uint8))):
+        with pytest.raises(InputError, match="all frames of a recording must have one size"):
+            front_end.image(frames[0], out, *frames[2:])

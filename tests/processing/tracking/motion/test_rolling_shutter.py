@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity, Warp
+
+SHUTTER = RollingShutter(300.0, 0.47)
+BEFORE, AFTER = Velocity(30.0, -12.0), Velocity(34.0, -7.0)
+
+
+def test_warp_is_where_a_point_of_the_scene_lies_in_both_frames() -> None:
+    """Brute force: follow one point through both frames' rows."""
+    step = SHUTTER.step(BEFORE, AFTER)
+    warp = SHUTTER.warp(BEFORE, AFTER, step)
+    for y, x in ((-90.0, 20.0), (0.0, 0.0), (75.0, -60.0)):
+        scene = y + BEFORE.row * y / 300, x + BEFORE.col * y / 300
+        later = warp.a * y + warp.b, x + warp.s * y + warp.d
+        seen = (
+            later[0] + AFTER.row * later[0] / 300 + step.row,
+            later[1] + AFTER.col * later[0] / 300 + step.col,
+        )
+        assert seen == pytest.approx(scene, abs=1e-9)
+
+
+def test_both_velocities_come_back_from_the_four_parameters() -> None:
+    warp = SHUTTER.warp(BEFORE, AFTER, SHUTTER.step(BEFORE, AFTER))
+    found = SHUTTER.velocities(warp)
+    np.testing.assert_allclose(found, (BEFORE, AFTER), atol=1e-9)
+    np.testing.assert_allclose(SHUTTER.displacement(warp, AFTER), SHUTTER.step(BEFORE, AFTER), atol=1e-9)
+
+
+@pytest.mark.parametrize("frames_apart", [1, 2, 5])
+def test_steady_motion_over_several_frames(frames_apart: int) -> None:
+    moved = type(SHUTTER.step(BEFORE, BEFORE))(frames_apart * BEFORE.row, frames_apart * BEFORE.col)
+    warp = SHUTTER.warp(BEFORE, BEFORE, moved)
+    assert SHUTTER.steady(warp, frames_apart) == pytest.approx(BEFORE)
+
+
+def test_without_a_rolling_shutter_the_displacement_is_minus_the_shift() -> None:
+    still = RollingShutter(math.inf)
+    warp = Warp(1.0, -8.0, 0.0, 3.0)
+    assert still.displacement(warp, AFTER) == (8.0, -3.0)
+    assert still.velocities(warp)[1] == (8.0, -3.0)
+
+
+def test_impossible_timing_is_refused() -> None:
+    with pytest.raises(InputError, match=r"rows_per_frame is 0\.0"):
+        RollingShutter(0.0)

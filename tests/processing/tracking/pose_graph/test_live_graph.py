@@ -1,0 +1,140 @@
+"""Nodes, loops and corrections without threads: a tracker that drifts, on frames that know the truth."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
+from napari_elsplus.processing.tracking.motion.pose import Pose, State
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
+from napari_elsplus.processing.tracking.pose_graph import live_graph
+from napari_elsplus.processing.tracking.pose_graph.correction import Correction, Corrections
+from napari_elsplus.processing.tracking.pose_graph.keyframes import Node, Trail
+from napari_elsplus.processing.tracking.pose_graph.live_graph import LiveGraph
+from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar
+from napari_elsplus.processing.tracking.tracker import Tracker
+from recordings import Truth, record, texture
+
+ROUND, SPEED = 50, 14.0
+DRIFT = 0.002
+"""Part of the path by which poses are spoilt, along the rows."""
+
+
+@cache
+def truth() -> Truth:
+    """A probe that goes once round, and a little further."""
+    t = 2 * np.pi * np.arange(ROUND + 12) / ROUND
+    radius = SPEED * ROUND / (2 * np.pi)
+    return record(texture(600, 8), 300 + radius * np.stack([np.sin(t), np.cos(t)], 1))
+
+
+def spoilt(pose: Pose, frame: int) -> Pose:
+    return pose._replace(row=pose.row + DRIFT * SPEED * frame)
+
+
+@pytest.mark.parametrize(
+    ("lifted", "few"), [(False, False), (True, False), (False, True)], ids=["one segment", "two segments", "few nodes"]
+)
+def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
+    lifted: bool, few: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_graph, "MOST_NODES", 6 if few else 1000)
+    front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
+    tracker, trail = Tracker(front_end.grid), Trail(front_end.grid)
+    registrar, views, images = Registrar(front_end.grid), {}, {}
+    graph = LiveGraph(registrar, lambda number: views[graph.nodes[number].frame])
+    found: list[tuple[int, Pose]] = []
+    recognised = 0
+    for k, frame in enumerate(truth().frames):
+        front_end.image(frame, tracker.slot())
+        if lifted and 20 <= k < 30:
+            tracker.slot()[:] = 0
+        images[k] = tracker.slot().copy()
+        pose = spoilt(tracker.add(), k)
+        if pose.state is not State.TRACKED:
+            continue
+        found.append((k, pose))
+        node = trail.add(k, pose, (*tracker.links[-1][:2], tracker.links[-1][3]) if tracker.links else None)
+        if node is not None:
+            views[node.frame] = view = registrar.view()
+            view.image[:] = images[node.frame]
+            registrar.prepare(view)
+            recognised += graph.add(node)
+            graph.thin(lambda node: node.frame < 12)
+    assert len(graph.nodes) == len(views) if not few else len(graph.nodes) < 8 < len(views)
+    assert len(views) < len(found) / 3
+    assert recognised
+    assert graph.solve()
+    corrections = graph.corrections
+    placed = [corrections.of(k, pose) for k, pose in found]
+    assert {place.segment for place in placed} == {0}
+    true = truth().positions[[k for k, _ in found]] / front_end.grid.binning
+    errors = np.array([(place.row, place.col) for place in placed]) - (true - true[0])
+    drifted = DRIFT * SPEED * len(truth().frames)
+    assert (
+        np.hypot(*errors.T).max() < (0.7 if lifted else 0.25) * drifted
+    )  # within a lone segment nothing tells of drift
+    whole = corrections.of_frames(
+        np.array([k for k, _ in found]),
+        np.array([pose.segment for _, pose in found]),
+        *np.array([(pose.row, pose.col) for _, pose in found]).T,
+    )
+    np.testing.assert_allclose(np.stack(whole[1:3], 1), [(place.row, place.col) for place in placed])
+    if not lifted:
+        graph.forget(0)
+        assert graph.corrections.of(*found[-1]) == found[-1][1]
+        assert not graph.solve()
+
+
+def test_a_correction_takes_a_turned_pose_to_its_place() -> None:
+    pose = Pose(4, 100.0, -30.0, Velocity(1.0, 2.0), 0.9, 0.1, State.TRACKED, angle=0.1)
+    place = pose._replace(segment=1, row=7.0, col=9.0, angle=0.35, scale=1.02)
+    there = Correction.between(pose, place).of(pose)
+    assert there.segment == 1
+    np.testing.assert_allclose([there.row, there.col, there.angle, there.scale], [7.0, 9.0, 0.35, 1.02])
+    lost = pose._replace(row=np.nan, col=np.nan, state=State.LOST)
+    assert np.isnan(Correction.between(pose, place).of(lost).row)
+
+
+def test_segments_that_nothing_is_known_of_stay_where_they_are() -> None:
+    pose = Pose(2, 1.0, 2.0, Velocity(0.0, 0.0), 0.9, 0.1, State.TRACKED)
+    known = Corrections({0: [(5, Correction(0, 3.0))], 2: [(5, Correction(0, 3.0))]})
+    assert known.of(9, pose).segment == 0
+    assert known.without({2}).of(9, pose) == pose
+    assert known.without({2}).newest(0) == known.newest(0)
+    assert known.newest(7) == Correction(7)
+
+
+def test_the_longer_the_way_between_two_nodes_the_less_it_is_trusted() -> None:
+    grid = FrontEnd(truth().calibration, truth().frames.shape[1:]).grid
+    tracker, trail = Tracker(grid), Trail(grid)
+    front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
+    nodes: list[Node] = []
+    for k, frame in enumerate(truth().frames):
+        front_end.image(frame, tracker.slot())
+        node = trail.add(k, tracker.add(), (*tracker.links[-1][:2], tracker.links[-1][3]) if tracker.links else None)
+        nodes += [] if node is None else [node]
+    gone = np.array([node.gone_px for node in nodes[1:]])
+    assert (gone >= 0.25 * grid.diameter).all()
+    assert gone.max() < 0.25 * grid.diameter + 2 * SPEED
+    sigma = np.sqrt([np.linalg.eigvalsh(node.covariance)[-1] for node in nodes[1:]])
+    assert (sigma > 0.001 * gone).all()
+    assert sigma.max() < 0.5
+
+
+def test_the_node_at_which_a_turn_was_noticed_does_not_say_how_far_the_probe_turned_since_the_one_before() -> None:
+    grid = FrontEnd(truth().calibration, truth().frames.shape[1:]).grid
+    trail = Trail(grid)
+    link = Link(Warp(1.0, -2.0, 0.0, 0.0), np.eye(4) * 1e4, 0.95, 0.9, 1.0, turn=0.01, turn_sigma=1e-3)
+    pose = Pose(1, 0.0, 0.0, Velocity(2.0, 0.0), 0.9, 0.1, State.TRACKED)
+    first = trail.add(0, pose, (0, 1, link))
+    assert first is not None
+    assert trail.add(1, pose._replace(row=2.0), (1, 2, link)) is None
+    node = trail.add(2, pose._replace(row=4.0, angle=0.1), (2, 3, link))
+    assert node is not None
+    assert node.upright == (1, pose._replace(row=2.0))
+    assert node.turn_sigma == 1.0
+    assert trail.add(3, pose._replace(row=6.0, angle=0.11), (3, 4, link)) is None

@@ -1,0 +1,56 @@
+"""What a graph says of the nodes that stay does not change when others are let go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares_places
+from napari_elsplus.processing.tracking.pose_graph.marginalisation import linked_anew, those_that_stay
+from napari_elsplus.processing.tracking.registration.motion_models import turned_by
+
+NODES = 60
+ROUND = 20
+TURN = 0.04
+
+
+def link(earlier: int, later: int, noise: np.ndarray, sigma: float) -> Edge:
+    """Rounds of a probe that turns and grows, seen with an error."""
+    (row, col), turn = true_place(later) - true_place(earlier), TURN * (later - earlier)
+    seen = turned_by(-TURN * later, 1.001**-later) @ (row, col) + sigma * noise
+    return Edge(earlier, later, tuple(seen.tolist()), sigma**2 * np.eye(2), turn, 1.001 ** (later - earlier), 1e-3)
+
+
+def true_place(node: int) -> np.ndarray:
+    angle = 2 * np.pi * node / ROUND
+    return np.array([200 * np.sin(angle), 200 * (1 - np.cos(angle)) + node])
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 0.1])
+def test_the_nodes_that_stay_lie_where_they_lay(sigma: float) -> None:
+    noise = np.random.default_rng(0).normal(size=(2, NODES, 2))
+    chain = [link(k, k + 1, noise[0, k], sigma) for k in range(NODES - 1)]
+    loops = [link(k, k + ROUND, noise[1, k], sigma) for k in range(NODES - ROUND)]
+    path = np.arange(NODES, dtype=float)
+    stays = those_that_stay(path, np.zeros(NODES, np.int64), path % 7 > 0, 20)
+    assert stays.sum() == 20
+    assert stays[::7].all()
+    assert stays[[0, -1]].all()
+    few_chain, few_loops = linked_anew(chain, loops, stays)
+    assert len(few_chain) == 19
+    assert 0 < len(few_loops) <= len(loops)
+    whole, few = least_squares_places([*chain, *loops]), least_squares_places([*few_chain, *few_loops])
+    assert sorted(few) == np.flatnonzero(stays).tolist()
+    for node, place in few.items():
+        assert place == pytest.approx(whole[node], abs=4 * sigma + 1e-3 * (sigma > 1e-3) + 1e-6)
+        row, col = true_place(node)
+        assert np.hypot(place.row - row, place.col - col) < 5 * sigma + 1e-3
+
+
+def test_ends_of_segments_stay_and_what_lies_far_apart_goes_last() -> None:
+    segment = np.repeat([0, 3], 10)
+    path = np.concatenate([np.arange(10.0), 10 + 5 * np.arange(10.0)])
+    stays = those_that_stay(path, segment, np.ones(20, bool), 12)
+    assert stays[[0, 9, 10, 19]].all()
+    assert stays[10:].all()
+    assert not those_that_stay(path, segment, np.ones(20, bool), 2)[[1, 8, 11, 18]].any()

@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.tracking.front_end.grid import Grid
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
+from napari_elsplus.processing.tracking.registration.model_selection import Climb, largest_sum, steady_turn
+from napari_elsplus.processing.tracking.registration.motion_models import (
+    Remainder,
+    Rung,
+    angle_of,
+    composed,
+    scale_of,
+    turned_by,
+    upright,
+)
+from napari_elsplus.processing.tracking.registration.pair_registration import Registrar, View
+from napari_elsplus.simulation.trajectories import HandHeld, Spiral, Still, Turning
+from simulated import followed
+
+GRID = Grid(120, 1, (0, 0), (59.3, 59.8), 116.0, RollingShutter(150.0))
+LOOSE = (0.02, 0.02)
+
+
+def texture(seed: int = 0, side: int = 400) -> np.ndarray:
+    image = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(side, side)), (0, 0), 3.0)
+    return (100 + 40 * image / image.std()).astype(np.float32)
+
+
+def view(form: np.ndarray, shift: tuple[float, float], registrar: Registrar, noise: float, seed: int) -> View:
+    """What a probe at `shift` sees whose pixels lie at `form` times theirs in the scene."""
+    tissue = texture()
+    row, col = (np.arange(GRID.side)[:, None] - GRID.centre[0], np.arange(GRID.side) - GRID.centre[1])
+    rows = form[0, 0] * row + form[0, 1] * col + 200 + shift[0]
+    cols = form[1, 0] * row + form[1, 1] * col + 200 + shift[1]
+    seen = registrar.view()
+    cv2.remap(tissue, cols.astype(np.float32), rows.astype(np.float32), cv2.INTER_CUBIC, dst=seen.image)
+    seen.image[:] += np.random.default_rng(seed).normal(0, noise, seen.image.shape)
+    return registrar.prepare(seen)
+
+
+def pair(form: np.ndarray, shift: tuple[float, float], seed: int = 0) -> tuple[Registrar, View, View]:
+    registrar = Registrar(GRID)
+    upright_view = view(np.eye(2), (0.0, 0.0), registrar, 2.0, 2 * seed)
+    return registrar, upright_view, view(form, shift, registrar, 2.0, 2 * seed + 1)
+
+
+@pytest.mark.parametrize(("degrees", "scale"), [(0.3, 1.0), (-0.2, 1.0), (0.0, 1.004), (0.2, 0.997)])
+def test_small_turns_and_zooms_are_told_by_what_a_link_leaves(degrees: float, scale: float) -> None:
+    registrar, a, b = pair(turned_by(np.deg2rad(degrees), scale), (5.0, -3.0))
+    link = registrar.link(a, b, Warp(b=-5.0, d=3.0), LOOSE)
+    found = registrar.remainder(a, b, link.warp, LOOSE)
+    assert found is not None
+    _, form = composed(link.warp, found.step[Rung.SIMILARITY])
+    assert abs(angle_of(form) + np.deg2rad(degrees)) < 4 * found.sigma[0] < np.deg2rad(0.25)
+    assert abs(scale_of(form) - 1 / scale) < 4 * found.sigma[1] < 5e-3
+
+
+def test_its_uncertainty_is_honest() -> None:
+    misses = []
+    for seed in range(20):
+        registrar, a, b = pair(np.eye(2), (4.0, 2.0), seed)
+        link = registrar.link(a, b, Warp(b=-4.0, d=-2.0), LOOSE)
+        found = registrar.remainder(a, b, link.warp, LOOSE)
+        assert found is not None
+        misses.append(found.step[Rung.SIMILARITY, 4:] / found.sigma)
+    assert 0.1 < np.sqrt(np.mean(np.square(misses))) < 1.5
+
+
+@pytest.mark.parametrize("degrees", [-8.0, 4.0, 10.0])
+def test_links_hold_under_large_turns_that_are_roughly_known(degrees: float) -> None:
+    turn = np.deg2rad(degrees)
+    registrar, a, b = pair(turned_by(turn, 1.0), (8.0, 6.0))
+    moved = turned_by(-turn) @ (8.0, 6.0)
+    link = registrar.turned_link(
+        a, b, (float(moved[0]) + 1, float(moved[1]) - 1, 0.8 * turn, 1.0), (Velocity(0.0, 0.0),) * 2, LOOSE,
+        Rung.RIGID, registrar.view(),
+    )  # fmt: skip
+    assert link is not None
+    assert link.observed
+    assert abs(np.rad2deg(link.turn) - degrees) < 0.1
+    assert np.hypot(-link.warp.b - moved[0], -link.warp.d - moved[1]) < 0.15
+
+
+def test_motion_of_the_earlier_frame_is_undone_before_it_is_turned() -> None:
+    """The link's warp is the one that frames of one orientation would have had: it tells both velocities."""
+    registrar, a, b = pair(turned_by(np.deg2rad(5.0)), (0.0, 0.0))
+    velocity = Velocity(9.0, -6.0)
+    r = GRID.shutter.rows_per_frame
+    sheared = np.array([[1 + velocity.row / r, 0.0], [velocity.col / r, 1.0]])
+    upright(a.image.copy(), a.image, GRID.centre, np.linalg.inv(sheared))
+    registrar.prepare(a)
+    link = registrar.turned_link(
+        a, b, (0.0, 0.0, np.deg2rad(4.5), 1.0), (velocity, Velocity(0.0, 0.0)), LOOSE, Rung.RIGID, registrar.view()
+    )
+    assert link is not None
+    expected = GRID.shutter.warp(velocity, Velocity(0.0, 0.0), Displacement(0.0, 0.0))
+    assert abs(link.warp.a - expected.a) < 2e-3
+    assert abs(link.warp.s - expected.s) < 2e-3
+    assert abs(np.rad2deg(link.turn) - 5.0) < 0.1
+
+
+def noticed(rate: float, zoom: float, links: int, seed: int = 0) -> tuple[Rung, int]:
+    """What a sequence of links asks for, each of which turns and zooms a little; and after how many."""
+    random = np.random.default_rng(seed)
+    climb, sigma = Climb(), np.array([3e-4, 3e-4])
+    for k in range(links):
+        step = np.zeros((3, 6))
+        step[:, 4:] = random.normal((rate, zoom), sigma)
+        if climb.weigh(Remainder(step, sigma, 1500.0)) is not Rung.TRANSLATION:
+            return climb.rung, k
+    return climb.rung, links
+
+
+def test_no_more_is_modelled_than_the_frames_ask_for() -> None:
+    assert [noticed(0.0, 0.0, 500, seed)[0] for seed in range(100)].count(Rung.TRANSLATION) >= 99
+
+
+def test_a_turn_that_no_single_link_shows_is_noticed_in_their_sum() -> None:
+    rung, links = noticed(2e-4, 0.0, 500)
+    assert rung is Rung.RIGID
+    assert 5 < links < 100
+    assert noticed(2e-4, 2e-3, 500)[0] is Rung.SIMILARITY
+
+
+def test_a_turn_that_begins_late_is_noticed() -> None:
+    climb, sigma, rungs = Climb(), np.array([3e-4, 3e-4]), []
+    random = np.random.default_rng(0)
+    for k in range(48):
+        step = np.zeros((3, 6))
+        step[:, 4:] = random.normal((0.002 if k >= 40 else 0.0, 0.0), sigma)
+        rungs.append(climb.weigh(Remainder(step, sigma, 1500.0)))
+    assert rungs[39] is Rung.TRANSLATION
+    assert rungs[-1] is Rung.RIGID
+
+
+def test_errors_that_mislead_many_links_in_a_row_are_no_turn() -> None:
+    """Errors that wander: their sum grows like that of a turn, but no faster than they let expect."""
+    climbed = 0
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        climb, sigma, error = Climb(), np.array([3e-4, 3e-4]), np.zeros(2)
+        for _ in range(60):
+            error = 0.6 * error + 0.8 * random.normal(0, sigma)
+            step = np.zeros((3, 6))
+            step[:, 4:] = error
+            climb.weigh(Remainder(step, sigma, 1500.0))
+        climbed += climb.rung is not Rung.TRANSLATION
+    assert climbed <= 2
+
+
+@pytest.mark.parametrize(
+    ("path", "name"),
+    [(Turning(Spiral(8000.0), 50.0), "fibres"), (Turning(Still(), -60.0), "nuclei")],
+    ids=["fast and turning", "turning in place"],
+)
+def test_a_probe_that_turns_is_followed(path: Turning, name: str) -> None:
+    pipeline, times, place = seen = followed(path, name, 40)
+    angle = path.angles_rad(times)
+    assert {row.state for row in pipeline.rows} == {"tracked"}
+    found = np.array([pose.angle for pose in pipeline.poses])
+    assert np.abs(np.rad2deg(found - (angle - angle[0]))).max() < 0.3
+    assert np.abs(seen.found_px - (place - place[0]) @ turned_by(-angle[0]).T).max() < 1.0
+
+
+def test_a_probe_that_does_not_turn_is_tracked_as_before() -> None:
+    pipeline, _, _ = followed(HandHeld(3000.0, seed=2), "fibres", 30)
+    assert {(pose.angle, pose.scale) for pose in pipeline.poses} == {(0.0, 1.0)}
+
+
+def test_a_few_full_views_tell_a_steady_turn_among_many_that_tell_nothing() -> None:
+    """Also where the errors of successive links are alike; and what scatters about nothing does not."""
+    rng = np.random.default_rng(3)
+    sigmas = np.where(np.arange(60) % 6 == 0, 3e-4, 2e-3)
+    noise = sigmas * np.convolve(rng.normal(size=61), [0.8, 0.6], "valid")
+    assert steady_turn(noise + 7e-4, sigmas) > 24 > 10 > steady_turn(noise, sigmas)
+    assert largest_sum(noise + 7e-4, sigmas) < 24
+    assert steady_turn(noise[:15] + 7e-4, sigmas[:15]) == 0.0
