@@ -16,7 +16,7 @@ import click
 import numpy as np
 
 from napari_elsplus.io import RecordingWriter, open_recording
-from napari_elsplus.io.pages import PageLayout
+from napari_elsplus.io.formats.tiff_pages import PageLayout
 
 SHAPE = (524, 1328)
 RATE_HZ = 240

@@ -10,9 +10,8 @@ import pytest
 import tifffile
 from napari.utils.notifications import notification_manager
 
-from napari_elsplus import settings
 from napari_elsplus._reader import get_reader
-from napari_elsplus.io import write_calibration
+from napari_elsplus.io import settings, write_calibration
 from napari_elsplus.pipeline import images
 from pairs import calibration, frames, write_pair
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from napari.utils.notifications import show_error, show_info, show_warning
 
-from napari_elsplus import settings
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.instrument.calibration import FORMAT
+from napari_elsplus.io import settings
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers
 

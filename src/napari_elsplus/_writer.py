@@ -9,7 +9,7 @@ import pint
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import beside, write_calibration, write_mosaic, write_stack
-from napari_elsplus.io.zarr_export import write_ome_zarr
+from napari_elsplus.io.formats.ome_zarr import write_ome_zarr
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

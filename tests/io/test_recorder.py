@@ -15,7 +15,7 @@ import tifffile
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import RecordingWriter, open_recording, read_calibration
-from napari_elsplus.io.pages import PageLayout
+from napari_elsplus.io.formats.tiff_pages import PageLayout
 
 CALIBRATION = Calibration.parse(
     {

@@ -23,9 +23,9 @@ from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.io import read_calibration
+from napari_elsplus.io.settings import calibration_in_force
 from napari_elsplus.processing.calibration.draft import State, Step
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
-from napari_elsplus.settings import calibration_in_force
 from napari_elsplus.simulation.renderer import Renderer
 from napari_elsplus.simulation.scenes import scene
 from napari_elsplus.simulation.trajectories import Still

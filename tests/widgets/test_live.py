@@ -21,7 +21,7 @@ from napari_elsplus.acquisition.live_images import display_layout
 from napari_elsplus.acquisition.ring import Ring
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
-from napari_elsplus.settings import calibration_in_force, recall
+from napari_elsplus.io.settings import calibration_in_force, recall
 from napari_elsplus.widgets.live_layers import LiveLayers
 from processes import exists
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.folders import config_folder
 from napari_elsplus.hardware.card_output import CardSettings
 from napari_elsplus.hardware.flea3 import Flea3
 from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
+from napari_elsplus.io.user_folders import config_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable

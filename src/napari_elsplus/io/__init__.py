@@ -8,9 +8,9 @@ and ``write_*``.
 from napari_elsplus.io.atomic import refuse_existing, replacing, replacing_all
 from napari_elsplus.io.calibrations import beside, calibration_beside, read_calibration, write_calibration
 from napari_elsplus.io.columns import read_depths_um, read_volts, write_column, write_table
+from napari_elsplus.io.formats.ome_tiff import write_mosaic, write_stack
 from napari_elsplus.io.recorder import RecordingWriter
 from napari_elsplus.io.recordings import Recording, open_recording
-from napari_elsplus.io.stacks import write_mosaic, write_stack
 from napari_elsplus.io.track_table import TrackTable
 from napari_elsplus.io.tracks import TrackPoint, read_track, write_track
 

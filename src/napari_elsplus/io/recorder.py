@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import ome
 from napari_elsplus.io.atomic import refuse_existing
 from napari_elsplus.io.calibrations import beside, write_calibration
-from napari_elsplus.io.pages import PageLayout
+from napari_elsplus.io.formats import ome_xml as ome
+from napari_elsplus.io.formats.tiff_pages import PageLayout
 
 if TYPE_CHECKING:
     import io

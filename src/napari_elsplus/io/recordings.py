@@ -11,7 +11,7 @@ import numpy as np
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io.calibrations import calibration_beside, parse_calibration, read_calibration
-from napari_elsplus.io.sources import FrameSource, decoding
+from napari_elsplus.io.formats.source import FrameSource, decoding
 
 if TYPE_CHECKING:
     import os
@@ -166,22 +166,22 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
 def _source(path: Path) -> FrameSource:
     if path.is_dir():
         if any((path / mark).is_file() for mark in _ZARR_MARKS):
-            from napari_elsplus.io.arrays import OmeZarr
+            from napari_elsplus.io.formats.arrays import OmeZarr
 
             return OmeZarr(path)
-        from napari_elsplus.io.folder import FolderOfTiffs
+        from napari_elsplus.io.formats.tiff_folder import FolderOfTiffs
 
         return FolderOfTiffs(path)
     suffix = path.suffix.lower()
     path.stat()  # a missing file is told before its kind
     if suffix == ".avi":
-        from napari_elsplus.io.video import open_video
+        from napari_elsplus.io.formats.avi import open_video
 
         return open_video(path)
     if suffix == ".npy":
-        from napari_elsplus.io.arrays import NumpyFile
+        from napari_elsplus.io.formats.arrays import NumpyFile
 
         return NumpyFile(path)
-    from napari_elsplus.io.tiff import open_tiff
+    from napari_elsplus.io.formats.tiff import open_tiff
 
     return open_tiff(path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from napari_elsplus.io import read_calibration
-from napari_elsplus.settings import calibration_in_force
+from napari_elsplus.io.settings import calibration_in_force
 from napari_elsplus.widgets.asking import Asking
 from napari_elsplus.widgets.connection import join
 from napari_elsplus.widgets.panel import Panel, told

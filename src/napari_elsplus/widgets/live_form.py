@@ -13,9 +13,9 @@ from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from napari_elsplus.acquisition.live_images import RAW, View
 from napari_elsplus.acquisition.recorder import RecordingPlan
+from napari_elsplus.io.settings import recall, remember
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.settings import recall, remember
 from napari_elsplus.widgets.live_layers import KINDS
 
 if TYPE_CHECKING:

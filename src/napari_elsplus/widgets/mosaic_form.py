@@ -9,10 +9,10 @@ from magicgui.widgets import CheckBox, ComboBox, Container, FileEdit, PushButton
 from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
 from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
+from napari_elsplus.io.settings import recall, remember
 from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.settings import recall, remember
 from napari_elsplus.tracking_pipeline import Method
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.mosaic_sources import source_names

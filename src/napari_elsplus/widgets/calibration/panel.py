@@ -14,8 +14,8 @@ from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import read_calibration, write_calibration
+from napari_elsplus.io.settings import put_in_force, recall, remember
 from napari_elsplus.processing.calibration.draft import Draft, Setup, State, Step, step_of
-from napari_elsplus.settings import put_in_force, recall, remember
 from napari_elsplus.viewing.calibration_script import Source, calibration_script
 from napari_elsplus.viewing.outlines import summary
 from napari_elsplus.widgets.calibration import dialogs

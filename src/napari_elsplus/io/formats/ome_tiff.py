@@ -11,8 +11,8 @@ import numpy as np
 import tifffile
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import ome
 from napari_elsplus.io.atomic import replacing
+from napari_elsplus.io.formats import ome_xml as ome
 
 if TYPE_CHECKING:
     import os

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 import tifffile
 
-from napari_elsplus.io.ome import SOFTWARE
+from napari_elsplus.io.formats.ome_xml import SOFTWARE
 
 STAMP_TAG: Final = 65000
 """Private TIFF tag of each page: time in seconds and frame number, two doubles."""

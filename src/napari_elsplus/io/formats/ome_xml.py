@@ -13,7 +13,7 @@ import tifffile
 from napari_elsplus import __version__
 from napari_elsplus.instrument.calibration import FORMAT
 from napari_elsplus.io.calibrations import format_calibration
-from napari_elsplus.io.sources import positive
+from napari_elsplus.io.formats.source import positive
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

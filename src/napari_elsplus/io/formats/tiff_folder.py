@@ -6,8 +6,8 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io.sources import FrameSource
-from napari_elsplus.io.tiff import read_image
+from napari_elsplus.io.formats.source import FrameSource
+from napari_elsplus.io.formats.tiff import read_image
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
-from napari_elsplus.io.ome import SOFTWARE
-from napari_elsplus.io.stacks import alike
+from napari_elsplus.io.formats.ome_tiff import alike
+from napari_elsplus.io.formats.ome_xml import SOFTWARE
 
 if TYPE_CHECKING:
     import os

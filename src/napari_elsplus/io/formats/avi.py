@@ -10,7 +10,7 @@ import imageio_ffmpeg
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io.sources import FrameSource, decoding
+from napari_elsplus.io.formats.source import FrameSource, decoding
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io.sources import FrameSource, positive
+from napari_elsplus.io.formats.source import FrameSource, positive
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
-from napari_elsplus.folders import config_folder
 from napari_elsplus.io import replacing
+from napari_elsplus.io.user_folders import config_folder
 
 if TYPE_CHECKING:
     import os

@@ -11,9 +11,9 @@ import numpy as np
 import tifffile
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import ome
-from napari_elsplus.io.sources import FrameSource, decoding, positive
-from napari_elsplus.io.strided import StridedTiff, is_strided
+from napari_elsplus.io.formats import ome_xml as ome
+from napari_elsplus.io.formats.source import FrameSource, decoding, positive
+from napari_elsplus.io.formats.strided_tiff import StridedTiff, is_strided
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import tifffile
 
-from napari_elsplus.io import ome
-from napari_elsplus.io.pages import STAMP_TAG
-from napari_elsplus.io.sources import FrameSource
+from napari_elsplus.io.formats import ome_xml as ome
+from napari_elsplus.io.formats.source import FrameSource
+from napari_elsplus.io.formats.tiff_pages import STAMP_TAG
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from napari_elsplus import settings
-from napari_elsplus.folders import CONFIG_VARIABLE
+from napari_elsplus.io import settings
+from napari_elsplus.io.user_folders import CONFIG_VARIABLE
 
 
 def test_sections_keep_to_themselves():

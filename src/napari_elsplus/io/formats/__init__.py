@@ -1,0 +1,1 @@
+"""File formats of recordings and images, a module for each."""
