@@ -23,7 +23,7 @@ from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.tracking.front_end.grid import Grid
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.mosaic_files import save_mosaics
 from napari_elsplus.viewing.mosaics import MosaicScale

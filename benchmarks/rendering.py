@@ -12,11 +12,11 @@ import click
 import cv2
 import numpy as np
 
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.ring import Ring
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import trajectory
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.rendering.ring import Ring
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import trajectory
 
 
 class Rendering:

@@ -10,8 +10,8 @@ import numpy as np
 from napari_elsplus.evaluation.rig import simulated_rig
 from napari_elsplus.evaluation.stages import STAGES, our_stages
 from napari_elsplus.pipelined import Pipelined
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import HandHeld, Straight
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight
 from napari_elsplus.tracking_pipeline import Pipeline
 
 FRAMES = 48

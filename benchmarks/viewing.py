@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.recording import RATE_HZ, SHAPE, sparse_recording
 from napari_elsplus.io import beside, write_calibration
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.layers import open_layers
 

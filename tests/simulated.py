@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from napari_elsplus.pipeline import RawPairs
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import scene
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.tracking_pipeline import Pipeline
 
 if TYPE_CHECKING:
-    from napari_elsplus.simulation.trajectories import Trajectory
+    from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
 INSTRUMENT = Instrument.of("240hz")
 

@@ -8,7 +8,7 @@ import pytest
 from napari_elsplus import _sample_data
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.calibration.calibrate import measure
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.instrument import Instrument
 
 
 def by_name(layers):

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.simulation import calibration_scenes as scenes
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import distal_light, empty, scene
-from napari_elsplus.simulation.trajectories import trajectory
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import distal_light, empty, scene
+from napari_elsplus.simulation.specimen.trajectories import trajectory
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.axial import simulated_scan
 from napari_elsplus.viewing.layers import image_layers, raw_layer, side_by_side

@@ -37,10 +37,10 @@ from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.picture import picture
 from napari_elsplus.simulation import calibration_scenes as bench
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import Straight, trajectory
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import Straight, trajectory
 from napari_elsplus.simulation.truth import motion
 from napari_elsplus.tracking_pipeline import Pipeline
 

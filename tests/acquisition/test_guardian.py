@@ -21,7 +21,7 @@ from napari_elsplus.hardware.virtual.card import VirtualCard
 from napari_elsplus.hardware.virtual.card_process import RemoteCard
 from napari_elsplus.hardware.virtual.grpc_server import CardServer
 from napari_elsplus.instrument.optics import PRESETS
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.instrument import Instrument
 
 PRESET = PRESETS["240hz"]
 DRIVE = """
@@ -32,7 +32,7 @@ DRIVE = """
     from napari_elsplus.hardware.virtual.timeline import StrobeTrain
     from napari_elsplus.hardware.waveform import ScanTiming, els_waveform
     from napari_elsplus.instrument.optics import PRESETS
-    from napari_elsplus.simulation.scenes import empty
+    from napari_elsplus.simulation.specimen.scenes import empty
 
     preset = PRESETS["240hz"]
     with open_rig("simulated", Simulation(scene=empty(), own_process=True)) as rig, Guardian(rig.park):

@@ -10,7 +10,7 @@ from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.instrument.optics import preset
-from napari_elsplus.simulation.scenes import empty
+from napari_elsplus.simulation.specimen.scenes import empty
 
 
 def test_the_simulated_rig_is_calibrated_to_its_truth_and_scans_by_it() -> None:

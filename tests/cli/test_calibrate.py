@@ -11,7 +11,7 @@ import tifffile
 
 from napari_elsplus.evaluation.against_truth import calibration_errors
 from napari_elsplus.io import read_calibration, write_column
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.instrument import Instrument
 
 if TYPE_CHECKING:
     from collections.abc import Callable

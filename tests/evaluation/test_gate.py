@@ -6,7 +6,7 @@ import pytest
 from napari_elsplus.evaluation.gate import TOLD, change_of_view, gate, judged_links
 from napari_elsplus.evaluation.rig import simulated_rig
 from napari_elsplus.processing.tracking.front_end.grid import Grid
-from napari_elsplus.simulation.scenes import picture
+from napari_elsplus.simulation.specimen.scenes import picture
 
 
 @pytest.mark.parametrize("jerks", [False, True], ids=["smooth", "jerky"])

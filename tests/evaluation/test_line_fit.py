@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from napari_elsplus.evaluation.line_fit import FITTED, fit_line
-from napari_elsplus.simulation.axial_response import LINE_MODELS
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS
 
 
 def test_the_line_of_state_a_is_the_best_fit_to_the_paper() -> None:

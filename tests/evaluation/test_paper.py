@@ -4,8 +4,8 @@ import pytest
 
 from napari_elsplus.evaluation import paper
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.trajectories import HandHeld, Straight
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight
 from napari_elsplus.tracking_pipeline import Method
 
 

@@ -9,13 +9,13 @@ import pytest
 from napari_elsplus.evaluation.trade import Trade, weigh
 from napari_elsplus.figures import physics
 from napari_elsplus.processing.analysis import axial_response as axial
-from napari_elsplus.simulation.axial_response import LINE_MODELS, axial_response
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.processing.analysis.axial_response import AxialResponse
-    from napari_elsplus.simulation.instrument import Instrument
+    from napari_elsplus.simulation.model.instrument import Instrument
 
 
 def closed_form(instrument: Instrument, *, seed: int = 0, light: float = 1.0) -> AxialResponse:

@@ -15,9 +15,9 @@ from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.waveform import ScanTiming, Waveform, els_waveform, exposed_rows, ramp_waveform
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import nuclei
-from napari_elsplus.simulation.trajectories import Still
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import nuclei
+from napari_elsplus.simulation.specimen.trajectories import Still
 
 PRESET = PRESETS["240hz"]
 

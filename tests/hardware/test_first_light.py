@@ -12,8 +12,8 @@ from napari_elsplus.hardware import first_light
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.virtual.bench import Simulation
-from napari_elsplus.simulation.scenes import empty
-from napari_elsplus.simulation.trajectories import Still
+from napari_elsplus.simulation.specimen.scenes import empty
+from napari_elsplus.simulation.specimen.trajectories import Still
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
 from napari_elsplus.hardware.waveform import ScanTiming, StrobePhase, els_waveform
 from napari_elsplus.instrument.optics import PRESETS
-from napari_elsplus.simulation.scenes import distal_light, empty, fibres
+from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibres
 
 SMALL = Region(262, 0, 524, 1328)
 

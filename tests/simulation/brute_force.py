@@ -16,9 +16,9 @@ from scipy.special import ndtr
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.bundle import Cores
-    from napari_elsplus.simulation.instrument import Instrument
-    from napari_elsplus.simulation.scenes import Scene
+    from napari_elsplus.simulation.model.bundle import Cores
+    from napari_elsplus.simulation.model.instrument import Instrument
+    from napari_elsplus.simulation.specimen.scenes import Scene
 
 STEP_UM = 0.8
 MARGIN_UM = 45.0

@@ -9,13 +9,13 @@ import pytest
 from brute_force import core_values
 
 from napari_elsplus.instrument.optics import Optics, Preset
-from napari_elsplus.simulation.axial_response import LineModel
-from napari_elsplus.simulation.bundle import Bundle
-from napari_elsplus.simulation.instrument import Instrument, RightView
-from napari_elsplus.simulation.pictures import Image
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import Plane, Scene
-from napari_elsplus.simulation.textures import Fibres, Mottle, Nuclei, Texture, Uniform
+from napari_elsplus.simulation.model.axial_response import LineModel
+from napari_elsplus.simulation.model.bundle import Bundle
+from napari_elsplus.simulation.model.instrument import Instrument, RightView
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.pictures import Image
+from napari_elsplus.simulation.specimen.scenes import Plane, Scene
+from napari_elsplus.simulation.specimen.textures import Fibres, Mottle, Nuclei, Texture, Uniform
 
 SMALL = Instrument(
     Preset("small", (200, 420), (0, 0), "10x", Optics(1.0, rows_per_frame=210.0)),

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import Plane, Scene
-from napari_elsplus.simulation.textures import Uniform
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import Plane, Scene
+from napari_elsplus.simulation.specimen.textures import Uniform
 
 PAPER = Scene((Plane(Uniform()), Plane(Uniform(), 60.0, 0.8), Plane(Uniform(), 200.0, 1.5)))
 """Stained paper, averaged over a moving probe."""

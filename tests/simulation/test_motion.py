@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import Straight
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import Straight
 
 
 @dataclass

@@ -81,7 +81,7 @@ import pytest
 from pathlib import Path
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.growing import GrowingImage
 

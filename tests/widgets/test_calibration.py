@@ -26,9 +26,9 @@ from napari_elsplus.io import read_calibration
 from napari_elsplus.io.settings import calibration_in_force
 from napari_elsplus.processing.calibration.draft import State, Step
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import Still
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import Still
 from napari_elsplus.widgets.calibration.bundle_layers import IMAGE, OUTLINES
 from napari_elsplus.widgets.calibration.panel import CalibrationPanel
 from processes import exists

@@ -16,7 +16,7 @@ from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.calibration.calibrate import Background, locate_pair, mean_frame, measure_flat
 from napari_elsplus.processing.calibration.draft import Draft, Flat, Found, LitPair, Setup, Step
 from napari_elsplus.processing.calibration.galvo import GalvoMap
-from napari_elsplus.simulation.scenes import distal_light, empty, fibres, uniform
+from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibres, uniform
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -9,7 +9,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import SIMULATED, open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
-from napari_elsplus.simulation.scenes import distal_light, empty, fibres, uniform
+from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibres, uniform
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -25,12 +25,12 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.io import beside, replacing, write_calibration, write_column, write_stack
 from napari_elsplus.simulation import calibration_scenes, truth
-from napari_elsplus.simulation.axial_response import LINE_MODELS
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import SCENES, Scene, picture, scene
-from napari_elsplus.simulation.trajectories import PATHS, Recorded, Trajectory, trajectory
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import SCENES, Scene, picture, scene
+from napari_elsplus.simulation.specimen.trajectories import PATHS, Recorded, Trajectory, trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackPoint
-    from napari_elsplus.simulation.instrument import Instrument
+    from napari_elsplus.simulation.model.instrument import Instrument
 
 SMOOTHING_PX: Final = 1.5
 """Sigma of the Gaussian under which images are compared: it hides the cores, not the structure."""

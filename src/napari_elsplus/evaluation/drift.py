@@ -12,8 +12,8 @@ from napari_elsplus.evaluation.rig import dim
 from napari_elsplus.evaluation.stability.pairs import ELECTRONS_OF_WHITE
 from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import Recorded, Straight
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import Recorded, Straight
 from napari_elsplus.tracking_pipeline import Pipeline
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.evaluation.rig import SimulatedRig
     from napari_elsplus.io import TrackPoint
-    from napari_elsplus.simulation.trajectories import Trajectory
+    from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
 SPEED_UM_S: Final = 8_000.0
 _RADIUS_UM: Final = 300.0

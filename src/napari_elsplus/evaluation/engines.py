@@ -15,7 +15,7 @@ from napari_elsplus.acquisition.tracking import LiveTrack
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.simulation.calibration_scenes import background
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 
 if TYPE_CHECKING:

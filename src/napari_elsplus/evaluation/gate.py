@@ -18,9 +18,9 @@ from napari_elsplus.processing.tracking.motion.warp_prior import warp_prior
 from napari_elsplus.processing.tracking.registration.low_texture import DOUBT, SecondLook, unlit
 from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION
-from napari_elsplus.simulation.scenes import picture
-from napari_elsplus.simulation.textures import draw_fibres
-from napari_elsplus.simulation.trajectories import Recorded, trajectory
+from napari_elsplus.simulation.specimen.scenes import picture
+from napari_elsplus.simulation.specimen.textures import draw_fibres
+from napari_elsplus.simulation.specimen.trajectories import Recorded, trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.warp_prior import WarpPrior
     from napari_elsplus.processing.tracking.registration.pair_registration import Link, View
-    from napari_elsplus.simulation.scenes import Scene
-    from napari_elsplus.simulation.trajectories import Trajectory
+    from napari_elsplus.simulation.specimen.scenes import Scene
+    from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
 SMOOTH_PX: Final = 4.0
 JERKY_PX: Final = 12.0

@@ -15,9 +15,9 @@ from scipy.optimize import least_squares
 
 from napari_elsplus.evaluation import printed
 from napari_elsplus.evaluation.parsimony.axial import Target, paper_targets
-from napari_elsplus.simulation.axial_response import LINE_MODELS, LineModel
-from napari_elsplus.simulation.clipped_response import clipped_drop_offs
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel
+from napari_elsplus.simulation.model.clipped_response import clipped_drop_offs
+from napari_elsplus.simulation.model.instrument import Instrument
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

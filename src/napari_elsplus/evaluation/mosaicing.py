@@ -14,8 +14,8 @@ from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.front_end.grid import Grid
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import trajectory
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import trajectory
 from napari_elsplus.tracking_pipeline import Method, Pipeline
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from napari_elsplus.processing.calibration.calibrate import Findings, measure
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.mosaicing.picture import picture
 from napari_elsplus.simulation import calibration_scenes as scenes
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import HandHeld, Raster
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import HandHeld, Raster
 from napari_elsplus.tracking_pipeline import Method, Pipeline
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.trajectories import Trajectory
+    from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
     Image = NDArray[np.float32]
 

@@ -11,10 +11,10 @@ import numpy as np
 from napari_elsplus.processing.calibration.calibrate import measure_flat
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.simulation.calibration_scenes import background, transmission
-from napari_elsplus.simulation.instrument import REFERENCE_SLIT_ROWS, Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import Plane, Scene, scene
-from napari_elsplus.simulation.textures import Mottle
+from napari_elsplus.simulation.model.instrument import REFERENCE_SLIT_ROWS, Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import Plane, Scene, scene
+from napari_elsplus.simulation.specimen.textures import Mottle
 from napari_elsplus.simulation.truth import true_calibration
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.simulation.trajectories import Trajectory
+    from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
     Image = NDArray[np.float32]
 

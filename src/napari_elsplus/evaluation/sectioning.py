@@ -10,13 +10,13 @@ import numpy as np
 from napari_elsplus.evaluation.trade import Trade, weigh
 from napari_elsplus.processing.analysis.axial_response import AxialResponse, axial_profiles, axial_response
 from napari_elsplus.processing.images.sectioning import Sectioner
-from napari_elsplus.simulation.axial_response import LINE_MODELS, drop_offs
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.calibration_scenes import background
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import paper, plate
-from napari_elsplus.simulation.trajectories import Spiral
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, drop_offs
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import paper, plate
+from napari_elsplus.simulation.specimen.trajectories import Spiral
 from napari_elsplus.simulation.truth import true_calibration
 
 if TYPE_CHECKING:

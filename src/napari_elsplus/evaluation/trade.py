@@ -10,7 +10,7 @@ import numpy as np
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.analysis.axial_response import contrast_to_noise
 from napari_elsplus.processing.tracking.front_end.grid import overlap_of_discs
-from napari_elsplus.simulation.axial_response import LINE_MODELS, LineModel, drop_offs, line_response, signal_kept
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel, drop_offs, line_response, signal_kept
 
 if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.line import Line

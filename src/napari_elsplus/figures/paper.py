@@ -12,7 +12,7 @@ from napari_elsplus.figures.comparison import TITLES, compare, draw_comparison
 from napari_elsplus.figures.files import save_figure
 from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT, contrast, white_level
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.tracking_pipeline import Method
 
 if TYPE_CHECKING:

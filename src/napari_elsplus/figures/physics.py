@@ -16,9 +16,9 @@ from napari_elsplus.figures.axial import draw_axial_response
 from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill, require_marks
 from napari_elsplus.processing.analysis.axial_response import fit_saturation
-from napari_elsplus.simulation.axial_response import LINE_MODELS, drop_offs
-from napari_elsplus.simulation.clipped_response import clipped_drop_offs
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, drop_offs
+from napari_elsplus.simulation.model.clipped_response import clipped_drop_offs
+from napari_elsplus.simulation.model.instrument import Instrument
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

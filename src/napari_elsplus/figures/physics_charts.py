@@ -12,7 +12,7 @@ from napari_elsplus.evaluation import printed
 from napari_elsplus.evaluation.sectioning import sharper_line_drop_offs
 from napari_elsplus.figures.comparison import COLOURS
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.simulation.axial_response import drop_offs, signal_kept
+from napari_elsplus.simulation.model.axial_response import drop_offs, signal_kept
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

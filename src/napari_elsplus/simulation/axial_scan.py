@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.simulation.axial_response import line_response
-from napari_elsplus.simulation.instrument import REFERENCE_SLIT_ROWS, Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import plate
+from napari_elsplus.simulation.model.axial_response import line_response
+from napari_elsplus.simulation.model.instrument import REFERENCE_SLIT_ROWS, Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import plate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

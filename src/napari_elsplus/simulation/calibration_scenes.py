@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import distal_light, empty
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import distal_light, empty
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.instrument import Instrument
+    from napari_elsplus.simulation.model.instrument import Instrument
 
 LINE_FRAMES: Final = 5
 SWEEP_STEPS: Final = 400

@@ -19,8 +19,8 @@ from napari_elsplus.instrument.calibration import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.instrument import Instrument
-    from napari_elsplus.simulation.trajectories import Trajectory
+    from napari_elsplus.simulation.model.instrument import Instrument
+    from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
 PARK_CLEARANCE_UM = 100.0
 """Distance between the parked line and the lit bundle: a halo's width."""
@@ -52,7 +52,7 @@ def true_calibration(instrument: Instrument, background: NDArray[np.float32] | N
 
     Examples
     --------
-    >>> from napari_elsplus.simulation.instrument import Instrument
+    >>> from napari_elsplus.simulation.model.instrument import Instrument
     >>> true_calibration(Instrument.of("240hz", offset_um=-29)).offset.rows
     -21.75
     """

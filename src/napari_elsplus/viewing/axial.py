@@ -20,7 +20,7 @@ from napari_elsplus.processing.analysis.axial_response import (
 )
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.stack import Stack, files_for_script

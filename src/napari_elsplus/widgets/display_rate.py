@@ -21,7 +21,7 @@ from qtpy.QtWidgets import QApplication, QDockWidget, QOpenGLWidget  # type: ign
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.widgets.live import Live
 

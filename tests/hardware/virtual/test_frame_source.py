@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 
 from napari_elsplus.hardware.virtual.frame_source import Circle, FrameSource
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.scenes import plate
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.specimen.scenes import plate
 
 
 def test_frames_come_again_from_memory_while_the_line_moves_alike_and_only_then() -> None:

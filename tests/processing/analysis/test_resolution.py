@@ -9,11 +9,11 @@ from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.instrument.optics import CORE_PITCH_UM
 from napari_elsplus.processing.analysis.resolution import BarElement, element_contrast, smallest_resolved_line_pair_um
 from napari_elsplus.processing.images.sectioning import Sectioner
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.pictures import usaf_1951
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import Plane, Scene
-from napari_elsplus.simulation.trajectories import Still
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.pictures import usaf_1951
+from napari_elsplus.simulation.specimen.scenes import Plane, Scene
+from napari_elsplus.simulation.specimen.trajectories import Still
 from napari_elsplus.simulation.truth import true_calibration
 
 WIDTHS_PX = (12, 8, 6, 4, 3, 2)

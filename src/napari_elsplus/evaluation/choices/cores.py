@@ -18,8 +18,8 @@ from napari_elsplus.instrument.optics import CORE_PITCH_UM
 from napari_elsplus.pipeline import finishing
 from napari_elsplus.processing.images.cores import GAUSSIAN_SIGMA_PITCHES, CoreFilter
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
-from napari_elsplus.simulation.scenes import Scene, scene
-from napari_elsplus.simulation.trajectories import Still
+from napari_elsplus.simulation.specimen.scenes import Scene, scene
+from napari_elsplus.simulation.specimen.trajectories import Still
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -19,8 +19,8 @@ from napari_elsplus.pipeline import finishing
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, takes_median
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import Still
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import Still
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,15 +14,15 @@ from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
 from napari_elsplus.processing.mosaicing.mosaic import STILL, Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import Straight
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import Straight
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.trajectories import Trajectory
+    from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
     Image = NDArray[np.float32]
 

@@ -18,8 +18,8 @@ from napari_elsplus.evaluation.stages import PapersCanvas, our_stages, papers_st
 from napari_elsplus.pipelined import Pipelined
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, PaperTracker
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import HandHeld, Straight, Trajectory
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight, Trajectory
 from napari_elsplus.tracking_pipeline import Pipeline
 
 if TYPE_CHECKING:

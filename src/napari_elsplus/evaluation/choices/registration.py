@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.scenes import Scene
+    from napari_elsplus.simulation.specimen.scenes import Scene
 
     Image = NDArray[np.float32]
 

@@ -16,8 +16,8 @@ from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import Straight
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import Straight
 
 if TYPE_CHECKING:
     from collections.abc import Callable

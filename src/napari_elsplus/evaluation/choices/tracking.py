@@ -15,7 +15,7 @@ from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig, tissue, w
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, PaperTracker
-from napari_elsplus.simulation.trajectories import trajectory
+from napari_elsplus.simulation.specimen.trajectories import trajectory
 from napari_elsplus.tracking_pipeline import Method as Tracking
 from napari_elsplus.tracking_pipeline import Pipeline
 

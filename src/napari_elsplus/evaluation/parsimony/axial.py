@@ -13,7 +13,7 @@ from scipy.optimize import brentq, least_squares
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.evaluation import printed
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, Judgement, Method, Role
-from napari_elsplus.simulation.axial_response import LineModel, line_response
+from napari_elsplus.simulation.model.axial_response import LineModel, line_response
 
 if TYPE_CHECKING:
     from collections.abc import Callable

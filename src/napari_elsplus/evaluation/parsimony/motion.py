@@ -16,7 +16,7 @@ from napari_elsplus.evaluation.rig import simulated_rig, tissue
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar
-from napari_elsplus.simulation.trajectories import Straight, Trajectory, trajectory
+from napari_elsplus.simulation.specimen.trajectories import Straight, Trajectory, trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,7 +15,7 @@ from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.motion.pose import State
 from napari_elsplus.processing.tracking.registration.motion_models import Rung, turned_by
 from napari_elsplus.processing.tracking.tracker import Tracker
-from napari_elsplus.simulation.trajectories import Turning, trajectory
+from napari_elsplus.simulation.specimen.trajectories import Turning, trajectory
 from napari_elsplus.tracking_pipeline import Pipeline
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from napari_elsplus.evaluation.choices.registration import METHODS, WRONG_PX, Pa
 from napari_elsplus.evaluation.harness import Absent, Benchmark, Case, Chart, Claim, TimedElsewhere, named
 from napari_elsplus.evaluation.rig import StopAndGo, dim, measured, tissue
 from napari_elsplus.processing.tracking.front_end.grid import Grid
-from napari_elsplus.simulation.instrument import Instrument
+from napari_elsplus.simulation.model.instrument import Instrument
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

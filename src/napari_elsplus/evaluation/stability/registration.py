@@ -12,9 +12,9 @@ from napari_elsplus.evaluation.choices.registration import METHODS, judge, pairs
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, named, stressed
 from napari_elsplus.evaluation.rig import SimulatedRig, dim, jumps, measured, simulated_rig
 from napari_elsplus.processing.tracking.front_end.grid import Grid
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.scenes import Plane, Scene, fibres
-from napari_elsplus.simulation.textures import Fibres
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.specimen.scenes import Plane, Scene, fibres
+from napari_elsplus.simulation.specimen.textures import Fibres
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,10 +15,10 @@ from napari_elsplus.evaluation.against_truth import track_errors
 from napari_elsplus.evaluation.choices.tracking import METHODS, Recorded
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, Claim, Judgement, named, stressed
 from napari_elsplus.evaluation.rig import SimulatedRig, dim, simulated_rig
-from napari_elsplus.simulation.scenes import Plane, Scene, fibres
-from napari_elsplus.simulation.textures import Fibres, Mottle
-from napari_elsplus.simulation.trajectories import HandHeld, Straight, Trajectory
-from napari_elsplus.simulation.trajectories import Recorded as RecordedPath
+from napari_elsplus.simulation.specimen.scenes import Plane, Scene, fibres
+from napari_elsplus.simulation.specimen.textures import Fibres, Mottle
+from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight, Trajectory
+from napari_elsplus.simulation.specimen.trajectories import Recorded as RecordedPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

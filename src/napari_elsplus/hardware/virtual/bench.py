@@ -12,9 +12,9 @@ from napari_elsplus.hardware.virtual.frame_source import Circle, FrameSource
 from napari_elsplus.hardware.virtual.galvo import FORGETS_S, STEP_S, GalvoModel
 from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain, mean_volts
 from napari_elsplus.instrument.optics import PRESETS, Preset
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.scenes import Scene, fibres
-from napari_elsplus.simulation.trajectories import Still, Trajectory
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.specimen.scenes import Scene, fibres
+from napari_elsplus.simulation.specimen.trajectories import Still, Trajectory
 from napari_elsplus.simulation.truth import true_calibration
 
 if TYPE_CHECKING:

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.trajectories import Still
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.trajectories import Still
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.instrument import Instrument
-    from napari_elsplus.simulation.scenes import Scene
-    from napari_elsplus.simulation.trajectories import Trajectory
+    from napari_elsplus.simulation.model.instrument import Instrument
+    from napari_elsplus.simulation.specimen.scenes import Scene
+    from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
     Frame = NDArray[np.uint8]
 

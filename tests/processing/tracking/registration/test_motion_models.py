@@ -17,7 +17,7 @@ from napari_elsplus.processing.tracking.registration.motion_models import (
     upright,
 )
 from napari_elsplus.processing.tracking.registration.pair_registration import Registrar, View
-from napari_elsplus.simulation.trajectories import HandHeld, Spiral, Still, Turning
+from napari_elsplus.simulation.specimen.trajectories import HandHeld, Spiral, Still, Turning
 from simulated import followed
 
 GRID = Grid(120, 1, (0, 0), (59.3, 59.8), 116.0, RollingShutter(150.0))

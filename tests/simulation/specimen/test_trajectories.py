@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.simulation.trajectories import PATHS, HandHeld, Raster, Recorded, Spiral, Straight, trajectory
+from napari_elsplus.simulation.specimen.trajectories import (
+    PATHS,
+    HandHeld,
+    Raster,
+    Recorded,
+    Spiral,
+    Straight,
+    trajectory,
+)
 
 TIMES_S = np.arange(0, 4, 1e-3)
 

@@ -14,7 +14,7 @@ from napari_elsplus.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.textures import Texture
+    from napari_elsplus.simulation.specimen.textures import Texture
 
 BLOCK: Final = 64
 SAMPLES_PER_SIGMA: Final = 2.0

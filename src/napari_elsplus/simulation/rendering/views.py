@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.simulation.sensor import Spots, spread_spots
+from napari_elsplus.simulation.rendering.sensor import Spots, spread_spots
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.bundle import Bundle, Cores
-    from napari_elsplus.simulation.instrument import Instrument, RightView
+    from napari_elsplus.simulation.model.bundle import Bundle, Cores
+    from napari_elsplus.simulation.model.instrument import Instrument, RightView
 
 
 class View(NamedTuple):

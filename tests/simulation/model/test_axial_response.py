@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.simulation.axial_response import (
+from napari_elsplus.simulation.model.axial_response import (
     LINE_MODELS,
     LineModel,
     axial_response,

@@ -14,15 +14,15 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from napari_elsplus.processing.analysis.axial_response import HALF, SQUARE_UM, TENTH
-from napari_elsplus.simulation.axial_response import DropOffs, Response, gaussian_over_slit
-from napari_elsplus.simulation.illumination import edge
+from napari_elsplus.simulation.model.axial_response import DropOffs, Response, gaussian_over_slit
+from napari_elsplus.simulation.model.illumination import edge
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
-    from napari_elsplus.simulation.instrument import Instrument
+    from napari_elsplus.simulation.model.instrument import Instrument
 
     Curve = NDArray[np.float64]
     Signal = Callable[[Curve], Curve]
@@ -52,8 +52,8 @@ def clipped_response(instrument: Instrument, depth_um: ArrayLike) -> Response:
 
     Examples
     --------
-    >>> from napari_elsplus.simulation.axial_response import axial_response
-    >>> from napari_elsplus.simulation.instrument import Instrument
+    >>> from napari_elsplus.simulation.model.axial_response import axial_response
+    >>> from napari_elsplus.simulation.model.instrument import Instrument
     >>> instrument = Instrument.of("120hz", slit_um=2.9, offset_um=29)
     >>> rimless = axial_response(550.0, offset_um=29, slit_um=instrument.slit_um).ls
     >>> bool(0.94 < clipped_response(instrument, 550.0).ls / rimless < 0.97)
@@ -70,7 +70,7 @@ def clipped_drop_offs(instrument: Instrument) -> tuple[DropOffs, DropOffs]:
 
     Examples
     --------
-    >>> from napari_elsplus.simulation.instrument import Instrument
+    >>> from napari_elsplus.simulation.model.instrument import Instrument
     >>> ls, els = clipped_drop_offs(Instrument.of("120hz", slit_um=2.9, offset_um=29))
     >>> [round(um) for um in (*ls, *els)]
     [58, 552, 35, 120]

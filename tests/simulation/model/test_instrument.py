@@ -9,11 +9,11 @@ import pytest
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.simulation import calibration_scenes
-from napari_elsplus.simulation.bundle import Bundle
-from napari_elsplus.simulation.instrument import Instrument, RightView
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import distal_light, scene
-from napari_elsplus.simulation.trajectories import Straight
+from napari_elsplus.simulation.model.bundle import Bundle
+from napari_elsplus.simulation.model.instrument import Instrument, RightView
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import distal_light, scene
+from napari_elsplus.simulation.specimen.trajectories import Straight
 from napari_elsplus.simulation.truth import motion, true_calibration
 
 

@@ -182,7 +182,7 @@ def drop_offs(
     """Solve the model for the 3 dB and 10 dB drop-off distances of ELS+, or of LS where no offset is given.
 
     There is no rim here, which takes a twentieth from the LS 10 dB distance of a bundle of 620 um:
-    :func:`napari_elsplus.simulation.clipped_response.clipped_drop_offs` has it.
+    :func:`napari_elsplus.simulation.model.clipped_response.clipped_drop_offs` has it.
 
     Raises
     ------

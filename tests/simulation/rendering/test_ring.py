@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.ring import Ring
-from napari_elsplus.simulation.scenes import scene
-from napari_elsplus.simulation.trajectories import Straight
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.rendering.ring import Ring
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import Straight
 
 
 def test_another_line_invalidates_the_ring_until_it_is_refilled() -> None:

@@ -13,17 +13,17 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.compiled import kernel
-from napari_elsplus.simulation.layers import Layer
-from napari_elsplus.simulation.scan import CoreLight, Scan
-from napari_elsplus.simulation.sensor import expose
-from napari_elsplus.simulation.trajectories import Still, Trajectory, TurningTrajectory
-from napari_elsplus.simulation.views import views
+from napari_elsplus.simulation.rendering.scan import CoreLight, Scan
+from napari_elsplus.simulation.rendering.sensor import expose
+from napari_elsplus.simulation.rendering.views import views
+from napari_elsplus.simulation.specimen.layers import Layer
+from napari_elsplus.simulation.specimen.trajectories import Still, Trajectory, TurningTrajectory
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.instrument import Instrument
-    from napari_elsplus.simulation.scenes import Scene
+    from napari_elsplus.simulation.model.instrument import Instrument
+    from napari_elsplus.simulation.specimen.scenes import Scene
 
     Frame = NDArray[np.uint8]
 
@@ -49,8 +49,8 @@ class Renderer:
 
     Examples
     --------
-    >>> from napari_elsplus.simulation.instrument import Instrument
-    >>> from napari_elsplus.simulation.scenes import scene
+    >>> from napari_elsplus.simulation.model.instrument import Instrument
+    >>> from napari_elsplus.simulation.specimen.scenes import scene
     >>> renderer = Renderer(Instrument.of("240hz"), scene("uniform"))
     >>> frame = np.empty(renderer.frame_shape, np.uint8)
     >>> frame is renderer.render(0, frame)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.simulation.renderer import SAME_LINE_ROWS, Renderer
+from napari_elsplus.simulation.rendering.renderer import SAME_LINE_ROWS, Renderer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,8 +39,8 @@ class Ring:
 
     Examples
     --------
-    >>> from napari_elsplus.simulation.instrument import Instrument
-    >>> from napari_elsplus.simulation.scenes import scene
+    >>> from napari_elsplus.simulation.model.instrument import Instrument
+    >>> from napari_elsplus.simulation.specimen.scenes import scene
     >>> ring = Ring(Renderer(Instrument.of("240hz"), scene("uniform")), frames=2)
     >>> bool((ring.render(5) == ring.renderer.render(1)).all()), ring.valid, ring.name
     (True, True, 'ring of 2 pre-rendered frames')

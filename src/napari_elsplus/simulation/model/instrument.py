@@ -10,8 +10,8 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.optics import PIXEL_PITCH_UM, SENSOR_SHAPE, Optics, Preset, preset
-from napari_elsplus.simulation.axial_response import LINE_MODELS, LineModel
-from napari_elsplus.simulation.bundle import Bundle
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel
+from napari_elsplus.simulation.model.bundle import Bundle
 
 REFERENCE_SLIT_ROWS: Final = 3
 """``Instrument.light_dn`` is told for a slit of so many rows; a wider one is exposed for longer and gathers more."""

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.simulation.layers import Blur, Layer
-from napari_elsplus.simulation.pictures import Image, usaf_1951
-from napari_elsplus.simulation.scenes import SCENES, Plane, picture, scene
-from napari_elsplus.simulation.textures import Fibres, Mottle, Nuclei, Texture, Uniform
+from napari_elsplus.simulation.specimen.layers import Blur, Layer
+from napari_elsplus.simulation.specimen.pictures import Image, usaf_1951
+from napari_elsplus.simulation.specimen.scenes import SCENES, Plane, picture, scene
+from napari_elsplus.simulation.specimen.textures import Fibres, Mottle, Nuclei, Texture, Uniform
 
 
 @pytest.mark.parametrize("texture", [Fibres(), Nuclei(), Mottle()])

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from napari_elsplus.simulation.axial_response import LINE_MODELS, axial_response, drop_offs
-from napari_elsplus.simulation.clipped_response import FARTHEST_UM, clipped_drop_offs, clipped_response
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import plate
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response, drop_offs
+from napari_elsplus.simulation.model.clipped_response import FARTHEST_UM, clipped_drop_offs, clipped_response
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import plate
 
 DEPTHS_UM = np.array([0.0, 20, 60, 150, 400, 700])
 

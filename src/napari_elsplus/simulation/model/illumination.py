@@ -20,7 +20,7 @@ from scipy.special import erf
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.axial_response import LineModel
+    from napari_elsplus.simulation.model.axial_response import LineModel
 
     Grid = NDArray[np.float64]
 

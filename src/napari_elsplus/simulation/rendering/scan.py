@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.simulation.axial_response import gaussian_over_slit, line_response
-from napari_elsplus.simulation.illumination import edge
-from napari_elsplus.simulation.instrument import REFERENCE_SLIT_ROWS
-from napari_elsplus.simulation.layers import Blur
-from napari_elsplus.simulation.textures import Uniform
+from napari_elsplus.simulation.model.axial_response import gaussian_over_slit, line_response
+from napari_elsplus.simulation.model.illumination import edge
+from napari_elsplus.simulation.model.instrument import REFERENCE_SLIT_ROWS
+from napari_elsplus.simulation.specimen.layers import Blur
+from napari_elsplus.simulation.specimen.textures import Uniform
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.bundle import Cores
-    from napari_elsplus.simulation.instrument import Instrument
-    from napari_elsplus.simulation.scenes import Plane, Scene
-    from napari_elsplus.simulation.views import View
+    from napari_elsplus.simulation.model.bundle import Cores
+    from napari_elsplus.simulation.model.instrument import Instrument
+    from napari_elsplus.simulation.rendering.views import View
+    from napari_elsplus.simulation.specimen.scenes import Plane, Scene
 
 _FAR_UM = 1e6
 _NEGLIGIBLE = 1e-5

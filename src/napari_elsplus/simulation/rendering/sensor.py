@@ -12,7 +12,7 @@ from napari_elsplus.processing.compiled import kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.bundle import Bundle
+    from napari_elsplus.simulation.model.bundle import Bundle
 
 SPOTS_PER_PIXEL = 3
 """Neighbouring cores that light a pixel; the fourth lies more than a pitch away, 3.8 standard deviations of a spot."""

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.simulation.instrument import Instrument
-from napari_elsplus.simulation.renderer import Renderer
-from napari_elsplus.simulation.scenes import picture, scene
-from napari_elsplus.simulation.trajectories import Still, Straight, Turning
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import picture, scene
+from napari_elsplus.simulation.specimen.trajectories import Still, Straight, Turning
 
 
 @pytest.fixture(scope="module")

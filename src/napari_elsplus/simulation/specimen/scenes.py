@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.simulation.pictures import Image, usaf_1951
-from napari_elsplus.simulation.textures import Fibres, Mottle, Nuclei, Texture, Uniform
+from napari_elsplus.simulation.specimen.pictures import Image, usaf_1951
+from napari_elsplus.simulation.specimen.textures import Fibres, Mottle, Nuclei, Texture, Uniform
 
 if TYPE_CHECKING:
     from collections.abc import Callable

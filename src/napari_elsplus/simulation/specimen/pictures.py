@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.simulation.textures import step_um
+from napari_elsplus.simulation.specimen.textures import step_um
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.textures import Axis, Picture
+    from napari_elsplus.simulation.specimen.textures import Axis, Picture
 
 
 @dataclass(frozen=True)

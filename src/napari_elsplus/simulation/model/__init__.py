@@ -1,0 +1,1 @@
+"""The model instrument: optics, fibre bundle, laser line, axial response."""

@@ -1,0 +1,1 @@
+"""Raw camera frames of a specimen seen through the model instrument."""
