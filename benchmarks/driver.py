@@ -11,13 +11,13 @@ import time
 import click
 import numpy as np
 
-from napari_elsplus.hardware.flea3 import Flea3
 from napari_elsplus.hardware.protocols import Region
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
+from napari_elsplus.hardware.u3v.flea3 import Flea3
+from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
+from napari_elsplus.hardware.virtual.camera.device import VirtualCamera
 from napari_elsplus.hardware.virtual.timeline import BenchClock
-from napari_elsplus.hardware.virtual.u3v_device import VirtualCamera
-from napari_elsplus.hardware.virtual.usb_bus import Plug, VirtualBus
 from napari_elsplus.instrument.optics import PRESETS
 
 

@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 
 from napari_elsplus.acquisition.process import run
-from napari_elsplus.hardware.card_output import CardSettings
-from napari_elsplus.hardware.daq import DaqScanner
+from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.parking import park_order
 from napari_elsplus.io import RecordingWriter
 

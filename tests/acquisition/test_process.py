@@ -17,7 +17,7 @@ from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 from napari_elsplus.acquisition.recorder import RecordingPlan
 from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
-from napari_elsplus.hardware.virtual.card_process import start_card
+from napari_elsplus.hardware.virtual.card.process import start_card
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording
 from napari_elsplus.mosaic_plan import MosaicPlan

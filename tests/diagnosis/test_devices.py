@@ -10,9 +10,9 @@ import pytest
 
 from napari_elsplus.diagnosis import devices
 from napari_elsplus.diagnosis.finding import Level
+from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
+from napari_elsplus.hardware.virtual.camera.device import VirtualCamera
 from napari_elsplus.hardware.virtual.timeline import BenchClock
-from napari_elsplus.hardware.virtual.u3v_device import VirtualCamera
-from napari_elsplus.hardware.virtual.usb_bus import Plug, VirtualBus
 
 
 @pytest.fixture
@@ -100,8 +100,8 @@ def test_without_nis_driver_the_rest_still_works(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_virtual_card_is_listed_as_nis_would_be() -> None:
-    from napari_elsplus.hardware.virtual.c_library import in_place_of_nis
-    from napari_elsplus.hardware.virtual.card import VirtualCard
+    from napari_elsplus.hardware.virtual.card.c_library import in_place_of_nis
+    from napari_elsplus.hardware.virtual.card.card import VirtualCard
 
     with in_place_of_nis(VirtualCard()):
         (finding,) = devices.galvo_card()

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from napari_elsplus.hardware.card_output import CardSettings
-from napari_elsplus.hardware.flea3 import Flea3
+from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.scan.waveform import MirrorLimits
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
-from napari_elsplus.hardware.virtual.c_library import in_place_of_nis
-from napari_elsplus.hardware.virtual.card import VirtualCard
-from napari_elsplus.hardware.virtual.grpc_server import CardServer
+from napari_elsplus.hardware.u3v.flea3 import Flea3
+from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
+from napari_elsplus.hardware.virtual.camera.device import Shot, VirtualCamera
+from napari_elsplus.hardware.virtual.card.c_library import in_place_of_nis
+from napari_elsplus.hardware.virtual.card.card import VirtualCard
+from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
 from napari_elsplus.hardware.virtual.timeline import BenchClock, StrobeTrain
-from napari_elsplus.hardware.virtual.u3v_device import Shot, VirtualCamera
-from napari_elsplus.hardware.virtual.usb_bus import Plug, VirtualBus
-from napari_elsplus.hardware.waveform import MirrorLimits
 from napari_elsplus.instrument.calibration import Calibration
 
 LINE_PERIOD_S = 1 / 130_750.6

@@ -11,8 +11,8 @@ import pytest
 
 from napari_elsplus.hardware.protocols import Region
 from napari_elsplus.hardware.rigs import Rig, open_rig
+from napari_elsplus.hardware.scan.waveform import ScanTiming, Waveform, els_waveform, exposed_rows, ramp_waveform
 from napari_elsplus.hardware.virtual.bench import Simulation
-from napari_elsplus.hardware.waveform import ScanTiming, Waveform, els_waveform, exposed_rows, ramp_waveform
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 from napari_elsplus.simulation.rendering.renderer import Renderer

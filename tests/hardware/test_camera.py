@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware import flea3
-from napari_elsplus.hardware.genapi import GenicamFeatures
 from napari_elsplus.hardware.protocols import Camera, Region
-from napari_elsplus.hardware.u3v import discovery
+from napari_elsplus.hardware.u3v import discovery, flea3
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera, find_cameras
+from napari_elsplus.hardware.u3v.genapi import GenicamFeatures
 from napari_elsplus.hardware.u3v.stream import DEPTH
-from napari_elsplus.hardware.virtual.usb_bus import Plug, VirtualBus
+from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
 
 SMALL = Region(262, 0, 40, 64)
 

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from usb.core import USBTimeoutError
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware import genapi
-from napari_elsplus.hardware.u3v import control, packets, stream
+from napari_elsplus.hardware.u3v import control, genapi, packets, stream
 from napari_elsplus.hardware.u3v.discovery import Endpoints
 
 ENDS = Endpoints(0, 0x01, 0x81, 1, 0x82)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.card_output import CardSettings
+from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.protocols import Camera, Region, Scanner
 from napari_elsplus.hardware.rig_files import read_rig
 from napari_elsplus.hardware.rigs import open_rig, rig_names
+from napari_elsplus.hardware.scan.waveform import ScanTiming, StrobePhase, els_waveform
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
-from napari_elsplus.hardware.waveform import ScanTiming, StrobePhase, els_waveform
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibres
 
@@ -163,8 +163,8 @@ def test_importing_the_hardware_needs_neither_libusb_nor_nis_driver() -> None:
         import sys
         for missing in ("usb.backend.libusb1", "genicam"):
             sys.modules[missing] = None
-        import napari_elsplus.hardware, napari_elsplus.hardware.rigs, napari_elsplus.hardware.daq
-        import napari_elsplus.hardware.flea3, napari_elsplus.hardware.genapi
+        import napari_elsplus.hardware, napari_elsplus.hardware.rigs, napari_elsplus.hardware.daq.scanner
+        import napari_elsplus.hardware.u3v.flea3, napari_elsplus.hardware.u3v.genapi
         assert "nidaqmx" not in sys.modules
     """
     subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=60)

@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.acquisition.guardian import Guardian
     from napari_elsplus.acquisition.recorder import RecordingPlan
     from napari_elsplus.acquisition.rig import Rig
     from napari_elsplus.acquisition.ring import Layout, Ring
     from napari_elsplus.acquisition.status import Settings
     from napari_elsplus.acquisition.workers import FrameConsumer
+    from napari_elsplus.hardware.guardian import Guardian
     from napari_elsplus.instrument.calibration import Calibration
 
 BUFFER_S: Final = 2.0

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from napari_elsplus.hardware.waveform import MirrorLimits, els_waveform
+from napari_elsplus.hardware.scan.waveform import MirrorLimits, els_waveform
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.camera_setup import CameraSetup
-    from napari_elsplus.acquisition.guardian import Guardian
     from napari_elsplus.acquisition.rig import Rig
+    from napari_elsplus.hardware.guardian import Guardian
     from napari_elsplus.instrument.calibration import Calibration
 
 

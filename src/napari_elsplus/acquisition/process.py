@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any, Final
 from napari_elsplus.acquisition import guided, procedures, shared
 from napari_elsplus.acquisition.calibrating import span_of_the_bundle
 from napari_elsplus.acquisition.engine import Engine
-from napari_elsplus.acquisition.guardian import Guardian
 from napari_elsplus.acquisition.live_mosaic import LiveMosaic
 from napari_elsplus.acquisition.newest import Newest
 from napari_elsplus.acquisition.priority import keep_pace, settle_memory
@@ -31,6 +30,7 @@ from napari_elsplus.acquisition.shared import SharedRing
 from napari_elsplus.acquisition.simulated import calibrate_simulated, open_live
 from napari_elsplus.acquisition.status import Progress, Status
 from napari_elsplus.errors import DeviceError, ElsPlusError, InputError, MeasurementError
+from napari_elsplus.hardware.guardian import Guardian
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

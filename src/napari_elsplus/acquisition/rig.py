@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.parking import ParkOrder
     from napari_elsplus.hardware.protocols import Camera, Scanner
     from napari_elsplus.hardware.rigs import VirtualBench
-    from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase
+    from napari_elsplus.hardware.scan.waveform import MirrorLimits, StrobePhase
 
 
 class Rig(Protocol):

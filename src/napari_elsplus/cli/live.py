@@ -6,9 +6,9 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from napari_elsplus.acquisition.engine import Engine
-from napari_elsplus.acquisition.guardian import Guardian
 from napari_elsplus.acquisition.simulated import open_live
 from napari_elsplus.cli.options import progress
+from napari_elsplus.hardware.guardian import Guardian
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.card_output import CardSettings, Output, open_options
-from napari_elsplus.hardware.daq_errors import told_by_the_card
-from napari_elsplus.hardware.waveform import MirrorLimits
+from napari_elsplus.hardware.daq.errors import told_by_the_card
+from napari_elsplus.hardware.daq.output import CardSettings, Output, open_options
+from napari_elsplus.hardware.scan.waveform import MirrorLimits
 
 if TYPE_CHECKING:
     from nidaqmx.system import System
 
-    from napari_elsplus.hardware.daq import DaqScanner
+    from napari_elsplus.hardware.daq.scanner import DaqScanner
 
 RETRY_S: Final = 0.02
 

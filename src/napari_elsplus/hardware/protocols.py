@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.hardware.waveform import Waveform
+    from napari_elsplus.hardware.scan.waveform import Waveform
 
 
 @dataclass(frozen=True, slots=True)

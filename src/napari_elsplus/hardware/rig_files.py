@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.card_output import CardSettings
-from napari_elsplus.hardware.flea3 import Flea3
-from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase
+from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.scan.waveform import MirrorLimits, StrobePhase
+from napari_elsplus.hardware.u3v.flea3 import Flea3
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 from napari_elsplus.io.user_folders import config_folder
 
@@ -46,7 +46,7 @@ class CameraTable(_Table):
         """Return what makes the features of this kind of camera."""
         if self.kind == "flea3":
             return partial(Flea3, line_rate_hz=self.line_rate_hz, strobe_line=self.strobe_line)
-        from napari_elsplus.hardware.genapi import GenicamFeatures
+        from napari_elsplus.hardware.u3v.genapi import GenicamFeatures
 
         return partial(GenicamFeatures, line_rate_hz=self.line_rate_hz, strobe_line=self.strobe_line)
 

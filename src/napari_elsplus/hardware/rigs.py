@@ -12,18 +12,18 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.daq import DaqScanner
+from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.parking import park_order
 from napari_elsplus.hardware.rig_files import RigSettings, read_rig, rig_files
 
 if TYPE_CHECKING:
     from napari_elsplus.hardware.parking import ParkOrder
     from napari_elsplus.hardware.protocols import Camera, Scanner
+    from napari_elsplus.hardware.scan.waveform import MirrorLimits, StrobePhase
     from napari_elsplus.hardware.virtual.bench import OpticalBench, Simulation
-    from napari_elsplus.hardware.virtual.card import VirtualCard
-    from napari_elsplus.hardware.virtual.card_process import RemoteCard
-    from napari_elsplus.hardware.virtual.usb_bus import Plug
-    from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase
+    from napari_elsplus.hardware.virtual.camera.bus import Plug
+    from napari_elsplus.hardware.virtual.card.card import VirtualCard
+    from napari_elsplus.hardware.virtual.card.process import RemoteCard
 
 SIMULATED: Final = "simulated"
 
@@ -119,7 +119,7 @@ def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig
     with ExitStack() as held:
         _end_on_sigterm(held)
         if name == SIMULATED:
-            from napari_elsplus.hardware.virtual.rig import simulated_rig
+            from napari_elsplus.hardware.virtual.simulated_rig import simulated_rig
 
             rig = simulated_rig(simulation, held)
         elif simulation is not None:

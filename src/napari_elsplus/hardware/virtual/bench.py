@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.hardware.virtual.u3v_device import Shot
+    from napari_elsplus.hardware.virtual.camera.device import Shot
     from napari_elsplus.instrument.calibration import Calibration
 
 _STEADY_AFTER: Final = 10

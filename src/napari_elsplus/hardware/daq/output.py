@@ -8,12 +8,12 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.daq_errors import told_by_the_card
+from napari_elsplus.hardware.daq.errors import told_by_the_card
 
 if TYPE_CHECKING:
     from nidaqmx import GrpcSessionOptions, Task
 
-    from napari_elsplus.hardware.waveform import MirrorLimits, Waveform
+    from napari_elsplus.hardware.scan.waveform import MirrorLimits, Waveform
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,23 +14,23 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from napari_elsplus.acquisition.guardian import Guardian, guard
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.guardian import Guardian, guard
 from napari_elsplus.hardware.parking import ParkOrder
-from napari_elsplus.hardware.virtual.card import VirtualCard
-from napari_elsplus.hardware.virtual.card_process import RemoteCard
-from napari_elsplus.hardware.virtual.grpc_server import CardServer
+from napari_elsplus.hardware.virtual.card.card import VirtualCard
+from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
+from napari_elsplus.hardware.virtual.card.process import RemoteCard
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.simulation.model.instrument import Instrument
 
 PRESET = PRESETS["240hz"]
 DRIVE = """
     import json, time
-    from napari_elsplus.acquisition.guardian import Guardian
+    from napari_elsplus.hardware.guardian import Guardian
     from napari_elsplus.hardware.rigs import open_rig
     from napari_elsplus.hardware.virtual.bench import Simulation
     from napari_elsplus.hardware.virtual.timeline import StrobeTrain
-    from napari_elsplus.hardware.waveform import ScanTiming, els_waveform
+    from napari_elsplus.hardware.scan.waveform import ScanTiming, els_waveform
     from napari_elsplus.instrument.optics import PRESETS
     from napari_elsplus.simulation.specimen.scenes import empty
 

@@ -14,12 +14,12 @@ import time
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.card_output import CardSettings, Output
+from napari_elsplus.hardware.daq.output import CardSettings, Output
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from napari_elsplus.hardware.waveform import MirrorLimits, Waveform
+    from napari_elsplus.hardware.scan.waveform import MirrorLimits, Waveform
 
 WATCH_EVERY_S: Final = 0.02
 LOST_AFTER_FRAMES: Final = 6

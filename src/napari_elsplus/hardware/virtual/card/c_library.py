@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from nidaqmx._lib import DaqFunctionImporter, lib_importer
 
-from napari_elsplus.hardware.virtual.card import MESSAGES, CardError
+from napari_elsplus.hardware.virtual.card.card import MESSAGES, CardError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from napari_elsplus.hardware.virtual.card import VirtualCard
+    from napari_elsplus.hardware.virtual.card.card import VirtualCard
 
 DRIVER_VERSION: Final = {0x1272: 25, 0x1923: 0, 0x2F22: 0}
 DEVICE_NAMES, SAMPLES_DONE = 0x193B, 0x192B

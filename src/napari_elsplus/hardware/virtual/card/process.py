@@ -1,6 +1,6 @@
 """The virtual card in a process of its own, which outlives the one that drives it, as a real card does.
 
-Run as ``python -m napari_elsplus.hardware.virtual.card_process``; it prints where it can be
+Run as ``python -m napari_elsplus.hardware.virtual.card.process``; it prints where it can be
 reached, as one line of JSON.
 """
 
@@ -17,8 +17,8 @@ from multiprocessing.connection import Client, Connection, Listener
 from typing import Any, Final, Self, cast
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.virtual.card import VirtualCard
-from napari_elsplus.hardware.virtual.grpc_server import CardServer
+from napari_elsplus.hardware.virtual.card.card import VirtualCard
+from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
 from napari_elsplus.hardware.virtual.timeline import Program, StrobeTrain
 
 LINGER_S: Final = 3.0

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
+from napari_elsplus.diagnosis import first_light
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware import first_light
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.virtual.bench import Simulation
@@ -50,7 +50,7 @@ def test_every_strobe_is_heard_and_the_mirror_never_leaves_its_parking_position(
 
 
 def test_a_check_fails_in_one_line() -> None:
-    command = [sys.executable, "-m", "napari_elsplus.hardware.first_light", "stream", "--rig", "nobodys"]
+    command = [sys.executable, "-m", "napari_elsplus.diagnosis.first_light", "stream", "--rig", "nobodys"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert done.stderr.strip().splitlines() == [done.stderr.strip()]

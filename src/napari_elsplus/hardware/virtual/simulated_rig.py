@@ -5,28 +5,28 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.card_output import CardSettings
-from napari_elsplus.hardware.daq import DaqScanner
-from napari_elsplus.hardware.flea3 import Flea3
+from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.parking import park_order
 from napari_elsplus.hardware.rigs import SIMULATED, Rig, VirtualBench
+from napari_elsplus.hardware.scan.waveform import MirrorLimits, StrobePhase
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
+from napari_elsplus.hardware.u3v.flea3 import Flea3
 from napari_elsplus.hardware.virtual.bench import OpticalBench, Simulation
-from napari_elsplus.hardware.virtual.card import VirtualCard
-from napari_elsplus.hardware.virtual.card_process import start_card
-from napari_elsplus.hardware.virtual.grpc_server import CardServer
+from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
+from napari_elsplus.hardware.virtual.camera.device import VirtualCamera
+from napari_elsplus.hardware.virtual.card.card import VirtualCard
+from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
+from napari_elsplus.hardware.virtual.card.process import start_card
 from napari_elsplus.hardware.virtual.timeline import BenchClock
-from napari_elsplus.hardware.virtual.u3v_device import VirtualCamera
-from napari_elsplus.hardware.virtual.usb_bus import Plug, VirtualBus
-from napari_elsplus.hardware.waveform import MirrorLimits, StrobePhase
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.simulation.truth import park_volts
 
 if TYPE_CHECKING:
     from contextlib import ExitStack
 
-    from napari_elsplus.hardware.virtual.card_process import RemoteCard
+    from napari_elsplus.hardware.virtual.card.process import RemoteCard
 
 SERIAL = "virtual-1"
 

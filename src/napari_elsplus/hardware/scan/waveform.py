@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.scan_path import LEAD_IN_S, TURN_S, ScanPath
+from napari_elsplus.hardware.scan.path import LEAD_IN_S, TURN_S, ScanPath
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

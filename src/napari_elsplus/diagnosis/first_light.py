@@ -1,4 +1,4 @@
-"""Checks for the first hour at a real rig: ``python -m napari_elsplus.hardware.first_light CHECK``.
+"""Checks for the first hour at a real rig: ``python -m napari_elsplus.diagnosis.first_light CHECK``.
 
 Each settles a question that no virtual device can answer, without light on anything: the mirror stays parked
 throughout. What to do with the answers: docs/first-light.md.
@@ -14,14 +14,14 @@ import click
 import numpy as np
 
 from napari_elsplus.errors import ElsPlusError, InputError
-from napari_elsplus.hardware import flea3
-from napari_elsplus.hardware.flea3 import BASE, Flea3
 from napari_elsplus.hardware.protocols import Region
 from napari_elsplus.hardware.rigs import Rig, open_rig
+from napari_elsplus.hardware.scan.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
+from napari_elsplus.hardware.u3v import flea3
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.control import Control, RegisterError
 from napari_elsplus.hardware.u3v.discovery import choose_camera, endpoints
-from napari_elsplus.hardware.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
+from napari_elsplus.hardware.u3v.flea3 import BASE, Flea3
 from napari_elsplus.instrument.optics import PRESETS, SENSOR_SHAPE, preset
 
 if TYPE_CHECKING:

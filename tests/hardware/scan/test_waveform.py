@@ -10,9 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.hardware.virtual.galvo import STEP_S, GalvoModel
-from napari_elsplus.hardware.virtual.timeline import Program, StrobeTrain, mean_volts
-from napari_elsplus.hardware.waveform import (
+from napari_elsplus.hardware.scan.waveform import (
     REARM_S,
     MirrorLimits,
     ScanTiming,
@@ -24,6 +22,8 @@ from napari_elsplus.hardware.waveform import (
     flyback_rows,
     ramp_waveform,
 )
+from napari_elsplus.hardware.virtual.galvo import STEP_S, GalvoModel
+from napari_elsplus.hardware.virtual.timeline import Program, StrobeTrain, mean_volts
 
 LINE_PERIOD_S = 1 / 130_750.6
 GALVO = GalvoModel()

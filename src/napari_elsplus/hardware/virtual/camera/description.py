@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from napari_elsplus.hardware import flea3
+from napari_elsplus.hardware.u3v import flea3
 
 HEADER: Final = """<?xml version="1.0" encoding="utf-8"?>
 <RegisterDescription ModelName="VirtualCamera" VendorName="napari-elsplus"

@@ -5,9 +5,8 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.hardware import flea3
-from napari_elsplus.hardware.u3v import control, stream
-from napari_elsplus.hardware.virtual.description import describe
+from napari_elsplus.hardware.u3v import control, flea3, stream
+from napari_elsplus.hardware.virtual.camera.description import describe
 from napari_elsplus.instrument.optics import SENSOR_SHAPE
 
 if TYPE_CHECKING:

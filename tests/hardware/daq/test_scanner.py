@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.card_output import CardSettings
-from napari_elsplus.hardware.daq import DaqScanner
+from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.protocols import Scanner
+from napari_elsplus.hardware.scan.waveform import MirrorLimits, ScanTiming, Waveform, els_waveform, elsa_waveform
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain, volts_at
-from napari_elsplus.hardware.waveform import MirrorLimits, ScanTiming, Waveform, els_waveform, elsa_waveform
 
 PERIOD_S = 1 / 240
 TIMING = ScanTiming(1 / 130_750.6, 130_750.6 / 240, 3)
@@ -235,11 +235,11 @@ def test_an_exception_in_the_caller_parks(cards, ramp, wait_for) -> None:
 
 def test_a_program_that_ends_without_closing_parks_at_exit() -> None:
     code = """
-        from napari_elsplus.hardware.card_output import CardSettings
-        from napari_elsplus.hardware.daq import DaqScanner
-        from napari_elsplus.hardware.virtual.card import VirtualCard
-        from napari_elsplus.hardware.virtual.grpc_server import CardServer
-        from napari_elsplus.hardware.waveform import MirrorLimits
+        from napari_elsplus.hardware.daq.output import CardSettings
+        from napari_elsplus.hardware.daq.scanner import DaqScanner
+        from napari_elsplus.hardware.virtual.card.card import VirtualCard
+        from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
+        from napari_elsplus.hardware.scan.waveform import MirrorLimits
         import atexit
         card = VirtualCard()
         atexit.register(lambda: print(card.last_volts))

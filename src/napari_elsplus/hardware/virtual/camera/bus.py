@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from array import array
     from collections.abc import Iterator
 
-    from napari_elsplus.hardware.virtual.u3v_device import VirtualCamera
+    from napari_elsplus.hardware.virtual.camera.device import VirtualCamera
 
 CONTROL_OUT, CONTROL_IN, STREAM_IN = 0x01, 0x81, 0x82
 BULK: Final = 2

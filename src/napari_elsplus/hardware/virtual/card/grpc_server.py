@@ -12,12 +12,12 @@ import numpy as np
 from nidaqmx._stubs import nidaqmx_pb2 as pb
 from session_pb2 import Session
 
-from napari_elsplus.hardware.virtual.card import CardError
+from napari_elsplus.hardware.virtual.card.card import CardError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from napari_elsplus.hardware.virtual.card import VirtualCard
+    from napari_elsplus.hardware.virtual.card.card import VirtualCard
 
 SERVICE: Final = "nidaqmx_grpc.NiDAQmx"
 DRIVER_VERSION: Final = {0x1272: 25, 0x1923: 0, 0x2F22: 0}

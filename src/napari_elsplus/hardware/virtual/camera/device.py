@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 from usb.core import USBError, USBTimeoutError
 
-from napari_elsplus.hardware import flea3
-from napari_elsplus.hardware.u3v import packets, stream
-from napari_elsplus.hardware.virtual.memory import SIRM, STROBE, Memory, MemoryFault
+from napari_elsplus.hardware.u3v import flea3, packets, stream
+from napari_elsplus.hardware.virtual.camera.memory import SIRM, STROBE, Memory, MemoryFault
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 

@@ -1,0 +1,1 @@
+"""The galvo on a National Instruments card, through nidaqmx."""

@@ -1,0 +1,1 @@
+"""A virtual USB3 Vision camera on a virtual USB bus."""
