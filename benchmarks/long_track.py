@@ -23,10 +23,10 @@ from napari_elsplus.acquisition.tracking import TrackState
 from napari_elsplus.evaluation.machine import machine
 from napari_elsplus.evaluation.rig import simulated_rig
 from napari_elsplus.io import TrackPoint
-from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
-from napari_elsplus.tracking_pipeline import Pipeline
 from napari_elsplus.viewing.live_mosaic import LiveMosaics
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+from napari_elsplus.workflows.tracking import Pipeline
 
 HZ = 240
 SPEED_PX = 6.0

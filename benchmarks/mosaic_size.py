@@ -19,7 +19,6 @@ from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.evaluation.machine import machine
 from napari_elsplus.io import TrackPoint, TrackTable
-from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.tracking.front_end.grid import Grid
@@ -28,6 +27,7 @@ from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.mosaic_files import save_mosaics
 from napari_elsplus.viewing.mosaics import MosaicScale
 from napari_elsplus.widgets.mosaic_layers import MosaicLayers
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 STEP_PX = 40.0
 LINES_APART = 0.6

@@ -9,10 +9,10 @@ import numpy as np
 
 from napari_elsplus.evaluation.rig import simulated_rig
 from napari_elsplus.evaluation.stages import STAGES, our_stages
-from napari_elsplus.pipelined import Pipelined
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.workflows.tracking import Pipeline
+from napari_elsplus.workflows.two_threads import Pipelined
 
 FRAMES = 48
 PATHS = {"hand, 1.5 mm/s": HandHeld(1500.0), "straight, 8 mm/s": Straight(8000.0)}

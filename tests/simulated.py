@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
     from napari_elsplus.simulation.specimen.trajectories import Trajectory

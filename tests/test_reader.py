@@ -12,7 +12,7 @@ from napari.utils.notifications import notification_manager
 
 from napari_elsplus._reader import get_reader
 from napari_elsplus.io import settings, write_calibration
-from napari_elsplus.pipeline import images
+from napari_elsplus.workflows.sectioning import images
 from pairs import calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"

@@ -12,7 +12,7 @@ from napari.layers import Image
 from napari_elsplus._writer import write_tiff, write_zarr
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, write_calibration
-from napari_elsplus.pipeline import images
+from napari_elsplus.workflows.sectioning import images
 from pairs import FRAME_PERIOD_S, calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"

@@ -17,11 +17,11 @@ from napari_elsplus.acquisition.ring import Stamp
 from napari_elsplus.acquisition.tracking import LiveTrack
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.io import TrackPoint
-from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.tracking import tracker as tracking
-from napari_elsplus.tracking_pipeline import Method, Pipeline
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+from napari_elsplus.workflows.tracking import Method, Pipeline
 from recordings import Truth, record, texture
 
 ROUND = 60

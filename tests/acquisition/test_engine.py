@@ -16,7 +16,7 @@ from napari_elsplus.acquisition.status import Settings
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import RecordingWriter, open_recording
-from napari_elsplus.pipeline import images
+from napari_elsplus.workflows.sectioning import images
 
 
 def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from napari_elsplus.acquisition.live_images import LiveImages, View, focus
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.pipeline import images
 from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.workflows.sectioning import images
 
 SHAPE = (100, 200)
 CALIBRATION = Calibration.parse(

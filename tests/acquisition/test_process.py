@@ -20,8 +20,8 @@ from napari_elsplus.errors import CalibrationError, DeviceError, InputError
 from napari_elsplus.hardware.virtual.card.process import start_card
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording
-from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 SLOW = Settings("240hz", frame_rate_hz=100.0)
 CLEAR_V = -0.9

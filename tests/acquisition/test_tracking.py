@@ -12,8 +12,8 @@ from napari_elsplus.acquisition.mosaic_board import MosaicBoard
 from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
 from napari_elsplus.acquisition.ring import Stamp
 from napari_elsplus.acquisition.tracking import LiveTrack
-from napari_elsplus.mosaic_plan import MosaicPlan
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+from napari_elsplus.workflows.tracking import Pipeline
 from recordings import Truth, record, smooth_path, texture
 
 FRAMES = 40
@@ -63,7 +63,7 @@ def test_nothing_is_left_to_compile_when_frames_come() -> None:
 from napari_elsplus.acquisition.tracking import rehearse
 from napari_elsplus.evaluation.rig import simulated_rig
 from napari_elsplus.processing.tracking import climb, descent, evidence, ladder, local_evidence
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.workflows.tracking import Pipeline
 
 rig = simulated_rig()
 rehearse(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)

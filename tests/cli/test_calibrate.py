@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from napari_elsplus.evaluation.against_truth import calibration_errors
 from napari_elsplus.io import read_calibration, write_column
 from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.workflows.accuracy import calibration_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from napari_elsplus.demo import FILES
 from napari_elsplus.io import read_calibration, read_track
+from napari_elsplus.workflows.demo import FILES
 
 
 @pytest.fixture(scope="module")

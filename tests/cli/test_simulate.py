@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from napari_elsplus.io import open_recording, read_volts
-from napari_elsplus.pipeline import images
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.workflows.sectioning import images
 
 if TYPE_CHECKING:
     from collections.abc import Callable

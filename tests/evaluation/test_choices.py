@@ -13,7 +13,7 @@ from napari_elsplus.evaluation.harness import Chart, Role
 from napari_elsplus.evaluation.registry import MODULES, benchmark
 from napari_elsplus.evaluation.running import run
 from napari_elsplus.figures.benchmark import draw_benchmark
-from napari_elsplus.figures.files import save_figure
+from napari_elsplus.workflows.pictures.files import save_figure
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.evaluation.against_truth import TrackErrors
 from napari_elsplus.evaluation.drift import Drift
 from napari_elsplus.evaluation.gate import Gate, Judged
 from napari_elsplus.evaluation.mosaicing import METHODS, Outcome, Scenario
@@ -25,6 +24,7 @@ from napari_elsplus.figures.mosaicing import (
     turning_table,
 )
 from napari_elsplus.processing.tracking.registration.motion_models import Rung
+from napari_elsplus.workflows.accuracy import TrackErrors
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.evaluation import paper
-from napari_elsplus.evaluation.against_truth import TrackErrors
 from napari_elsplus.figures.paper import calibration_table, draw_calibration, draw_images, mosaic_table
 from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.workflows.accuracy import TrackErrors
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from napari_elsplus.evaluation.trade import Trade, weigh
 from napari_elsplus.figures import physics
 from napari_elsplus.processing.analysis import axial_response as axial
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response
+from napari_elsplus.workflows.sectioning_performance import Trade, weigh
 
 if TYPE_CHECKING:
     from pathlib import Path

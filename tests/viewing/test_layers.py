@@ -8,9 +8,9 @@ import tifffile
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.io import write_calibration, write_mosaic, write_stack
-from napari_elsplus.pipeline import images
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers, summary
+from napari_elsplus.workflows.sectioning import images
 from pairs import FRAME_PERIOD_S, calibration, frames, write_pair
 
 

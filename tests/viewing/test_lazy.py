@@ -7,9 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from napari_elsplus.pipeline import images
 from napari_elsplus.viewing import lazy
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
+from napari_elsplus.workflows.sectioning import images
 from pairs import calibration, frames
 
 

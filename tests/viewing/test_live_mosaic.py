@@ -9,8 +9,8 @@ from napari_elsplus.acquisition.board_tables import Tables
 from napari_elsplus.acquisition.mosaic_board import MosaicBoard
 from napari_elsplus.acquisition.tracking import TrackState
 from napari_elsplus.io import TrackPoint
-from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.viewing.live_mosaic import LiveMosaics
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 
 @pytest.mark.parametrize("whole", [False, True])

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.mosaic_plan import MosaicPlan
-from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.tracking_pipeline import Method, Pipeline
 from napari_elsplus.viewing.mosaicking import StackMosaics
 from napari_elsplus.viewing.trackable import images_as_they_are
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracking import Method, Pipeline
 from recordings import Truth, record, smooth_path, texture
 
 FRAMES = 24

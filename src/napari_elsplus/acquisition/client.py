@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.usage import Usage
     from napari_elsplus.errors import MeasurementError
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.calibration.calibrate import Background, Findings, Pair, SlitOffset
     from napari_elsplus.processing.calibration.draft import Flat, LitPair, Setup
     from napari_elsplus.processing.calibration.galvo import GalvoMap
     from napari_elsplus.processing.calibration.lag import ScanLag
+    from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 ENGINE: Final = (sys.executable, "-m", "napari_elsplus.acquisition.process")
 _PATIENCE_S: Final = 30.0

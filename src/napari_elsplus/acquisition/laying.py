@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.keyframe_store import Kept
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.pose_graph.correction import Corrections
-    from napari_elsplus.tracking_pipeline import Pipeline
+    from napari_elsplus.workflows.tracking import Pipeline
 
     Where = tuple[int, tuple[int, int]]
     """A segment, and the key of a tile."""

@@ -10,9 +10,9 @@ import numpy as np
 
 from napari_elsplus.acquisition.ring import Layout
 from napari_elsplus.errors import InputError
-from napari_elsplus.pipeline import finishing
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
+from napari_elsplus.workflows.sectioning import finishing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

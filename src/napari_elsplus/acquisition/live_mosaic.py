@@ -12,7 +12,7 @@ from napari_elsplus.errors import CalibrationError
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine import Engine
-    from napari_elsplus.mosaic_plan import MosaicPlan
+    from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 
 class LiveMosaic:

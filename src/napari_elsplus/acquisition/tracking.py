@@ -14,13 +14,13 @@ import numpy as np
 from napari_elsplus.acquisition.closing import Closing, Seen
 from napari_elsplus.acquisition.laying import AlternatingLaying, Found, Laying
 from napari_elsplus.errors import InputError
-from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import State
 from napari_elsplus.processing.tracking.pose_graph.correction import Corrections, Path
 from napari_elsplus.processing.tracking.pose_graph.keyframes import Trail
-from napari_elsplus.tracking_pipeline import Method, Pipeline
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+from napari_elsplus.workflows.tracking import Method, Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.engine import Engine
     from napari_elsplus.acquisition.status import Status
-    from napari_elsplus.tracking_pipeline import Pipeline
+    from napari_elsplus.workflows.tracking import Pipeline
 
 _STEP_S = 0.1
 ALL_OF_IT_S = 3600.0

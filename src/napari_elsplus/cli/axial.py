@@ -40,7 +40,7 @@ def command(
     """Measure 3 dB and 10 dB drop-offs of LS and ELS+, and the in-focus signal kept, from SCAN."""
     refuse_outputs(output, plot, force=force, inputs=(scan, calibration, depths))
     if plot is not None:
-        from napari_elsplus.figures.files import refuse_format
+        from napari_elsplus.workflows.pictures.files import refuse_format
 
         refuse_format(plot)
     with open_recording(scan) as recording:
@@ -53,8 +53,8 @@ def command(
     with replacing(output, force=force) as path:
         path.write_text(json.dumps(response.content(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     if plot is not None:
-        from napari_elsplus.figures.axial import draw_axial_response
-        from napari_elsplus.figures.files import save_figure
+        from napari_elsplus.workflows.pictures.axial import draw_axial_response
+        from napari_elsplus.workflows.pictures.files import save_figure
 
         save_figure(draw_axial_response(response), plot, force=force)
     for line in _summary(response):

@@ -17,8 +17,8 @@ from napari_elsplus.evaluation.table import breakdowns, header, lines, markdown,
 from napari_elsplus.evaluation.verdict import verdict
 from napari_elsplus.figures import paper
 from napari_elsplus.figures.benchmark import draw_benchmark
-from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill
+from napari_elsplus.workflows.pictures.files import save_figure
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import click
 
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, refuse_outputs
-from napari_elsplus.figures.comparison import TITLES, compare, draw_comparison
-from napari_elsplus.figures.files import refuse_format, save_figure
 from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.processing.analysis.image_quality import contrast
+from napari_elsplus.workflows.pictures.comparison import TITLES, compare, draw_comparison
+from napari_elsplus.workflows.pictures.files import refuse_format, save_figure
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from napari_elsplus.cli.options import FILE, force_option, progress
-from napari_elsplus.demo import FILES, run_demo
+from napari_elsplus.workflows.demo import FILES, run_demo
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,14 +9,14 @@ import numpy as np
 
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress, refuse_outputs
 from napari_elsplus.io import open_recording, read_calibration, write_mosaic, write_track
-from napari_elsplus.pipeline import RawPairs
-from napari_elsplus.pipelined import Pipelined
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.mosaicing.picture import picture
 from napari_elsplus.processing.tracking.motion.pose import State
-from napari_elsplus.timing import with_timing
-from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline
+from napari_elsplus.workflows.line_timing import with_timing
+from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracking import UNLINKED, Method, Pipeline
+from napari_elsplus.workflows.two_threads import Pipelined
 
 if TYPE_CHECKING:
     from pathlib import Path

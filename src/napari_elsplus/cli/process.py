@@ -8,9 +8,9 @@ import click
 
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress, refuse_outputs
 from napari_elsplus.io import open_recording, read_calibration, write_stack
-from napari_elsplus.pipeline import Images
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.workflows.sectioning import Images
 
 if TYPE_CHECKING:
     from pathlib import Path

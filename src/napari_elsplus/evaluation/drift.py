@@ -10,11 +10,11 @@ from napari_elsplus.acquisition.ring import Stamp
 from napari_elsplus.acquisition.tracking import LiveTrack
 from napari_elsplus.evaluation.rig import dim
 from napari_elsplus.evaluation.stability.pairs import ELECTRONS_OF_WHITE
-from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Recorded, Straight
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import cv2
 import numpy as np
 
-from napari_elsplus.evaluation.against_truth import WRONG_PX
 from napari_elsplus.evaluation.rig import simulated_rig
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
@@ -21,6 +20,7 @@ from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION
 from napari_elsplus.simulation.specimen.scenes import picture
 from napari_elsplus.simulation.specimen.textures import draw_fibres
 from napari_elsplus.simulation.specimen.trajectories import Recorded, trajectory
+from napari_elsplus.workflows.accuracy import WRONG_PX
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

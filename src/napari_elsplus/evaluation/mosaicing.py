@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import cv2
 import numpy as np
 
-from napari_elsplus.evaluation.against_truth import TrackErrors, track_errors
 from napari_elsplus.evaluation.rig import StopAndGo, simulated_rig, without_timing
-from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import trajectory
-from napari_elsplus.tracking_pipeline import Method, Pipeline
+from napari_elsplus.workflows.accuracy import TrackErrors, track_errors
+from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracking import Method, Pipeline
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

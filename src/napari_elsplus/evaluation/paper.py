@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.evaluation.against_truth import CalibrationErrors, TrackErrors, calibration_errors, track_errors
 from napari_elsplus.evaluation.choices.sectioning import Moment, judge
 from napari_elsplus.evaluation.rig import SimulatedRig, measured
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast
@@ -18,7 +17,8 @@ from napari_elsplus.simulation import calibration_scenes as scenes
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Raster
-from napari_elsplus.tracking_pipeline import Method, Pipeline
+from napari_elsplus.workflows.accuracy import CalibrationErrors, TrackErrors, calibration_errors, track_errors
+from napari_elsplus.workflows.tracking import Method, Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.evaluation.trade import Trade, weigh
 from napari_elsplus.processing.analysis.axial_response import AxialResponse, axial_profiles, axial_response
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
@@ -18,6 +17,7 @@ from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import paper, plate
 from napari_elsplus.simulation.specimen.trajectories import Spiral
 from napari_elsplus.simulation.truth import true_calibration
+from napari_elsplus.workflows.sectioning_performance import Trade, weigh
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

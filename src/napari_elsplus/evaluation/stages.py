@@ -99,7 +99,7 @@ def our_stages(calibration: Calibration, raw: NDArray[np.uint8]) -> dict[str, fl
     Parameters
     ----------
     calibration : Calibration
-        As for :class:`~napari_elsplus.tracking_pipeline.Pipeline`.
+        As for :class:`~napari_elsplus.workflows.tracking.Pipeline`.
     raw : numpy.ndarray
         (T, rows, cols) raw frames.
     """

@@ -16,8 +16,8 @@ from napari_elsplus.evaluation.calibration_accuracy import CENTRE, GAIN, OFFSET,
 from napari_elsplus.evaluation.choices.line import BENCHMARK, frame
 from napari_elsplus.evaluation.photographs import Photograph, look_at
 from napari_elsplus.evaluation.random_rigs import Rig
-from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill, require_marks
+from napari_elsplus.workflows.pictures.files import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

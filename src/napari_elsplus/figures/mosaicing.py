@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from napari_elsplus.evaluation.against_truth import WRONG_PX
 from napari_elsplus.evaluation.choices.registration import METHODS as REGISTRATIONS
 from napari_elsplus.evaluation.drift import Drift, drift
 from napari_elsplus.evaluation.gate import Gate, Judged, gate, judged_links
@@ -19,10 +18,11 @@ from napari_elsplus.evaluation.harness import Absent
 from napari_elsplus.evaluation.mosaicing import TRANSLATION, Outcome, Scenario, outcomes
 from napari_elsplus.evaluation.parsimony.turning import Turned, Walk, follow
 from napari_elsplus.evaluation.stability.pairs import SCENES, Statistics, cases, statistics
-from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill, require_marks
 from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION
-from napari_elsplus.tracking_pipeline import Method
+from napari_elsplus.workflows.accuracy import WRONG_PX
+from napari_elsplus.workflows.pictures.files import save_figure
+from napari_elsplus.workflows.tracking import Method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

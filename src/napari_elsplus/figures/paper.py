@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from napari_elsplus.evaluation import paper
-from napari_elsplus.figures.comparison import TITLES, compare, draw_comparison
-from napari_elsplus.figures.files import save_figure
 from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT, contrast, white_level
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.simulation.model.instrument import Instrument
-from napari_elsplus.tracking_pipeline import Method
+from napari_elsplus.workflows.pictures.comparison import TITLES, compare, draw_comparison
+from napari_elsplus.workflows.pictures.files import save_figure
+from napari_elsplus.workflows.tracking import Method
 
 if TYPE_CHECKING:
     from collections.abc import Callable

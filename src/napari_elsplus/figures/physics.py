@@ -12,13 +12,13 @@ import numpy as np
 from napari_elsplus.evaluation import printed
 from napari_elsplus.evaluation.sectioning import mean_residual, measure_axial, weigh_offset
 from napari_elsplus.figures import physics_charts as charts
-from napari_elsplus.figures.axial import draw_axial_response
-from napari_elsplus.figures.files import save_figure
 from napari_elsplus.figures.pages import fill, require_marks
 from napari_elsplus.processing.analysis.axial_response import fit_saturation
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, drop_offs
 from napari_elsplus.simulation.model.clipped_response import clipped_drop_offs
 from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.workflows.pictures.axial import draw_axial_response
+from napari_elsplus.workflows.pictures.files import save_figure
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

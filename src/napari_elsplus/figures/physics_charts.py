@@ -10,9 +10,9 @@ from scipy.ndimage import gaussian_filter
 
 from napari_elsplus.evaluation import printed
 from napari_elsplus.evaluation.sectioning import sharper_line_drop_offs
-from napari_elsplus.figures.comparison import COLOURS
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.simulation.model.axial_response import drop_offs, signal_kept
+from napari_elsplus.workflows.pictures.comparison import COLOURS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from napari_elsplus.evaluation.trade import Trade
     from napari_elsplus.processing.analysis.axial_response import AxialResponse
+    from napari_elsplus.workflows.sectioning_performance import Trade
 
 PAPER_COLOUR: Final = "0.35"
 NAMES: Final = {Mode.LS: "LS", Mode.ELS: "ELS+"}

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import dask.array as da
 import numpy as np
 
-from napari_elsplus.pipeline import Images
 from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.workflows.sectioning import Images
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -96,7 +96,7 @@ def image_planes(
 ) -> LazyPlanes:
     """Images of one mode, made of raw planes when they are looked at.
 
-    Parameters and errors are those of :class:`napari_elsplus.pipeline.Images`, of which each thread has its own.
+    Parameters and errors are those of :class:`napari_elsplus.workflows.sectioning.Images`, of which each thread has its own.
     """
     own = local()
 

@@ -5,20 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.figures.files import save_figure
-from napari_elsplus.figures.mosaic_picture import draw_mosaic
 from napari_elsplus.io import refuse_existing, write_mosaic, write_track
 from napari_elsplus.processing.mosaicing.sheet import Sheet
 from napari_elsplus.viewing.growing import white_of
 from napari_elsplus.viewing.stack import files_for_script
+from napari_elsplus.workflows.pictures.files import save_figure
+from napari_elsplus.workflows.pictures.mosaic_picture import draw_mosaic
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.viewing.mosaics import Mosaics
     from napari_elsplus.viewing.stack import Stack
+    from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 ENDINGS: Final = (".ome.tif", ".ome.tiff", ".tif", ".tiff")
 
@@ -97,10 +97,10 @@ def mosaic_script(stack: Stack, calibration_file: Path | None, plan: MosaicPlan)
 from pathlib import Path
 
 from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.mosaic_plan import MosaicPlan
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.tracking_pipeline import Method
+from napari_elsplus.workflows.tracking import Method
 from napari_elsplus.viewing.mosaic_files import save_mosaics
 from napari_elsplus.viewing.mosaicking import StackMosaics
 

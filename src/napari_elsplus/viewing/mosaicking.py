@@ -9,26 +9,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.io import TrackTable
-from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import State
-from napari_elsplus.timing import with_timing
-from napari_elsplus.tracking_pipeline import UNLINKED, Method, Pipeline
 from napari_elsplus.viewing.growing import GrowingImage
 from napari_elsplus.viewing.mosaics import MosaicScale, without_last_segment
 from napari_elsplus.viewing.track import fastest_px_per_frame
 from napari_elsplus.viewing.trackable import TrackableFrames
+from napari_elsplus.workflows.line_timing import with_timing
+from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracking import UNLINKED, Method, Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.processing.tracking.motion.pose import Pose
+    from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
     Watch = Callable[[Iterable[int]], Iterable[int]]
 

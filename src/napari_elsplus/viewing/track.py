@@ -13,7 +13,7 @@ from napari_elsplus.io.tracks import STATES
 from napari_elsplus.processing.tracking.motion.pose import State
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TEMPLATE_PX
 from napari_elsplus.processing.tracking.tracker import FARTHEST
-from napari_elsplus.tracking_pipeline import Method
+from napari_elsplus.workflows.tracking import Method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

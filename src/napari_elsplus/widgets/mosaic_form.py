@@ -10,13 +10,13 @@ from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # w
 from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from napari_elsplus.io.settings import recall, remember
-from napari_elsplus.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.tracking_pipeline import Method
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.mosaic_sources import source_names
 from napari_elsplus.widgets.speed_bar import SpeedBar
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+from napari_elsplus.workflows.tracking import Method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

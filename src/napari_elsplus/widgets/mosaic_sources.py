@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.mosaic_plan import MosaicPlan
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 
 @dataclass(frozen=True)

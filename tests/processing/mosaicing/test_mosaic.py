@@ -4,14 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.mosaicing.picture import picture
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, HeapTiles, Rectangle
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracking import Pipeline
 from recordings import record, smooth_path, texture
 
 GRID = Grid(120, 1, (0, 0), (59.3, 59.8), 116.0, RollingShutter(150.0))

@@ -5,11 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.motion.pose import State
 from napari_elsplus.simulation.specimen.trajectories import Recorded
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracking import Pipeline
 from recordings import Truth, fibres, record, smooth_path, texture
 from simulated import INSTRUMENT, followed
 

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.evaluation.against_truth import unexplained
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
 from napari_elsplus.instrument.optics import CORE_PITCH_UM
-from napari_elsplus.pipeline import finishing
 from napari_elsplus.processing.images.cores import GAUSSIAN_SIGMA_PITCHES, CoreFilter
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 from napari_elsplus.simulation.specimen.scenes import Scene, scene
 from napari_elsplus.simulation.specimen.trajectories import Still
+from napari_elsplus.workflows.accuracy import unexplained
+from napari_elsplus.workflows.sectioning import finishing
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from napari_elsplus.evaluation.against_truth import unexplained
 from napari_elsplus.evaluation.choices.sectioning import Crop
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role
 from napari_elsplus.evaluation.rig import simulated_rig
-from napari_elsplus.pipeline import finishing
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, takes_median
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Still
+from napari_elsplus.workflows.accuracy import unexplained
+from napari_elsplus.workflows.sectioning import finishing
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,12 +15,12 @@ from napari_elsplus.evaluation.peers import peer
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
 from napari_elsplus.evaluation.running import thread_clock
 from napari_elsplus.evaluation.stages import PapersCanvas, our_stages, papers_stages
-from napari_elsplus.pipelined import Pipelined
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, PaperTracker
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight, Trajectory
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.workflows.tracking import Pipeline
+from napari_elsplus.workflows.two_threads import Pipelined
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

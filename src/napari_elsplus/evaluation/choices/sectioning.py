@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from napari_elsplus.evaluation.against_truth import SMOOTHING_PX, unexplained
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role
 from napari_elsplus.evaluation.rig import SimulatedRig, simulated_rig
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Straight
+from napari_elsplus.workflows.accuracy import SMOOTHING_PX, unexplained
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
-from napari_elsplus.evaluation.against_truth import track_errors
 from napari_elsplus.evaluation.choices.frontend import papers
 from napari_elsplus.evaluation.harness import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from napari_elsplus.evaluation.peers import peer
@@ -16,8 +15,9 @@ from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, PaperTracker
 from napari_elsplus.simulation.specimen.trajectories import trajectory
-from napari_elsplus.tracking_pipeline import Method as Tracking
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.workflows.accuracy import track_errors
+from napari_elsplus.workflows.tracking import Method as Tracking
+from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

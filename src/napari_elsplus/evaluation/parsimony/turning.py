@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.evaluation.against_truth import TrackErrors, track_errors
 from napari_elsplus.evaluation.drift import tracked_live
 from napari_elsplus.evaluation.rig import simulated_rig, tissue
-from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.motion.pose import State
 from napari_elsplus.processing.tracking.registration.motion_models import Rung, turned_by
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.specimen.trajectories import Turning, trajectory
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.workflows.accuracy import TrackErrors, track_errors
+from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.evaluation.against_truth import track_errors
 from napari_elsplus.evaluation.choices.tracking import METHODS, Recorded
 from napari_elsplus.evaluation.harness import Benchmark, Case, Chart, Claim, Judgement, named, stressed
 from napari_elsplus.evaluation.rig import SimulatedRig, dim, simulated_rig
@@ -19,6 +18,7 @@ from napari_elsplus.simulation.specimen.scenes import Plane, Scene, fibres
 from napari_elsplus.simulation.specimen.textures import Fibres, Mottle
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight, Trajectory
 from napari_elsplus.simulation.specimen.trajectories import Recorded as RecordedPath
+from napari_elsplus.workflows.accuracy import track_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.evaluation.trade import line_as_seen, weigh
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.widgets.calibration.picture import Picture, Plot, told
 from napari_elsplus.widgets.plots import Band, Curve
+from napari_elsplus.workflows.sectioning_performance import line_as_seen, weigh
 
 if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.calibrate import SlitOffset

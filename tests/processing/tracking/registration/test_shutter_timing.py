@@ -5,11 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from napari_elsplus.pipeline import RawPairs
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
 from napari_elsplus.processing.tracking.registration.pair_registration import Link
 from napari_elsplus.processing.tracking.registration.shutter_timing import estimate_rows_per_frame
-from napari_elsplus.timing import with_timing
+from napari_elsplus.workflows.line_timing import with_timing
+from napari_elsplus.workflows.sectioning import RawPairs
 from recordings import record, smooth_path, texture
 
 TRUE = RollingShutter(272.4, 0.48)

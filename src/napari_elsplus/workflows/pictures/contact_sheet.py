@@ -8,15 +8,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from napari_elsplus.figures.comparison import COLOURS, TITLES
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.workflows.pictures.comparison import COLOURS, TITLES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from napari_elsplus.figures.comparison import Comparison
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.workflows.pictures.comparison import Comparison
 
 
 def draw_contact_sheet(

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from napari_elsplus.figures.comparison import COLOURS
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.workflows.pictures.comparison import COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,7 @@ import cv2
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from napari_elsplus.figures.files import DPI
+from napari_elsplus.workflows.pictures.files import DPI
 
 if TYPE_CHECKING:
     import numpy as np

@@ -5,7 +5,7 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.pipeline import Images, images
+from napari_elsplus.workflows.sectioning import Images, images
 
 SHAPE = (60, 130)
 RAW = np.random.default_rng(0).integers(0, 200, (5, *SHAPE)).astype(np.uint8)

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.figures.mosaic_picture import bar_length
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
 from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner, disc
+from napari_elsplus.workflows.pictures.mosaic_picture import bar_length
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

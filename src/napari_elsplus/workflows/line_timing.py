@@ -10,7 +10,7 @@ from napari_elsplus.processing.tracking.methods import OurTracking
 
 if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.pipeline import RawPairs
+    from napari_elsplus.workflows.sectioning import RawPairs
 
 _LOOKED_AT: Final = 600
 """Frames from which the timing is told at most."""

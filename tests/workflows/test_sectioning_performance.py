@@ -9,10 +9,10 @@ import pytest
 
 from napari_elsplus.evaluation.random_rigs import Rig
 from napari_elsplus.evaluation.sectioning import clipped_share
-from napari_elsplus.evaluation.trade import ELECTRONS_PER_DN, READ_NOISE_E, line_as_seen, weigh
 from napari_elsplus.processing.calibration.line import locate_line
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, line_response
 from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.workflows.sectioning_performance import ELECTRONS_PER_DN, READ_NOISE_E, line_as_seen, weigh
 
 LINE = LINE_MODELS["a"]
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.pipelined import AHEAD, Pipelined
-from napari_elsplus.tracking_pipeline import Method, Pipeline
+from napari_elsplus.workflows.tracking import Method, Pipeline
+from napari_elsplus.workflows.two_threads import AHEAD, Pipelined
 from recordings import Truth, record, smooth_path, texture
 
 

@@ -8,7 +8,7 @@ from typing import Final
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.tracking_pipeline import Method
+from napari_elsplus.workflows.tracking import Method
 
 TRACKED_FIRST: Final = (Mode.ELS, Mode.LS, Mode.RESIDUAL, Mode.ELSA)
 """Of the modes that are asked for, the first of these is tracked; the others are laid along its track."""

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.figures.comparison import compare, draw_comparison
-from napari_elsplus.figures.files import save_figure
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.workflows.pictures.comparison import compare, draw_comparison
+from napari_elsplus.workflows.pictures.files import save_figure
 
 SHAPE = (60, 130)
 CALIBRATION = Calibration.parse(

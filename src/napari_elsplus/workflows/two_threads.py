@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.tracking_pipeline import Pipeline
+    from napari_elsplus.workflows.tracking import Pipeline
 
 AHEAD: Final = 4
 """Frames that are under way at once: enough that neither thread waits for the other's slowest frame."""

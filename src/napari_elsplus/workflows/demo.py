@@ -13,15 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus import __version__
-from napari_elsplus.evaluation.against_truth import (
-    TrackErrors,
-    calibration_errors,
-    correlation_with_focal_plane,
-    track_errors,
-)
-from napari_elsplus.figures.comparison import compare, draw_comparison
-from napari_elsplus.figures.contact_sheet import draw_contact_sheet
-from napari_elsplus.figures.files import save_figure
 from napari_elsplus.io import (
     RecordingWriter,
     open_recording,
@@ -32,7 +23,6 @@ from napari_elsplus.io import (
     write_stack,
     write_track,
 )
-from napari_elsplus.pipeline import Images, RawPairs
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.picture import picture
@@ -42,7 +32,17 @@ from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Straight, trajectory
 from napari_elsplus.simulation.truth import motion
-from napari_elsplus.tracking_pipeline import Pipeline
+from napari_elsplus.workflows.accuracy import (
+    TrackErrors,
+    calibration_errors,
+    correlation_with_focal_plane,
+    track_errors,
+)
+from napari_elsplus.workflows.pictures.comparison import compare, draw_comparison
+from napari_elsplus.workflows.pictures.contact_sheet import draw_contact_sheet
+from napari_elsplus.workflows.pictures.files import save_figure
+from napari_elsplus.workflows.sectioning import Images, RawPairs
+from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -1,0 +1,1 @@
+"""Pictures of results for files, made without a screen."""
