@@ -10,8 +10,8 @@ from pathlib import Path
 
 import click
 
-from napari_elsplus.evaluation.engine_run import run_engine
-from napari_elsplus.evaluation.engines import Apart, Here
+from benchmarks.rigs.engine_run import run_engine
+from benchmarks.rigs.engines import Apart, Here
 from napari_elsplus.instrument.optics import PRESETS
 
 TITLES = (

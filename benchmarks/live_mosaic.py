@@ -13,7 +13,7 @@ import napari
 import numpy as np
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus.evaluation.machine import machine
+from benchmarks.harness.machine import machine
 from napari_elsplus.processing.tracking.motion.pose import State
 
 PLUGIN = "napari-elsplus"

@@ -17,7 +17,7 @@ import napari
 import numpy as np
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus.evaluation.machine import machine
+from benchmarks.harness.machine import machine
 from napari_elsplus.io import TrackPoint, TrackTable
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from napari_elsplus.evaluation.rig import simulated_rig
-from napari_elsplus.evaluation.stages import STAGES, our_stages
+from benchmarks.rigs.simulated import simulated_rig
+from benchmarks.studies.stages import STAGES, our_stages
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight
 from napari_elsplus.workflows.tracking import Pipeline

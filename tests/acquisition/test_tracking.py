@@ -61,7 +61,7 @@ def test_nothing_is_left_to_compile_when_frames_come() -> None:
     """In a process of its own: here other tests have compiled all of it."""
     script = """
 from napari_elsplus.acquisition.tracking import rehearse
-from napari_elsplus.evaluation.rig import simulated_rig
+from benchmarks.rigs.simulated import simulated_rig
 from napari_elsplus.processing.tracking import climb, descent, evidence, ladder, local_evidence
 from napari_elsplus.workflows.tracking import Pipeline
 

@@ -2,9 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from napari_elsplus.evaluation.choices.registration import METHODS
-from napari_elsplus.evaluation.stability.pairs import cases, statistics
+from benchmarks.choices.registration import METHODS
+from benchmarks.stability.pairs import cases, statistics
 
 SEARCHED = next(method for method in METHODS if method.name == "link, searched")
 TEMPLATE = next(method for method in METHODS if method.name == "template")

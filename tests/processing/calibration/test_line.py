@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.rigs.random_rigs import Rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.evaluation.random_rigs import Rig
 from napari_elsplus.processing.calibration.line import Line, locate_line
 
 RIG = Rig(left=(100.0, 98.0), right=(91.0, 302.5), diameter_px=180.0, line_rows=2.2, tilt_deg=1.0)

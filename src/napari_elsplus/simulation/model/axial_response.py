@@ -73,7 +73,7 @@ LINE_MODELS: Final = {
     "b": LineModel(core_um=2.34, halo_share=0.17, halo_um=33.8, spread=0.224, gap_um=20.2),
 }
 """``a``: fitted to panels (a, b) of the paper's drop-off figure (Thrapp and Hughes, Sec. 3.1), with the rim of the
-bundle (:mod:`napari_elsplus.evaluation.line_fit`). ``b``: the sharper line of its panels (c, d), which were measured in
+bundle (:mod:`benchmarks.studies.line_fit`). ``b``: the sharper line of its panels (c, d), which were measured in
 another state of the rig; the two are never mixed."""
 
 

@@ -1,0 +1,33 @@
+"""The defaults of every choice, for asv to watch: cost and error of each, on the benchmarks' own small cases.
+
+Run with asv, or compare all methods by hand: ``napari-elsplus bench NAME --out DIR``.
+"""
+
+from __future__ import annotations
+
+from benchmarks.harness.methods import Role, TimedElsewhere
+from benchmarks.harness.registry import benchmark
+
+
+class Defaults:
+    """One case of each benchmark, answered by what the software does unless told otherwise."""
+
+    params = ("line", "pair", "cores", "sectioning", "frontend", "registration", "tracking", "insertion", "recording")
+    param_names = ("benchmark",)
+    timeout = 120
+
+    def setup(self, name):
+        self.benchmark = benchmark(name)
+        self.case = self.benchmark.cases(True)[0]
+        method = next(m for m in self.benchmark.methods if m.role is Role.DEFAULT)
+        self.call = method.prepare(self.case)
+        self.call(self.case.items[0])
+
+    def time_default(self, name):
+        self.call(self.case.items[0])
+
+    def track_error(self, name):
+        answer = self.call(self.case.items[0])
+        if isinstance(answer, TimedElsewhere):
+            answer = answer.answer
+        return self.benchmark.judge(self.case.items[0], answer).error

@@ -1,0 +1,100 @@
+"""How late a frame's result is: the live engine from the camera's last byte to the image in the display's ring."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from benchmarks.harness.methods import Benchmark, Case, Chart, Claim, Judgement, Method, Role, TimedElsewhere
+from benchmarks.rigs.engine_run import SETTLE_S, EngineRun, run_engine
+from benchmarks.rigs.engines import Apart, Here
+from napari_elsplus.instrument.optics import preset
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+SECONDS: Final = 12.0
+QUICK_SECONDS: Final = 1.0
+QUANTILES: Final = (0.5, 0.9, 0.99, 0.999, 1.0)
+BUSY_S: Final = 12e-3
+"""How long a window draws at a time."""
+
+
+class Stream(NamedTuple):
+    """What the camera is told, and for how long it streams."""
+
+    preset_name: str
+    seconds: float
+    settle_s: float
+
+
+def _cases(quick: bool) -> list[Case]:
+    seconds, settle_s = (QUICK_SECONDS, 0.5) if quick else (SECONDS, SETTLE_S)
+    names = ("240hz",) if quick else ("240hz", "120hz")
+    return [_case(name, seconds, settle_s) for name in names]
+
+
+def _case(name: str, seconds: float, settle_s: float) -> Case:
+    rows, cols = preset(name).frame_shape
+    return Case(f"{name}, {rows} x {cols}", [Stream(name, seconds, settle_s)])
+
+
+def _apart(_: Case) -> Callable[[Stream], TimedElsewhere]:
+    return lambda item: _timed(run_engine(Apart(item.preset_name), item.seconds, settle_s=item.settle_s))
+
+
+def _here(_: Case) -> Callable[[Stream], TimedElsewhere]:
+    return lambda item: _timed(run_engine(Here(item.preset_name), item.seconds, settle_s=item.settle_s))
+
+
+def _in_a_window(_: Case) -> Callable[[Stream], TimedElsewhere]:
+    return lambda item: _timed(
+        run_engine(Here(item.preset_name), item.seconds, settle_s=item.settle_s, between=_be_busy)
+    )
+
+
+def _be_busy() -> None:
+    """Compute in Python for as long as a window takes to draw."""
+    until_s = time.perf_counter() + BUSY_S
+    while time.perf_counter() < until_s:
+        sum(range(200))
+
+
+def _timed(run: EngineRun) -> TimedElsewhere:
+    return TimedElsewhere(run, 1e-6 * run.cpu_us_per_frame)
+
+
+def judge(_: Stream, run: EngineRun) -> Judgement:
+    """Latency that one frame in a hundred exceeds; a run that loses a frame has failed."""
+    quantiles = {f"{100 * share:g} % / ms": run.latencies.quantile(share) for share in QUANTILES}
+    return Judgement(
+        run.latencies.quantile(0.99),
+        failed=run.lost > 0,
+        claim=Claim.DOUBTFUL if run.lost else Claim.SURE,  # the engine has counted them
+        details={**quantiles, "lost": run.lost, "camera / Hz": run.status.mean_hz},
+    )
+
+
+METHODS = (
+    Method("in a process of its own", Role.DEFAULT, _apart),
+    Method("in a script's process", Role.OPTION, _here),
+    Method("in the process of a busy window", Role.OPTION, _in_a_window),
+)
+
+BENCHMARK = Benchmark(
+    name="engine",
+    question="How late a frame's result is",
+    error_label="latency of the slowest hundredth / ms",
+    cases=_cases,
+    methods=METHODS,
+    judge=judge,
+    chart=Chart.LATENCY,
+    remarks=(
+        f"The whole live path for {SECONDS:g} s: virtual camera and card, the real drivers, the ring of raw frames, "
+        "sectioning, and the display's ring, which is looked into 60 times a second. Time is the processor time of all "
+        "threads of the engine's process for each frame; the simulator, which copies rendered frames to a virtual bus, "
+        f"is in it. A busy window is a thread that computes in Python for {1e3 * BUSY_S:g} ms between two looks."
+    ),
+    seconds=0.0,
+    waits=True,
+)

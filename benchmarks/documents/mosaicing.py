@@ -1,0 +1,292 @@
+"""The pictures and the tables of docs/mosaicing.md: ``python -m benchmarks.documents.mosaicing --out docs``."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import suppress
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.choices.registration import METHODS as REGISTRATIONS
+from benchmarks.documents.pages import fill, require_marks
+from benchmarks.harness.methods import Absent
+from benchmarks.parsimony.turning import Turned, Walk, follow
+from benchmarks.stability.pairs import SCENES, Statistics, cases, statistics
+from benchmarks.studies.drift import Drift, drift
+from benchmarks.studies.gate import Gate, Judged, gate, judged_links
+from benchmarks.studies.mosaicing import TRANSLATION, Outcome, Scenario, outcomes
+from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION
+from napari_elsplus.workflows.accuracy import WRONG_PX
+from napari_elsplus.workflows.pictures.files import save_figure
+from napari_elsplus.workflows.tracking import Method
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+
+    from matplotlib.axes import Axes
+
+    Curve = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
+
+FAST: Final = Scenario("fibres", "spiral", 16_000.0, 80)
+SCENARIOS: Final = (
+    FAST,
+    Scenario("nuclei", "spiral", 8_000.0, 80),
+    Scenario("fibres", "hand", 1_500.0, 120),
+    Scenario("fibres", "hand", 300.0, 120),
+    Scenario("sparse", "spiral", 8_000.0, 80),
+)
+JUDGED_FRAMES: Final = 40
+SEEDS: Final = range(200, 216)
+"""None of those on which the limits of the second look were settled, 0 to 11 and 100 to 111."""
+FIBRES: Final = (180, 60)
+WALKS: Final = tuple(
+    Walk(scene, path, speed_um_s, turn_deg_s, 120, seed=2)
+    for scene, path, speed_um_s in (
+        ("fibres", "hand", 1500.0),
+        ("nuclei", "spiral", 8000.0),
+        ("sparse", "spiral", 8000.0),
+    )
+    for turn_deg_s in (0.0, 2.0, 10.0, 50.0)
+)
+PAIRS: Final = 1000
+_SHOWN_REGISTRATIONS: Final = (
+    "link, searched", "link, predicted", "template", "template + parabola", "OpenCV phaseCorrelate",
+    "OpenCV ECC, predicted", "scikit-image phase", "scikit-image masked", "PyFibreBundle",
+)  # fmt: skip
+NAMES: Final = {Method.PAPER.value: "paper", TRANSLATION: "sub-pixel translation", Method.ELSPLUS.value: "ours"}
+_SHOWN_PX: Final = 360
+
+
+def make(docs: Path, only: Collection[str] = ()) -> None:
+    """Measure, draw and tabulate everything in docs/mosaicing.md.
+
+    Parameters
+    ----------
+    docs : pathlib.Path
+        Folder of ``mosaicing.md``; pictures go into its folder ``images``.
+    only : collection of str
+        Names of the tables that are made anew, with the pictures beside them; all by default.
+
+    Raises
+    ------
+    InputError
+        If there is no ``mosaicing.md`` in it, or a table's place is missing there.
+    """
+    page, images = docs / "mosaicing.md", docs / "images"
+    require_marks(page, TABLES)
+    for name in only or TABLES:
+        fill(page, {name: "\n".join(TABLES[name](images))})
+
+
+def _methods(images: Path) -> list[str]:
+    measured = {scenario: outcomes(scenario) for scenario in SCENARIOS}
+    save_figure(draw_mosaics(measured[FAST]), images / "mosaicing-mosaics.png", force=True)
+    save_figure(draw_errors(measured[FAST]), images / "mosaicing-errors.png", force=True)
+    return table(measured)
+
+
+def _gate(images: Path) -> list[str]:
+    ways = [(count, jerks) for count in FIBRES for jerks in (False, True)]
+    links = {(count, jerks): judged_links(JUDGED_FRAMES, SEEDS, count, jerks=jerks) for count, jerks in ways}
+    save_figure(draw_gate(links), images / "mosaicing-gate.png", force=True)
+    return gate_table({which: gate(found) for which, found in links.items()})
+
+
+def many_pairs(count: int) -> dict[str, dict[str, Statistics]]:
+    """Register many pairs of each scene by each method that is installed: method to scene to statistics."""
+    every = cases(quick=False, count=count)
+    found: dict[str, dict[str, Statistics]] = {}
+    for method in (method for method in REGISTRATIONS if method.name in _SHOWN_REGISTRATIONS):
+        with suppress(Absent):
+            found[method.name] = {
+                scene: statistics(method, [case for case in every if case.group == scene]) for scene in SCENES
+            }
+    return found
+
+
+def draw_mosaics(made: dict[str, Outcome]) -> Figure:
+    """Middle of each method's mosaic, and of the scene that was there."""
+    figure = Figure(figsize=(12, 3.4), layout="constrained")
+    panels = figure.subplots(1, len(made) + 1)
+    best = made[Method.ELSPLUS.value]
+    _show(panels[0], best.truth, "at rest, no noise")
+    for axes, (method, outcome) in zip(panels[1:], made.items(), strict=True):
+        _show(axes, outcome.mosaic, f"{NAMES[method]}: correlation {outcome.correlation:.3f}")
+    return figure
+
+
+def draw_errors(made: dict[str, Outcome]) -> Figure:
+    """Distance from the true path, frame by frame."""
+    figure = Figure(figsize=(6, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for method, outcome in made.items():
+        axes.semilogy(np.maximum(outcome.error_px, 1e-3), label=NAMES[method])
+    axes.set(xlabel="frame", ylabel="distance from the true path (camera px)")
+    axes.legend(frameon=False)
+    return figure
+
+
+def draw_gate(found: dict[tuple[int, bool], list[Judged]]) -> Figure:
+    """How wrong links are against the evidence for them, and what other limits would catch and keep."""
+    figure = Figure(figsize=(12, 3.6), layout="constrained")
+    dots, *panels = figure.subplots(1, 3)
+    every = _columns(list(chain(*found.values())))
+    told = every["told"] > 0
+    certainty = np.maximum(every["certainty"], 1e-2)
+    for shown, colour, label in ((told, "C0", "the frames tell the shift"), (~told, "C1", "they do not")):
+        at = certainty[shown], every["error_px"][shown]
+        dots.loglog(*at, ".", color=colour, markersize=3, label=label)
+    dots.axvline(1, color="black", linewidth=0.8)
+    dots.set(xlabel="evidence / what is needed", ylabel="error of the link (camera px)")
+    dots.legend(frameon=False, fontsize=8)
+    for axes, jerks in zip(panels, (False, True), strict=True):
+        for (fibres, jerky), links in found.items():
+            if jerky is not jerks:
+                continue
+            for curve, (caught, kept) in characteristics(links).items():
+                style = {"correlation": ":", "at first sight": "--"}.get(curve, "-")
+                axes.plot(kept, caught, style, color=f"C{FIBRES.index(fibres)}", label=f"{fibres} fibres, {curve}")
+        axes.plot([95, 100, 100], [99, 99, 100], color="black", linewidth=0.8)
+        axes.set(
+            xlim=(60, 100), ylim=(80, 100.4), title="jerky" if jerks else "smooth", xlabel="right links kept (%)",
+            ylabel="wrong links caught (%)",
+        )  # fmt: skip
+    panels[0].legend(frameon=False, fontsize=7, loc="lower left")
+    return figure
+
+
+def _columns(links: list[Judged]) -> dict[str, Curve]:
+    return dict(zip(Judged._fields, np.array(links, float).T, strict=True))
+
+
+def characteristics(links: list[Judged]) -> dict[str, tuple[Curve, Curve]]:
+    """Percent of the wrong links caught, and of the right ones kept, at every limit on three measures of a link."""
+    of = _columns(links)
+    curves = {}
+    for name, measure, error in (
+        ("correlation", of["correlation"], of["first_error_px"]),
+        ("at first sight", of["first_certainty"], of["first_error_px"]),
+        ("in the end", np.where(of["last_correlation"] > SURE_CORRELATION, of["certainty"], -np.inf), of["error_px"]),
+    ):
+        wrong, right = measure[error > WRONG_PX], measure[(error < WRONG_PX / 2) & (of["told"] > 0)]
+        limits = np.quantile(right, np.linspace(0, 1, 201), method="lower")
+        caught = [100 * float((wrong < limit).mean()) for limit in limits] if len(wrong) else [100.0] * len(limits)
+        curves[name] = np.array(caught), np.array([100 * float((right >= limit).mean()) for limit in limits])
+    return curves
+
+
+def table(measured: dict[Scenario, dict[str, Outcome]]) -> list[str]:
+    """Lines of the page's table."""
+    lines = [
+        "| scene, path, speed | method | median pair error (px) | error at the end (% of path) | wrong links | "
+        "tracked | correlation with ELS+ at rest | with the focal plane |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for scenario, made in measured.items():
+        for method, outcome in made.items():
+            e = outcome.errors
+            lines.append(
+                f"| {scenario} | {NAMES[method]} | {e.median_pair_error_px:.3f} | {e.end_error_percent_of_path:.3f} "
+                f"| {e.wrong_links} | {e.tracked} of {e.frames} | {outcome.correlation:.3f} "
+                f"| {outcome.focal_correlation:.3f} |"
+            )
+    return lines
+
+
+def pairs_table(found: dict[str, dict[str, Statistics]]) -> list[str]:
+    """Failures and errors over many pairs."""
+    scenes = list(next(iter(found.values())))
+    lines = [
+        "| method | pairs | "
+        + " | ".join(f"{scene}: failed, of these unnoticed; rms error (px)" for scene in scenes)
+        + " |",
+        "|---|---|" + "---|" * len(scenes),
+    ]
+    for method, of in found.items():
+        cells = [f"{s.failed_percent:.1f} %, {s.silent_percent:.1f} %; {s.rms_px:.3f}" for s in of.values()]
+        lines.append(f"| {method} | {sum(s.pairs for s in of.values())} | {' | '.join(cells)} |")
+    return lines
+
+
+def gate_table(found: dict[tuple[int, bool], Gate]) -> list[str]:
+    """Tell what the gate caught and kept."""
+    lines = [
+        "| scene, motion | wrong links | caught | right links | kept | without a second look: caught | kept |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for (fibres, jerks), g in found.items():
+        lines.append(
+            f"| {fibres} fibres, {'jerky' if jerks else 'smooth'} | {g.wrong} | {_percent(g.caught_percent)} "
+            f"| {g.right} | {_percent(g.kept_percent)} | {_percent(g.first_caught_percent)} "
+            f"| {_percent(g.first_kept_percent)} |"
+        )
+    return lines
+
+
+def _percent(part: float) -> str:
+    return f"{part:.1f} %" if np.isfinite(part) else "-"
+
+
+def turning_table(found: dict[Walk, Turned]) -> list[str]:
+    """Which rung each walk asked for, and what became of it."""
+    lines = [
+        "| scene, path, speed | turns at (deg/s) | up to (deg) | modelled | from frame | error of the angle (deg, rms) "
+        "| median pair error (px) | error at the end (% of path) | wrong links "
+        "| largest distance from the truth (px): frame to frame; corrected live; finished |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for walk, t in found.items():
+        strayed = "; ".join(f"{px:.2f}" for px in t.strayed_px)
+        lines.append(
+            f"| {walk.scene}, {walk.path}, {walk.speed_um_s / 1000:g} mm/s | {walk.turn_deg_s:g} | {t.angle_deg:.2f} "
+            f"| {t.rung.name.lower()} | {'-' if t.since is None else t.since} | {t.angle_error_deg:.3f} "
+            f"| {t.errors.median_pair_error_px:.3f} | {t.errors.end_error_percent_of_path:.3f} "
+            f"| {t.errors.wrong_links} | {strayed} |"
+        )
+    return lines
+
+
+def _show(axes: Axes, image: np.ndarray[tuple[int, ...], np.dtype[np.float32]], title: str) -> None:
+    top, left = (max(0, (size - _SHOWN_PX) // 2) for size in image.shape)
+    part = image[top : top + _SHOWN_PX, left : left + _SHOWN_PX]
+    axes.imshow(part, cmap="gray", vmin=0, vmax=float(np.percentile(part, 99.5)))
+    axes.set_title(title, fontsize=9)
+    axes.set_axis_off()
+
+
+def drift_table(found: dict[tuple[str, bool], Drift]) -> list[str]:
+    """Tell how far the end of the track lies from the truth."""
+    lines = [
+        "| scene, path | length (px) | tracked | frame to frame (% of path) | loops closed live | after the graph |",
+        "|---|---|---|---|---|---|",
+    ]
+    for (name, back), one in found.items():
+        lines.append(
+            f"| {name}, {'rounds' if back else 'straight on'} | {one.path_px:.0f} | {100 * one.tracked:.0f} % "
+            f"| {one.alone_percent:.4f} | {one.live_percent:.4f} | {one.graph_percent:.4f} |"
+        )
+    return lines
+
+
+TABLES: Final[dict[str, Callable[[Path], list[str]]]] = {
+    "methods": _methods,
+    "gate": _gate,
+    "pairs": lambda _: pairs_table(many_pairs(PAIRS)),
+    "drift": lambda _: drift_table(
+        {(name, back): drift(name, back=back) for name in ("fibres", "nuclei", "sparse") for back in (False, True)}
+    ),
+    "turning": lambda _: turning_table({walk: follow(walk) for walk in WALKS}),
+}
+"""The tables of the page, by their marks; what makes them also draws the pictures that belong to them."""
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("docs"), help="folder of mosaicing.md")
+    parser.add_argument("--only", nargs="+", default=(), choices=list(TABLES), help="tables that are made anew")
+    options = parser.parse_args()
+    make(options.out, options.only)

@@ -1,0 +1,175 @@
+"""The paper's figures, ours: drawn anew from the simulated rig, with the numbers that go with them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.studies import paper
+from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT, contrast, white_level
+from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.workflows.pictures.comparison import TITLES, compare, draw_comparison
+from napari_elsplus.workflows.pictures.files import save_figure
+from napari_elsplus.workflows.tracking import Method
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from benchmarks.studies.paper import Calibrated, Mosaicked, MovingFrames
+
+    Image = NDArray[np.float32]
+
+SHOWN: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
+
+
+def make(
+    folder: Path, *, quick: bool = False, force: bool = False, tell: Callable[[str], None] = lambda _: None
+) -> dict[str, str]:
+    """Draw the figures into a folder.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Gets ``paper-NAME.png`` for each.
+    quick : bool
+        Few frames: whether it runs.
+    force : bool
+        Overwrite existing files.
+    tell : callable
+        Is told which figure is being made.
+
+    Returns
+    -------
+    dict
+        Name to a markdown table of its numbers.
+    """
+    tables: dict[str, str] = {}
+
+    def keep(name: str, figure: Figure, table: str) -> None:
+        save_figure(figure, folder / f"paper-{name}.png", force=force)
+        tables[f"paper-{name}"] = table
+
+    tell("calibration")
+    found = paper.calibrate_simulated(Instrument.of("120hz" if not quick else "240hz"), 20 if quick else 400)
+    keep("calibration", draw_calibration(found), calibration_table(found))
+    tell("lens paper, 10 Hz")
+    frames = paper.lens_paper()
+    comparison = compare(frames.raw, frames.rig.calibration, 1)
+    keep("motion", draw_comparison(comparison, frames.rig.um_per_px), motion_table(frames))
+    tell("lens paper, 240 Hz")
+    frames = paper.lens_paper_mosaic(8 if quick else 168)
+    made = {
+        "LS": paper.mosaic(frames, Mode.LS),
+        "ELS+": paper.mosaic(frames, Mode.ELS),
+        "ELS+, live": paper.mosaic(frames, Mode.ELS, live=True),
+        "ELS+, the paper's tracking": paper.mosaic(frames, Mode.ELS, Method.PAPER),
+    }
+    keep("mosaics", draw_images({name: m.image for name, m in made.items()}, 2), mosaic_table(made))
+    tell("tissue, 60 Hz")
+    frames = paper.tissue(6 if quick else 60)
+    single = paper.sectioned(frames, (Mode.LS, Mode.ELS))
+    made = {"LS": paper.mosaic(frames, Mode.LS), "ELS+": paper.mosaic(frames, Mode.ELS)}
+    images = {f"{TITLES[mode]} frame": one.image for mode, one in single.items()}
+    images |= {f"{name} mosaic": m.image for name, m in made.items()}
+    keep("tissue", draw_images(images, 2), mosaic_table(made))
+    return tables
+
+
+def draw_calibration(found: Calibrated) -> Figure:
+    """Draw the line in both views, and the galvo's map."""
+    findings = found.findings
+    assert findings.offset is not None
+    assert findings.galvo is not None
+    galvo = findings.galvo
+    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for name, line, colour in (("left", findings.offset.left, "#0072b2"), ("right", findings.offset.right, "#d55e00")):
+        rows = np.linspace(line.row - 12, line.row + 12, 200)
+        bell = line.amplitude * np.exp(-((rows - line.row) ** 2) / (2 * line.width_rows**2))
+        left.plot(rows, bell, color=colour, label=f"{name} view, row {line.row:.2f}")
+    left.set(xlabel="row", ylabel="fitted line / grey levels", title=f"slit offset {findings.offset.rows:.3f} rows")
+    left.legend(frameon=False)
+    right.plot(galvo.volts[galvo.used], galvo.rows[galvo.used], ".", color="0.4", markersize=3)
+    volts = np.array([galvo.volts.min(), galvo.volts.max()])
+    right.plot(volts, [galvo.row(v) for v in volts.tolist()], color="#d55e00", linewidth=1)
+    right.set(
+        xlabel="galvo / V", ylabel="row of the line", title=f"1 - R\N{SUPERSCRIPT TWO} = {1 - galvo.r_squared:.1e}"
+    )
+    return figure
+
+
+def calibration_table(found: Calibrated) -> str:
+    """Found, its uncertainty, and its error."""
+    calibration, errors = found.findings.calibration, found.errors
+    offset, galvo, bundle, quality = calibration.offset, calibration.galvo, calibration.bundle, calibration.quality
+    assert offset is not None
+    assert galvo is not None
+    assert bundle is not None
+    assert quality is not None
+    papers, papers_filtered = PAPER_ALIGNMENT_PERCENT
+    return _table(
+        ("", "found", "off the truth by"),
+        ("slit offset / rows", f"{offset.rows:.3f} +- {offset.uncertainty_rows:.3f}", f"{errors.offset_rows:+.4f}"),
+        ("galvo / V per row", f"{galvo.volts_per_row:.6f}", f"{errors.galvo_slope_percent:+.4f} %"),
+        ("galvo at row 0 / V", f"{galvo.volts_at_row_zero:.4f}", f"{errors.galvo_intercept_rows:+.3f} rows"),
+        ("1 - R\N{SUPERSCRIPT TWO}", f"{1 - galvo.r_squared:.1e}", "(the paper: 0.01)"),
+        ("right view onto the left / px", "", f"{errors.pair_alignment_px:.4f}"),
+        ("brightness of the right view", f"{bundle.residual_gain:.4f}", f"{errors.residual_gain_percent:+.3f} %"),
+        ("alignment error", f"{100 * quality.alignment_error:.2f} %", f"(the paper: {papers} %)"),
+        (
+            "the same, filtered",
+            f"{100 * quality.alignment_error_filtered:.2f} %",
+            f"(the paper: {papers_filtered} %)",
+        ),
+    )
+
+
+def motion_table(frames: MovingFrames) -> str:
+    """Background of each image as a share of its structure, and how far it is from the focal plane."""
+    found = paper.sectioned(frames, SHOWN)
+    step = float(np.hypot(*np.diff(frames.true_px, axis=0).T).mean()) * frames.rig.um_per_px
+    rows = [(TITLES[mode], f"{100 * one.background:.1f} %", f"{one.unexplained:.3f}") for mode, one in found.items()]
+    titles = ("background over structure", "part the focal plane does not explain")
+    return _table((f"probe moves {step:.0f} um a frame", *titles), *rows)
+
+
+def mosaic_table(made: dict[str, Mosaicked]) -> str:
+    """Tracks against the path."""
+    rows = [
+        (
+            name, f"{m.errors.tracked}/{m.errors.frames}", str(m.segments), f"{m.errors.median_pair_error_px:.3f}",
+            f"{m.errors.end_error_percent_of_path:.3f}", str(m.errors.wrong_links), f"{_haze(m.image):.2f}",
+        )
+        for name, m in made.items()
+    ]  # fmt: skip
+    titles = ("", "frames tracked", "segments", "pair error / px", "end error / % of the path", "wrong links")
+    return _table((*titles, "background over structure"), *rows)
+
+
+def _haze(image: Image) -> float:
+    levels = contrast(image, image != 0)
+    return levels.background / levels.structure
+
+
+def draw_images(images: dict[str, Image], columns: int) -> Figure:
+    """Draw grey images, each to its own white, 0.01 % saturated."""
+    rows = -(-len(images) // columns)
+    tallest = max(image.shape[0] / image.shape[1] for image in images.values())
+    figure = Figure(figsize=(6 * columns, (6 * min(tallest, 0.75) + 0.4) * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes, (name, image) in zip(panels, images.items(), strict=True):
+        axes.imshow(image, cmap="gray", vmin=0, vmax=white_level(image, image != 0), interpolation="nearest")
+        axes.set_title(name)
+        axes.set_axis_off()
+    return figure
+
+
+def _table(*rows: tuple[str, ...]) -> str:
+    lines = [rows[0], ("---",) * len(rows[0]), *rows[1:]]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -1,0 +1,1 @@
+"""Named methods on named cases, in turns, timed and judged; peers over a pipe."""

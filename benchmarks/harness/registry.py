@@ -1,0 +1,56 @@
+"""Every benchmark by name; its module is loaded when it is asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from benchmarks.harness.methods import Benchmark
+
+MODULES: dict[str, str] = {  # the module, and its benchmark where that is not called BENCHMARK
+    "registration": "choices.registration",
+    "line": "choices.line",
+    "cores": "choices.cores",
+    "sectioning": "choices.sectioning",
+    "frontend": "choices.frontend",
+    "tracking": "choices.tracking",
+    "insertion": "choices.insertion",
+    "live": "choices.live",
+    "engine": "choices.engine",
+    "display": "choices.display",
+    "recording": "choices.recording",
+    "motion": "parsimony.motion",
+    "parsimony-line": "parsimony.line",
+    "parsimony-galvo": "parsimony.calibration:GALVO",
+    "parsimony-pair": "parsimony.calibration:PAIR",
+    "parsimony-axial": "parsimony.axial",
+    "stability": "stability.registration",
+    "pair": "choices.pair",
+    "stability-line": "stability.line",
+    "stability-pair": "stability.pair",
+    "stability-pairs": "stability.pairs",
+    "stability-tracking": "stability.tracking",
+}
+
+
+def benchmark(name: str) -> Benchmark:
+    """Return the benchmark of that name.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+
+    Examples
+    --------
+    >>> benchmark("cores").question
+    'How to be rid of the core pattern'
+    """
+    if name not in MODULES:
+        raise InputError(f"there is no benchmark {name!r}", f"choose one of {', '.join(MODULES)}")
+    module, _, attribute = MODULES[name].partition(":")
+    found: Benchmark = getattr(import_module(f"napari_elsplus.evaluation.{module}"), attribute or "BENCHMARK")
+    return found

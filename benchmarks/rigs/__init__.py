@@ -1,0 +1,1 @@
+"""Rigs with known truth, engines and photographs that the benchmarks look at."""

@@ -1,0 +1,181 @@
+"""How often live images are shown: ``python -m benchmarks.rigs.display_rate --seconds S --canvas PX [PX ...]``.
+
+A window of its own with the Live panel, the engine in its process, the simulated rig at 240 Hz; one layer, then two, up
+to five, on a canvas of each size. Prints a line of JSON for each.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from argparse import ArgumentParser
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Final
+
+import napari
+import numpy as np
+from qtpy.QtCore import QEventLoop
+from qtpy.QtWidgets import QApplication, QDockWidget, QOpenGLWidget  # type: ignore[attr-defined] # where Qt 6 has it
+
+from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.hardware.rigs import SIMULATED
+from napari_elsplus.hardware.virtual.bench import Simulation
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.truth import true_calibration
+from napari_elsplus.widgets.live import Live
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from napari_elsplus.acquisition.client import EngineClient
+    from napari_elsplus.instrument.calibration import Calibration
+
+PRESET: Final = "240hz"
+SETTLE_S: Final = 1.0
+_PATIENCE_S: Final = 60.0
+
+
+@dataclass(frozen=True)
+class Rate:
+    """With so many layers.
+
+    Parameters
+    ----------
+    layers : int
+        Shown side by side.
+    wanted_px : int
+        Height and width that the canvas should have.
+    canvas_px : tuple of int
+        Height and width that it has.
+    display_hz, drawn_hz : float
+        Images given to the layers, and drawings of the canvas, each second.
+    update_ms : float
+        Median time in which the newest images are copied into the layers and the layers told.
+    window_ms : float
+        Processor time of the window's thread for each image given: update, drawing, and all else.
+    camera_hz : float
+        Frames of the camera each second.
+    latency_p99_ms : float
+        Of the engine, since the stream began.
+    lost : int
+        Frames lost since the stream began.
+    """
+
+    layers: int
+    wanted_px: int
+    canvas_px: tuple[int, int]
+    display_hz: float
+    drawn_hz: float
+    update_ms: float
+    window_ms: float
+    camera_hz: float
+    latency_p99_ms: float
+    lost: int
+
+
+def measure(seconds: float, canvases_px: Sequence[int], most: int) -> None:
+    """Show up to so many layers on canvases of several sizes, each number of them for some seconds."""
+    viewer = napari.Viewer(show=False)
+    viewer.show(block=False)
+    panel = Live(viewer)
+    viewer.window.add_dock_widget(panel, name="Live")
+    try:
+        client = panel.connection.connect(SIMULATED, Settings(PRESET))
+        client.use(_calibration()).result()
+        _until(lambda: not panel.asking.busy)
+        panel.toggle()
+        _until(lambda: panel.live)
+        for wanted_px in canvases_px:
+            _give_the_canvas(panel, wanted_px)
+            for layers in range(1, most + 1):
+                rate = _measure(panel, client, layers, wanted_px, seconds)
+                sys.stdout.write(json.dumps(asdict(rate)) + "\n")
+                sys.stdout.flush()
+    finally:
+        panel.cleanup()
+        viewer.close()
+
+
+def _measure(panel: Live, client: EngineClient, layers: int, wanted_px: int, seconds: float) -> Rate:
+    for place, box in enumerate(reversed(panel.form.kinds.values())):  # ELSA, ELS+, residual, LS, raw
+        box.value = place < layers
+    _until(lambda: sum(layer.visible for layer in panel.layers.images.values()) == layers)
+    panel.viewer.reset_view()
+    took_s: list[float] = []
+    update = panel.layers.update
+
+    def timed(*arguments: object, **options: object) -> object:
+        begin_s = time.perf_counter()
+        shown = update(*arguments, **options)  # type: ignore[arg-type] # passed on
+        if shown is not None:
+            took_s.append(time.perf_counter() - begin_s)
+        return shown
+
+    _go_on(SETTLE_S)
+    panel.layers.update = timed  # type: ignore[method-assign,assignment] # while it is measured
+    drawn, begin_s, spent_s = panel.drawing.drawn, time.perf_counter(), time.thread_time()
+    _go_on(seconds)
+    measured_s, spent_s = time.perf_counter() - begin_s, time.thread_time() - spent_s
+    panel.layers.update = update  # type: ignore[method-assign]
+    status = client.status
+    return Rate(
+        layers,
+        wanted_px,
+        panel.drawing.canvas_px,
+        len(took_s) / measured_s,
+        (panel.drawing.drawn - drawn) / measured_s,
+        1e3 * float(np.median(took_s)),
+        1e3 * spent_s / len(took_s),
+        status.camera_hz,
+        status.latency_ms.p99,
+        sum(status.dropped.values()),
+    )
+
+
+def _give_the_canvas(panel: Live, size_px: int) -> None:
+    """Let all docks but the panel's go, float that, and give the window the size with which the canvas has its own."""
+    dock = panel.parentWidget()
+    while not isinstance(dock, QDockWidget):
+        assert dock is not None
+        dock = dock.parentWidget()
+    window = dock.parentWidget()
+    assert window is not None
+    for other in window.findChildren(QDockWidget):
+        other.setVisible(other is dock)
+    dock.setFloating(True)
+    canvas = window.findChildren(QOpenGLWidget)[0]
+    for _ in range(3):  # the layout follows a moment later
+        _go_on(0.2)
+        window.resize(window.width() + size_px - canvas.width(), window.height() + size_px - canvas.height())
+
+
+def _calibration() -> Calibration:
+    simulation = Simulation()
+    perfect = true_calibration(Instrument.of(PRESET, offset_um=simulation.offset_um))
+    assert perfect.galvo is not None
+    return perfect.model_copy(update={"galvo": perfect.galvo.model_copy(update={"lag_s": simulation.galvo.lag_s})})
+
+
+def _until(condition: Callable[[], bool]) -> None:
+    end_s = time.perf_counter() + _PATIENCE_S
+    while not condition():
+        if time.perf_counter() > end_s:
+            raise TimeoutError("the window did not come so far")
+        _go_on(0.02)
+
+
+def _go_on(seconds: float) -> None:
+    """Let the window live for some time."""
+    end_s = time.perf_counter() + seconds
+    while (left_s := end_s - time.perf_counter()) > 0:
+        QApplication.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, max(1, int(1e3 * left_s)))
+
+
+if __name__ == "__main__":
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--canvas", type=int, nargs="+", default=[600], help="height and width of the canvas, about")
+    parser.add_argument("--layers", type=int, default=5, help="the most that are shown")
+    given = parser.parse_args()
+    measure(given.seconds, given.canvas, given.layers)

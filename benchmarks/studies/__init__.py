@@ -1,0 +1,1 @@
+"""Measurements of accuracy that several pages of the documentation rest on."""

@@ -1,0 +1,137 @@
+"""The paper's experiments on the simulated rig: calibration, lens paper at 10 and 240 Hz, tissue at 60 Hz."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from benchmarks.choices.sectioning import Moment, judge
+from benchmarks.rigs.simulated import SimulatedRig, measured
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast
+from napari_elsplus.processing.calibration.calibrate import Findings, measure
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
+from napari_elsplus.processing.mosaicing.picture import picture
+from napari_elsplus.simulation import calibration_scenes as scenes
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import HandHeld, Raster
+from napari_elsplus.workflows.accuracy import CalibrationErrors, TrackErrors, calibration_errors, track_errors
+from napari_elsplus.workflows.tracking import Method, Pipeline
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.simulation.specimen.trajectories import Trajectory
+
+    Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A calibration from raw frames, and how far it is from the instrument."""
+
+    findings: Findings
+    errors: CalibrationErrors
+
+
+def calibrate_simulated(instrument: Instrument, steps: int = scenes.SWEEP_STEPS) -> Calibrated:
+    """Calibrate the simulated rig from frames, as a user does."""
+    optics = instrument.optics
+    volts = scenes.sweep_volts(instrument)[:: scenes.SWEEP_STEPS // steps]
+    findings = measure(
+        line=list(scenes.standing_line(instrument, scenes.line_volts(instrument), seed=1)),
+        sweep=list(scenes.standing_line(instrument, volts, seed=2)),
+        volts=volts,
+        bundle=list(scenes.transmission(instrument, seed=3)),
+        background=list(scenes.dark_tube(instrument, seed=4)),
+        bundle_um=instrument.bundle.diameter_um,
+        line_period_s=optics.line_period_s,
+        rows_per_frame=optics.rows_per_frame,
+    )
+    return Calibrated(findings, calibration_errors(findings.calibration, instrument))
+
+
+@dataclass(frozen=True)
+class MovingFrames:
+    """Raw frames of a moving probe, the rig that made them, and the first two of the focal plane alone, noiseless."""
+
+    rig: SimulatedRig
+    raw: NDArray[np.uint8]
+    true_px: NDArray[np.float64]
+    in_focus: NDArray[np.uint8]
+
+
+def moving_frames(preset: str, rate_hz: float | None, name: str, path: Trajectory, frames: int) -> MovingFrames:
+    """Record a scene along a path at a frame rate, at the paper's usual slit offset."""
+    rig = measured(Instrument.of(preset, offset_um=-29.0, rate_hz=rate_hz))
+    return MovingFrames(
+        rig,
+        rig.recording(scene(name), path, frames),
+        rig.positions_px(path, frames),
+        rig.recording(scene(name).in_focus(), path, 2, noise=False),
+    )
+
+
+def lens_paper() -> MovingFrames:
+    """Move a hand-held probe over lens paper at 10 Hz, as the paper shows ELSA's motion artefacts."""
+    return moving_frames("120hz", 10.0, "fibres", HandHeld(400.0, tremor_um=2.0, seed=2), 4)
+
+
+def lens_paper_mosaic(frames: int = 168) -> MovingFrames:
+    """Move over lens paper at 240 Hz, to and fro."""
+    return moving_frames("240hz", None, "fibres", Raster(4000.0, width_um=1200.0, pitch_um=300.0), frames)
+
+
+def tissue(frames: int = 60) -> MovingFrames:
+    """Move over stained epithelium at 60 Hz."""
+    return moving_frames("120hz", 60.0, "nuclei", Raster(900.0, width_um=400.0, pitch_um=200.0), frames)
+
+
+@dataclass(frozen=True)
+class Mosaicked:
+    """A mosaic in one mode by one method, and how far its track is from the path."""
+
+    image: Image
+    errors: TrackErrors
+    segments: int
+
+
+def mosaic(frames: MovingFrames, mode: Mode, method: Method = Method.ELSPLUS, *, live: bool = False) -> Mosaicked:
+    """Lay frames into a mosaic; live: as they come, with no loop closed and nothing laid anew."""
+    pipeline = Pipeline(frames.rig.calibration, frames.rig.instrument.frame_shape, mode, method=method)
+    for k, raw in enumerate(frames.raw):
+        if live:
+            pipeline.add(raw, k)
+        else:
+            pipeline.track(raw, k)
+    if not live:
+        pipeline.finish(lambda k: (frames.raw[k], frames.raw[k]))
+    mosaics = list(pipeline.mosaics.values())
+    return Mosaicked(picture(mosaics), track_errors(pipeline.rows, frames.true_px), len(mosaics))
+
+
+@dataclass(frozen=True)
+class Sectioned:
+    """An image in one mode: background as a share of structure, and what the focal plane does not explain."""
+
+    image: Image
+    background: float
+    unexplained: float
+
+
+def sectioned(frames: MovingFrames, modes: Sequence[Mode]) -> dict[Mode, Sectioned]:
+    """Section the first frame in several modes; ELSA takes its residual from the second."""
+    sectioner = Sectioner(frames.rig.calibration, frames.rig.instrument.frame_shape)
+    inside = disc(sectioner.side, USED_DIAMETER * sectioner.diameter_px)
+    moment = Moment(frames.raw[0], frames.raw[1], sectioner.ls(frames.in_focus[0]))
+    found = {}
+    for mode in modes:
+        image = sectioner.image(frames.raw[:2], 0, mode)
+        levels = contrast(image, inside)
+        shown = np.where(inside, image, np.float32(0))
+        found[mode] = Sectioned(shown, levels.background / levels.structure, judge(moment, image).error)
+    return found

@@ -1,0 +1,190 @@
+"""Where the time of a frame goes, from the raw frame to the mosaic: this software's stages, and the paper's."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import cv2
+import numpy as np
+
+from benchmarks.harness.running import thread_clock
+from napari_elsplus.processing.mosaicing.mosaic import Mosaic
+from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
+from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.registration.evidence import rival_evidence
+from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.registration.pyramid_descent import CORRELATED_PX
+from napari_elsplus.processing.tracking.tracker import Tracker
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+    from napari_elsplus.processing.tracking.template_tracking import PaperTracker
+
+    Image = NDArray[np.float32] | NDArray[np.uint8]
+
+FRONT_END, LINK, GATE, SEARCH, MODEL, KEEPING, INSERTION = STAGES = (
+    "front end", "link", "gate", "search", "model choice", "prediction, key frames", "insertion",
+)  # fmt: skip
+_PASSES: Final = 3
+
+
+class _TimedRegistrar(Registrar):
+    """Registers, and tells how long each part of it took."""
+
+    def __init__(self, grid: Grid, clock: Callable[[], float]) -> None:
+        super().__init__(grid)
+        self._clock = clock
+        self._searching = False
+        self._half = grid.spans(level=1), grid.middle(1)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a frame."""
+        self.spent = dict.fromkeys((LINK, GATE, SEARCH, MODEL), 0.0)
+        self.again = 0.0  # what was done a second time in order to time it
+
+    def prepare(self, view: View) -> View:
+        """Time the pyramid with the link."""
+        start = self._clock()
+        super().prepare(view)
+        if not self._searching:
+            self.spent[LINK] += self._clock() - start
+        return view
+
+    def link(self, earlier: View, later: View, expected: Warp, spread: tuple[float, float]) -> Link:
+        """Time a link, and its rivals once more by themselves."""
+        start = self._clock()
+        link = super().link(earlier, later, expected, spread)
+        whole = self._clock() - start
+        if self._searching:
+            return link
+        (first, last), middle = self._half
+        warp, work, stiffness = np.array(link.warp), self.work, (spread[0] ** -2, spread[1] ** -2)
+        begin = self._clock()
+        rival_evidence(
+            earlier.levels[1], later.levels[1], first, last, middle, warp, link.information, stiffness,
+            CORRELATED_PX / 8, work,
+        )  # fmt: skip
+        gate = self._clock() - begin
+        self.spent[GATE] += gate
+        self.spent[LINK] += whole - gate
+        self.again += self._clock() - start - whole
+        return link
+
+    def search(self, *arguments: Any, **options: Any) -> Link | None:
+        """Time a search with the links that it tries."""
+        start, self._searching = self._clock(), True
+        found = super().search(*arguments, **options)
+        self._searching = False
+        self.spent[SEARCH] += self._clock() - start
+        return found
+
+    def remainder(self, *arguments: Any, **options: Any) -> Any:
+        """Time the question whether the probe turns."""
+        start = self._clock()
+        found = super().remainder(*arguments, **options)
+        self.spent[MODEL] += self._clock() - start
+        return found
+
+
+def our_stages(calibration: Calibration, raw: NDArray[np.uint8]) -> dict[str, float]:
+    """Mean time of each stage over a recording, microseconds for each frame.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        As for :class:`~napari_elsplus.workflows.tracking.Pipeline`.
+    raw : numpy.ndarray
+        (T, rows, cols) raw frames.
+    """
+    clock = thread_clock()
+
+    def once() -> list[dict[str, float]]:
+        front_end = FrontEnd(calibration, (raw.shape[1], raw.shape[2]))
+        tracker, mosaic = Tracker(front_end.grid), Mosaic(front_end.grid)
+        registrar = tracker.registrar = _TimedRegistrar(front_end.grid, clock)
+        frames = []
+        for frame in raw:
+            registrar.begin()
+            start = clock()
+            image = front_end.image(frame, tracker.slot())
+            front_end.blank(frame)
+            made = clock()
+            pose = tracker.add()
+            tracked = clock()
+            if pose.state is State.TRACKED:
+                mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
+            laid = clock()
+            keeping = tracked - made - registrar.again - sum(registrar.spent.values())
+            frames.append(
+                {FRONT_END: made - start, **registrar.spent, KEEPING: keeping, INSERTION: laid - tracked}
+            )  # fmt: skip
+        return frames
+
+    return _summary([once() for _ in range(_PASSES)])
+
+
+def papers_stages(
+    raw: NDArray[np.uint8],
+    front_end: Callable[[NDArray[np.uint8]], Image],
+    tracker: Callable[[], PaperTracker],
+    mask: NDArray[np.uint8],
+    canvas_px: int,
+) -> dict[str, float]:
+    """Mean time of each of the paper's stages over a recording, microseconds for each frame."""
+    clock = thread_clock()
+
+    def once() -> list[dict[str, float]]:
+        matching, frames = tracker(), []
+        lay = PapersCanvas(mask, canvas_px)
+        for frame in raw:
+            start = clock()
+            image = front_end(frame)
+            made = clock()
+            pose = matching.add(image)
+            matched = clock()
+            lay(image, pose.row, pose.col)
+            frames.append({FRONT_END: made - start, LINK: matched - made, INSERTION: clock() - matched})
+        return frames
+
+    return _summary([once() for _ in range(_PASSES)])
+
+
+class PapersCanvas:
+    """A canvas on which images are laid as dead leaves, in whole pixels.
+
+    Parameters
+    ----------
+    mask : numpy.ndarray
+        (side, side) uint8: what of an image is laid.
+    size : int
+        Rows and columns; the first image lies in the middle.
+    """
+
+    def __init__(self, mask: NDArray[np.uint8], size: int) -> None:
+        self._mask = mask
+        self._middle = (size - len(mask)) // 2
+        self.covered = np.zeros((size, size), np.uint8)
+        self.image: Image = np.zeros((0, 0), np.float32)
+
+    def __call__(self, image: Image, row: float, col: float) -> None:
+        """Lay an image down."""
+        if not self.image.size:
+            self.image = np.zeros(self.covered.shape, image.dtype)
+        top, left = int(row) + self._middle, int(col) + self._middle
+        here = np.s_[top : top + len(image), left : left + len(image)]
+        cv2.copyTo(image, self._mask, self.image[here])
+        cv2.copyTo(self._mask, self._mask, self.covered[here])
+
+
+def _summary(passes: list[list[dict[str, float]]]) -> dict[str, float]:
+    """Median of each stage of each frame over the passes, mean over the frames."""
+    names = passes[0][0]
+    seconds = np.array([[[frame[name] for name in names] for frame in frames] for frames in passes])
+    return dict(zip(names, (1e6 * np.median(seconds, axis=0).mean(axis=0)).tolist(), strict=True))

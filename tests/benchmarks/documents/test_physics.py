@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from benchmarks.documents import physics
+from napari_elsplus.processing.analysis import axial_response as axial
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response
+from napari_elsplus.workflows.sectioning_performance import Trade, weigh
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from napari_elsplus.processing.analysis.axial_response import AxialResponse
+    from napari_elsplus.simulation.model.instrument import Instrument
+
+
+def closed_form(instrument: Instrument, *, seed: int = 0, light: float = 1.0) -> AxialResponse:
+    """What a scan without noise would give; each seed's plate a thousandth brighter, so that they differ."""
+    depth_um = np.arange(0.0, 900.0, 2.0)
+    slit_um = instrument.slit_rows * instrument.optics.um_per_px
+    response = axial_response(depth_um, offset_um=instrument.offset_um, slit_um=slit_um, line=instrument.line)
+    bright = 80 * light
+    return axial.axial_response(depth_um, (bright + seed / 1000) * response.ls, bright * response.residual)
+
+
+def trade(offset_um: float) -> Trade:
+    return weigh(offset_um, 2.9, LINE_MODELS["a"], 80.0)
+
+
+@pytest.fixture
+def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The page as it is made of scans without noise."""
+    monkeypatch.setattr(physics, "measure_axial", closed_form)
+    monkeypatch.setattr(physics, "mean_residual", lambda _: np.full((645, 645), 50, np.float32))
+    monkeypatch.setattr(physics, "weigh_offset", trade)
+    (tmp_path / "images").mkdir()
+    marks = "".join(f"<!-- {name} -->\n<!-- end -->\n" for name in physics.TABLES)
+    (tmp_path / "physics.md").write_text(marks)
+    physics.make(tmp_path)
+    assert len(list((tmp_path / "images").glob("physics-*.png"))) == 6
+    return (tmp_path / "physics.md").read_text()
+
+
+def numbers(page: str, row: str) -> list[float]:
+    (line,) = [line for line in page.splitlines() if line.startswith(f"| {row} |")]
+    return [float(number) for number in re.findall(r"[-+]?\d+\.?\d*", line[len(row) + 2 :])]
+
+
+def test_the_tables_hold_closed_form_and_measurement_against_the_paper(page: str) -> None:
+    paper_3db, spread_3db, paper_10db, spread_10db, *_ = numbers(page, "LS")
+    assert (paper_3db, spread_3db, paper_10db, spread_10db) == (58, 3, 550, 20)
+    paper, closed, with_rim, measured = np.reshape(numbers(page, "ELS, offset 29")[:8], (4, 2))
+    np.testing.assert_allclose(paper, (35.1, 118.9))
+    np.testing.assert_allclose(with_rim, closed, rtol=0.02)
+    np.testing.assert_allclose(measured, closed, rtol=0.01)
+    off_percent = numbers(page, "ELS, offset 29")[8:]
+    np.testing.assert_allclose(off_percent, 100 * (measured / paper - 1), atol=0.1)
+    mean, *_, low, high = numbers(page, "ELS+ 10 dB (um)")
+    assert low < mean < high
+    assert (low, high) == (113.0, 124.8)
+    assert numbers(page, "74") == [1, 1, 1]  # an even image is as bright at its rim as in its centre

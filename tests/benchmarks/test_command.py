@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+from benchmarks.command import PAGES
+from benchmarks.harness.registry import MODULES
+
+
+def test_the_list_names_every_benchmark_and_its_question(elsplus) -> None:
+    run = elsplus("bench", "list")
+    lines = run.out.splitlines()
+    assert run.code == 0
+    assert [line.split()[0] for line in lines] == [*MODULES, "paper"]
+    assert all(len(line.split()) > 3 for line in lines)
+
+
+def test_a_benchmark_writes_table_and_chart_and_tells_of_its_default(elsplus, tmp_path: Path) -> None:
+    run = elsplus("bench", "line", "--out", tmp_path / "new", "--quick")
+    assert run.code == 0
+    with (tmp_path / "new" / "line.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert sum(row["is_default"] == "1" for row in rows) == 1
+    assert all(float(row["cost_us"]) > 0 for row in rows)
+    assert (tmp_path / "new" / "line.png").read_bytes().startswith(b"\x89PNG")
+    assert "(default) is " in run.out
+    assert sorted(p.name for p in (tmp_path / "new").iterdir()) == ["line.csv", "line.png"]
+
+
+def test_results_are_not_overwritten_unless_told(elsplus, tmp_path: Path) -> None:
+    (tmp_path / "line.csv").write_text("mine")
+    run = elsplus("bench", "line", "--out", tmp_path, "--quick")
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert "--force" in run.err
+    assert (tmp_path / "line.csv").read_text() == "mine"
+    assert elsplus("bench", "line", "--out", tmp_path, "--quick", "--force").code == 0
+
+
+def test_an_unknown_benchmark_is_bad_input(elsplus) -> None:
+    assert elsplus("bench", "everything", "--out", "x").code == 2
+
+
+def test_pages_are_filled_between_their_marks(elsplus, tmp_path: Path) -> None:
+    for page in PAGES:
+        (tmp_path / page).write_text(f"Mine in {page}.\n\n<!-- line -->\nold\n<!-- end -->\n")
+    assert elsplus("bench", "docs", "--docs", tmp_path, "--quick", "--only", "line").code == 0
+    text = (tmp_path / "performance.md").read_text()
+    assert text.startswith("Mine in performance.md.")
+    assert "| tilted Gaussian, all columns | default |" in text
+    assert "old" not in text
+    assert (tmp_path / "images" / "bench-line.png").exists()
+
+
+@pytest.mark.checkout
+def test_every_benchmark_has_its_place_in_the_documentation() -> None:
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    text = "".join((docs / page).read_text(encoding="utf-8") for page in PAGES)
+    for name in MODULES:
+        assert text.count(f"<!-- {name} -->") == 1, name
+        assert f"images/bench-{name}.png" in text, name
