@@ -20,8 +20,8 @@ from qtpy.QtWidgets import QApplication
 
 from benchmarks.harness.machine import machine
 from benchmarks.rigs.simulated import simulated_rig
-from napari_elsplus.acquisition.mosaic_board import MosaicBoard
-from napari_elsplus.acquisition.tracking import TrackState
+from napari_elsplus.acquisition.mosaic.board import MosaicBoard
+from napari_elsplus.acquisition.mosaic.tracking import TrackState
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.viewing.live_mosaic import LiveMosaics

@@ -18,7 +18,7 @@ import numpy as np
 from qtpy.QtCore import QEventLoop
 from qtpy.QtWidgets import QApplication, QDockWidget, QOpenGLWidget  # type: ignore[attr-defined] # where Qt 6 has it
 
-from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -28,7 +28,7 @@ from napari_elsplus.widgets.live import Live
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from napari_elsplus.acquisition.client import EngineClient
+    from napari_elsplus.acquisition.link.client import EngineClient
     from napari_elsplus.instrument.calibration import Calibration
 
 PRESET: Final = "240hz"

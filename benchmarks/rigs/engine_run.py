@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from napari_elsplus.acquisition.live_images import RAW
-from napari_elsplus.acquisition.recorder import RecordingPlan
+from napari_elsplus.acquisition.engine.live_images import RAW
+from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from benchmarks.rigs.engines import Driven
-    from napari_elsplus.acquisition.ring import Ring
-    from napari_elsplus.acquisition.status import Status
-    from napari_elsplus.acquisition.tally import Latencies
+    from napari_elsplus.acquisition.engine.status import Status
+    from napari_elsplus.acquisition.streaming.ring import Ring
+    from napari_elsplus.acquisition.streaming.tally import Latencies
 
 LOOK_S: Final = 1 / 60
 SETTLE_S: Final = 3.0

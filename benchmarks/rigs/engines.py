@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
-from napari_elsplus.acquisition.client import EngineClient
-from napari_elsplus.acquisition.engine import Engine
-from napari_elsplus.acquisition.priority import keep_pace, settle_memory
-from napari_elsplus.acquisition.process import STATUS_PERIOD_S
-from napari_elsplus.acquisition.simulated import open_live
-from napari_elsplus.acquisition.status import Settings
-from napari_elsplus.acquisition.tracking import LiveTrack
+from napari_elsplus.acquisition.calibrating.simulated import open_live
+from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.link.client import EngineClient
+from napari_elsplus.acquisition.link.server import STATUS_PERIOD_S
+from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
+from napari_elsplus.acquisition.streaming.priority import keep_pace, settle_memory
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.simulation.calibration_scenes import background
@@ -19,11 +19,11 @@ from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 
 if TYPE_CHECKING:
-    from napari_elsplus.acquisition.recorder import RecordingPlan
-    from napari_elsplus.acquisition.ring import Ring
-    from napari_elsplus.acquisition.status import Status
-    from napari_elsplus.acquisition.tally import Latencies
-    from napari_elsplus.acquisition.usage import Usage
+    from napari_elsplus.acquisition.engine.status import Status
+    from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
+    from napari_elsplus.acquisition.streaming.ring import Ring
+    from napari_elsplus.acquisition.streaming.tally import Latencies
+    from napari_elsplus.acquisition.streaming.usage import Usage
     from napari_elsplus.instrument.calibration import Calibration
 
 

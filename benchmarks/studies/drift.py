@@ -8,8 +8,8 @@ import numpy as np
 
 from benchmarks.rigs.simulated import dim
 from benchmarks.stability.pairs import ELECTRONS_OF_WHITE
-from napari_elsplus.acquisition.ring import Stamp
-from napari_elsplus.acquisition.tracking import LiveTrack
+from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
+from napari_elsplus.acquisition.streaming.ring import Stamp
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Recorded, Straight

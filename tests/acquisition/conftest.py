@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from napari_elsplus.acquisition.engine import Engine
-from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.parking import ParkOrder
 from napari_elsplus.hardware.protocols import FrameInfo, Region

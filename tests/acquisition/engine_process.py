@@ -11,7 +11,7 @@ import runpy
 import sys
 from pathlib import Path
 
-from napari_elsplus.acquisition.process import run
+from napari_elsplus.acquisition.link.server import run
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.parking import park_order

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from napari_elsplus.acquisition import mosaic_feed
-from napari_elsplus.acquisition.board_tables import Tables
-from napari_elsplus.acquisition.mosaic_board import MosaicBoard
-from napari_elsplus.acquisition.tracking import TrackState
+from napari_elsplus.acquisition.mosaic import feed as mosaic_feed
+from napari_elsplus.acquisition.mosaic.board import MosaicBoard
+from napari_elsplus.acquisition.mosaic.board_tables import Tables
+from napari_elsplus.acquisition.mosaic.tracking import TrackState
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.viewing.live_mosaic import LiveMosaics
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan

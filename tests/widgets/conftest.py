@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from napari.utils.notifications import notification_manager
 
-from napari_elsplus.acquisition.client import EngineClient
-from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.link.client import EngineClient
 from processes import exists
 
 HERE = Path(__file__).parents[1] / "acquisition"

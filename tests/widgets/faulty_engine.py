@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from napari_elsplus.acquisition import process
-from napari_elsplus.acquisition.simulated import open_live
+from napari_elsplus.acquisition.calibrating.simulated import open_live
+from napari_elsplus.acquisition.link import server as process
 from napari_elsplus.errors import DeviceError
 
 BLACK = 4

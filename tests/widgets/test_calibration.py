@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus.acquisition.calibrating import Target
-from napari_elsplus.acquisition.client import EngineClient
-from napari_elsplus.acquisition.engine import Engine
-from napari_elsplus.acquisition.guided import TARGETS
-from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.calibrating.stepwise import TARGETS
+from napari_elsplus.acquisition.calibrating.whole import Target
+from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.instrument.optics import preset
@@ -152,7 +152,7 @@ def test_a_failed_step_keeps_what_was_known_and_says_why_in_one_line(live, qtbot
         (Step.PAIR, Target.DARK_TUBE, "two bundle images expected"),
     ):
         monkeypatch.setitem(TARGETS, step, wrong)
-        monkeypatch.setattr("napari_elsplus.acquisition.guided.GuidedCalibration._middle", search)
+        monkeypatch.setattr("napari_elsplus.acquisition.calibrating.stepwise.GuidedCalibration._middle", search)
         measure(qtbot, live, step)
         assert live.candidate is None
         assert live.draft is known

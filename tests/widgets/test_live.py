@@ -16,10 +16,10 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus.acquisition.client import EngineClient
-from napari_elsplus.acquisition.live_images import display_layout
-from napari_elsplus.acquisition.ring import Ring
-from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.engine.live_images import display_layout
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.link.client import EngineClient
+from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import calibration_in_force, recall
 from napari_elsplus.widgets.live_layers import LiveLayers
@@ -216,7 +216,7 @@ def test_what_the_panel_does_runs_as_a_script(panel, qtbot, tmp_path, monkeypatc
     panel.copy_script()
     text = QApplication.clipboard().text()
     panel.connection.disconnect()
-    monkeypatch.setattr("napari_elsplus.acquisition.client.EngineClient", small_engine.start)
+    monkeypatch.setattr("napari_elsplus.acquisition.link.client.EngineClient", small_engine.start)
     exec(compile(text, "script", "exec"), {})
     (path,) = tmp_path.glob("recording-*.ome.tif")
     with open_recording(path) as recording:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.io import read_track
 
 PLUGIN = "napari-elsplus"

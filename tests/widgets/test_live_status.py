@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from napari_elsplus.acquisition.status import Status
+from napari_elsplus.acquisition.engine.status import Status
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.widgets.live_status import said_of
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.acquisition.priority import keep_pace, settle_memory
-from napari_elsplus.acquisition.recorder import RecordingPlan
-from napari_elsplus.acquisition.simulated import calibrate_simulated
-from napari_elsplus.acquisition.status import Settings
-from napari_elsplus.acquisition.tracking import LiveTrack
+from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
+from napari_elsplus.acquisition.streaming.priority import keep_pace, settle_memory
+from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.cli.live import live_engine, watch_calibration
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.errors import InputError
@@ -25,8 +25,8 @@ from napari_elsplus.processing.mosaicing.picture import picture
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from napari_elsplus.acquisition.engine import Engine
-    from napari_elsplus.acquisition.status import Status
+    from napari_elsplus.acquisition.engine.engine import Engine
+    from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.workflows.tracking import Pipeline
 
 _STEP_S = 0.1

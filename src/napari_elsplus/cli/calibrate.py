@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.acquisition.calibrating import SWEEP_VOLTAGES, Target, calibrate_rig
-from napari_elsplus.acquisition.simulated import calibrate_simulated
-from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
+from napari_elsplus.acquisition.calibrating.whole import SWEEP_VOLTAGES, Target, calibrate_rig
+from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.cli.live import live_engine, watch_calibration
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.errors import InputError

@@ -5,17 +5,17 @@ from __future__ import annotations
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
-from napari_elsplus.acquisition.engine import Engine
-from napari_elsplus.acquisition.simulated import open_live
+from napari_elsplus.acquisition.calibrating.simulated import open_live
+from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.cli.options import progress
 from napari_elsplus.hardware.guardian import Guardian
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from napari_elsplus.acquisition.procedures import Watch
-    from napari_elsplus.acquisition.rig import Rig
-    from napari_elsplus.acquisition.status import Settings
+    from napari_elsplus.acquisition.calibrating.procedures import Watch
+    from napari_elsplus.acquisition.engine.rig import Rig
+    from napari_elsplus.acquisition.engine.status import Settings
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from napari_elsplus.acquisition.mosaic_feed import MosaicFeed
+from napari_elsplus.acquisition.mosaic.feed import MosaicFeed
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.viewing.mosaics import MosaicScale, without_last_segment
@@ -13,7 +13,7 @@ from napari_elsplus.viewing.track import fastest_px_per_frame
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from napari_elsplus.acquisition.tracking import TrackState
+    from napari_elsplus.acquisition.mosaic.tracking import TrackState
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackTable
     from napari_elsplus.processing.images.sectioning import Mode

@@ -10,9 +10,9 @@ from napari_elsplus.hardware.rigs import SIMULATED
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from napari_elsplus.acquisition.live_images import View
-    from napari_elsplus.acquisition.recorder import RecordingPlan
-    from napari_elsplus.acquisition.status import Settings
+    from napari_elsplus.acquisition.engine.live_images import View
+    from napari_elsplus.acquisition.engine.status import Settings
+    from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 
 SECONDS = 10.0
 """Recorded where the form says neither seconds nor frames."""
@@ -52,10 +52,10 @@ def live_script(rig: str, settings: Settings, view: View, plan: RecordingPlan, c
 import time
 from pathlib import Path
 
-from napari_elsplus.acquisition.client import EngineClient
-from napari_elsplus.acquisition.live_images import View
-from napari_elsplus.acquisition.recorder import RecordingPlan
-from napari_elsplus.acquisition.status import Settings{imported}
+from napari_elsplus.acquisition.link.client import EngineClient
+from napari_elsplus.acquisition.engine.live_images import View
+from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
+from napari_elsplus.acquisition.engine.status import Settings{imported}
 from napari_elsplus.processing.images.cores import CoreFilter
 
 settings = {settings!r}

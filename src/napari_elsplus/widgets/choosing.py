@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from napari.layers import Image
 
-from napari_elsplus.acquisition.live_images import RAW
+from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.errors import InputError
 from napari_elsplus.widgets.live_layers import LIVE
 

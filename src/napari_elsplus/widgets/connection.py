@@ -7,14 +7,14 @@ from concurrent.futures import Future
 from threading import Lock, Thread
 from typing import TYPE_CHECKING
 
-from napari_elsplus.acquisition.client import EngineClient
+from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.errors import DeviceError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from napari_elsplus.acquisition.status import Settings
+    from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.instrument.calibration import Calibration
 
 _latest: Callable[[], Connection | None] = lambda: None  # noqa: E731 - a dead weak reference says the same

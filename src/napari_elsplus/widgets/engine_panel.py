@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     import napari.viewer
 
-    from napari_elsplus.acquisition.client import EngineClient
+    from napari_elsplus.acquisition.link.client import EngineClient
 
 
 class EnginePanel(Panel):

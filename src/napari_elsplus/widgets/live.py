@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QTimer
 
-from napari_elsplus.acquisition.recorder import RecordingPlan
+from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.drawing import Drawing
@@ -25,8 +25,8 @@ from napari_elsplus.widgets.rig import remembered_rig, remembered_settings
 if TYPE_CHECKING:
     import napari.viewer
 
-    from napari_elsplus.acquisition.client import EngineClient
-    from napari_elsplus.acquisition.status import Status
+    from napari_elsplus.acquisition.engine.status import Status
+    from napari_elsplus.acquisition.link.client import EngineClient
     from napari_elsplus.instrument.calibration import Calibration
 
 TICK_MS: Final = 16

@@ -11,8 +11,8 @@ from magicgui.widgets import CheckBox, ComboBox, Container, FileEdit, FloatSpinB
 from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
 from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from napari_elsplus.acquisition.live_images import RAW, View
-from napari_elsplus.acquisition.recorder import RecordingPlan
+from napari_elsplus.acquisition.engine.live_images import RAW, View
+from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.io.settings import recall, remember
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode

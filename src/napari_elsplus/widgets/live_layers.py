@@ -8,7 +8,7 @@ import numpy as np
 from napari.layers import Image
 
 from napari_elsplus import __version__
-from napari_elsplus.acquisition.live_images import RAW
+from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLES
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import napari.viewer
     from numpy.typing import NDArray
 
-    from napari_elsplus.acquisition.ring import Ring, Stamp
+    from napari_elsplus.acquisition.streaming.ring import Ring, Stamp
     from napari_elsplus.instrument.calibration import Calibration
 
 KINDS: Final = {RAW: "raw", **{mode.value: TITLES[mode] for mode in Mode}}

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from napari_elsplus.acquisition.status import Status
+    from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.instrument.calibration import Calibration
 
 SATURATED: Final = 0.001

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import napari.viewer
     from napari.layers import Image
 
-    from napari_elsplus.acquisition.client import EngineClient
+    from napari_elsplus.acquisition.link.client import EngineClient
 
 TICK_MS: Final = 40
 WHOLE_TICKS: Final = 25

@@ -10,7 +10,7 @@ from napari.utils.notifications import show_info
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
-from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import SIMULATED, rig_names
 from napari_elsplus.instrument.optics import PRESETS, preset
@@ -22,7 +22,7 @@ from napari_elsplus.widgets.panel import told
 if TYPE_CHECKING:
     import napari.viewer
 
-    from napari_elsplus.acquisition.client import EngineClient
+    from napari_elsplus.acquisition.link.client import EngineClient
 
 SECTION: Final = "rig"
 STATUS_MS: Final = 200

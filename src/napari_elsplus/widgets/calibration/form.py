@@ -19,7 +19,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_elsplus.acquisition.calibrating import SWEEP_VOLTAGES
+from napari_elsplus.acquisition.calibrating.whole import SWEEP_VOLTAGES
 from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.calibration.draft import State, Step

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
-    from napari_elsplus.acquisition.guided import GuidedCalibration
+    from napari_elsplus.acquisition.calibrating.stepwise import GuidedCalibration
     from napari_elsplus.processing.calibration.draft import Draft, Step
 
 LOOK_S: Final = 0.04
@@ -30,7 +30,7 @@ def measure_live(guided: GuidedCalibration, step: Step, draft: Draft, target_um:
     Raises
     ------
     ElsPlusError
-        As :meth:`~napari_elsplus.acquisition.guided.GuidedCalibration.measure`.
+        As :meth:`~napari_elsplus.acquisition.calibrating.stepwise.GuidedCalibration.measure`.
     """
     setup = guided.setup()
     found = guided.measure(step, draft)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QTimer
 
-from napari_elsplus.acquisition.guided import GuidedCalibration
-from napari_elsplus.acquisition.status import Settings
+from napari_elsplus.acquisition.calibrating.stepwise import GuidedCalibration
+from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import read_calibration, write_calibration

@@ -1,0 +1,1 @@
+"""The calibration's steps on a running engine."""

@@ -1,0 +1,1 @@
+"""The live engine: camera and galvo in step, every frame sectioned, shown, recorded."""

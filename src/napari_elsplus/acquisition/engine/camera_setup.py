@@ -1,0 +1,141 @@
+"""How the rig's camera runs: what was chosen, what follows from it, and what a calibration keeps of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.protocols import Region
+from napari_elsplus.hardware.scan.waveform import ScanTiming
+from napari_elsplus.instrument.calibration import AcquiredWith, FrameSection
+from napari_elsplus.instrument.optics import preset
+
+if TYPE_CHECKING:
+    from napari_elsplus.acquisition.engine.rig import Rig
+    from napari_elsplus.hardware.protocols import Camera
+    from napari_elsplus.hardware.scan.waveform import StrobePhase
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.instrument.optics import Preset
+
+SETTLING_FRAMES: Final = 2
+"""Frames that are invalid after the camera was given another region or exposure."""
+
+
+class CameraSetup:
+    """The camera of a rig, and the settings that it was given.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+
+    Attributes
+    ----------
+    settings : Settings
+        How the rig runs; the defaults until it is configured.
+    settling : int
+        Frames of the next stream that are invalid.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self.camera: Camera = rig.camera
+        self._rig_name = rig.name
+        self.settings = Settings()
+        self.settling = 0
+        self.configured = False
+        """Whether the camera was given settings."""
+
+    def configure(self, settings: Settings) -> None:
+        """Give the camera its region, exposure, rate and gain; it must not stream.
+
+        Raises
+        ------
+        InputError
+            If the camera cannot do that.
+        DeviceError
+            If the camera does not answer.
+        """
+        chosen = preset(settings.preset)
+        rate_hz = settings.frame_rate_hz or chosen.optics.frame_rate_hz
+        region = Region(*chosen.sensor_origin, *chosen.frame_shape)
+        self.camera.configure(region, slit_rows=settings.slit_rows, frame_rate_hz=rate_hz, gain_db=settings.gain_db)
+        self.settings, self.configured = settings, True
+        self.settling = SETTLING_FRAMES
+
+    def require(self) -> None:
+        """Refuse to go on without settings.
+
+        Raises
+        ------
+        InputError
+            If the camera was not configured.
+        """
+        if not self.configured:
+            raise InputError("the camera has no settings", "configure the engine first")
+
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """Rows and columns of a raw frame."""
+        return self.camera.frame_shape
+
+    @property
+    def frame(self) -> FrameSection:
+        """The recorded region, as a calibration keeps it."""
+        return FrameSection(shape=self._preset.frame_shape, sensor_origin=self._preset.sensor_origin)
+
+    @property
+    def line_period_s(self) -> float:
+        """Seconds from the readout of one row to that of the next."""
+        return self.camera.line_period_s
+
+    @property
+    def rows_per_frame(self) -> float:
+        """Line periods from one frame to the next, idle time included."""
+        return self.camera.rows_per_frame
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frames per second, as the camera keeps them."""
+        return 1 / (self.rows_per_frame * self.line_period_s)
+
+    @property
+    def bytes_per_s(self) -> float:
+        """Of raw frames."""
+        rows, cols = self.frame_shape
+        return rows * cols * self.frame_rate_hz
+
+    @property
+    def acquired_with(self) -> AcquiredWith:
+        """The rig's settings, as a calibration keeps them."""
+        settings, chosen = self.settings, self._preset
+        return AcquiredWith(
+            rig=self._rig_name,
+            objective=chosen.objective,
+            slit_rows=settings.slit_rows,
+            frame_rate_hz=settings.frame_rate_hz or chosen.optics.frame_rate_hz,
+            gain_db=settings.gain_db,
+        )
+
+    def timing(self, strobe: StrobePhase) -> ScanTiming:
+        """Say when which row is exposed."""
+        return ScanTiming(self.line_period_s, self.rows_per_frame, self.settings.slit_rows, strobe)
+
+    def described(self) -> dict[str, Any]:
+        """Return the settings as a recording keeps them."""
+        return {
+            **self.acquired_with.model_dump(),
+            "preset": self.settings.preset,
+            "line_period_s": self.line_period_s,
+            "rows_per_frame": self.rows_per_frame,
+        }
+
+    def stale(self, calibration: Calibration | None) -> dict[str, str]:
+        """Say which sections of a calibration do not hold with these settings, and why."""
+        if calibration is None or not self.configured:
+            return {}
+        return calibration.stale_sections(self.acquired_with, self.frame)
+
+    @property
+    def _preset(self) -> Preset:
+        return preset(self.settings.preset)

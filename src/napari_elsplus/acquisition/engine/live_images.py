@@ -1,0 +1,195 @@
+"""Live images of every frame: sectioned at the camera's pace, finished and shown at the display's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+
+from napari_elsplus.acquisition.streaming.ring import Layout
+from napari_elsplus.errors import InputError
+from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner
+from napari_elsplus.workflows.sectioning import finishing
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+
+DISPLAY_SLOTS: Final = 6
+RAW: Final = "raw"
+_WHITE: Final = 255
+_STEP: Final = 4
+"""Saturated pixels are counted on every fourth row and column."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """How live images are made; raw frames are recorded whatever is chosen here.
+
+    Parameters
+    ----------
+    background : bool
+        Subtract the calibration's background.
+    flat_field : bool
+        Divide by the calibration's flat field.
+    cores : CoreFilter
+        How the core pattern is suppressed.
+    average : int
+        Recursive averaging: each frame counts one in so many; 1 shows single frames.
+
+    Raises
+    ------
+    InputError
+        If `average` is less than 1.
+    """
+
+    background: bool = True
+    flat_field: bool = False
+    cores: CoreFilter = CoreFilter.NONE
+    average: int = 1
+
+    def __post_init__(self) -> None:
+        if self.average < 1:
+            raise InputError(f"an average over {self.average} frames", "average over 1 frame or more")
+
+
+@dataclass(frozen=True, slots=True)
+class Measures:
+    """Numbers that help at the microscope.
+
+    Parameters
+    ----------
+    saturated : float
+        Share of the raw pixels that are white.
+    focus : float
+        Mean squared gradient of the ELS+ image over its squared mean brightness: largest in focus; NaN if dark.
+    """
+
+    saturated: float = np.nan
+    focus: float = np.nan
+
+
+def display_layout(frame_shape: tuple[int, int], side: int | None) -> Layout:
+    """Say what the display's ring holds: the raw frame, and the four images where a bundle is calibrated."""
+    fields: list[tuple[str, tuple[int, ...], str]] = [(RAW, frame_shape, "uint8")]
+    if side is not None:
+        fields += [(mode.value, (side, side), "float32") for mode in Mode]
+    return Layout(DISPLAY_SLOTS, tuple(fields))
+
+
+class LiveImages:
+    """Makes the images of one frame after the other; built once per calibration and view.
+
+    Parameters
+    ----------
+    frame_shape : tuple of int
+        Rows and columns of the raw frames.
+    calibration : Calibration, optional
+        Without its bundle section only raw frames are shown.
+    view : View
+        How the images are made.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration does not fit the frames, or lacks what the view needs.
+
+    Notes
+    -----
+    ELSA is made of alternating frames: the confocal image of an even frame minus the residual image of the odd one that
+    follows it. Where one of the two is missing, the last ELSA image stands.
+    """
+
+    def __init__(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: View) -> None:
+        self._sectioner: Sectioner | None = None
+        self._averages = view.average > 1
+        self.layout = display_layout(frame_shape, None)
+        if calibration is None or calibration.bundle is None:
+            return
+        if not view.background:
+            calibration = calibration.model_copy(update={"background": None})
+        self._sectioner = sectioner = Sectioner(calibration, frame_shape)
+        self._finish = finishing(calibration, sectioner, cores=view.cores, flat_field=view.flat_field)
+        self._weight = 1 / view.average
+        self.layout = display_layout(frame_shape, sectioner.side)
+        square = (sectioner.side, sectioner.side)
+        self._now = {mode: np.zeros(square, np.float32) for mode in Mode}
+        self._mean = self._now if view.average == 1 else {mode: np.zeros(square, np.float32) for mode in Mode}
+        self._even_ls = np.zeros(square, np.float32)
+        self._even_number = -2
+        self._first = True
+        self._finished = np.zeros(square, np.float32)
+        self._warm_up(frame_shape)
+
+    @property
+    def averages(self) -> bool:
+        """Whether every frame counts in what is shown."""
+        return self._averages
+
+    def add(self, raw: NDArray[np.uint8], frame_number: int) -> None:
+        """Section a frame."""
+        if self._sectioner is None:
+            return
+        now = self._now
+        self._sectioner.ls(raw, now[Mode.LS])
+        self._sectioner.residual(raw, now[Mode.RESIDUAL])
+        np.subtract(now[Mode.LS], now[Mode.RESIDUAL], out=now[Mode.ELS])
+        if frame_number % 2 == 0:
+            np.copyto(self._even_ls, now[Mode.LS])
+            self._even_number = frame_number
+        elif self._even_number == frame_number - 1:
+            np.subtract(self._even_ls, now[Mode.RESIDUAL], out=now[Mode.ELSA])
+        if self._mean is not now:
+            for mode in Mode:
+                if self._first:
+                    np.copyto(self._mean[mode], now[mode])
+                else:
+                    cv2.accumulateWeighted(now[mode], self._mean[mode], self._weight)
+        self._first = False
+
+    def fill(self, raw: NDArray[np.uint8], arrays: Mapping[str, NDArray[np.generic]]) -> Measures:
+        """Finish the images of the frame that was added last, into a slot of the display's ring."""
+        np.copyto(arrays[RAW], raw)
+        saturated = float(np.count_nonzero(raw[::_STEP, ::_STEP] == _WHITE)) / raw[::_STEP, ::_STEP].size
+        if self._sectioner is None:
+            return Measures(saturated)
+        for mode in Mode:
+            np.copyto(self._finished, self._mean[mode])
+            np.copyto(arrays[mode.value], self._finish(self._finished))
+        return Measures(saturated, focus(arrays[Mode.ELS.value]))
+
+    def _warm_up(self, frame_shape: tuple[int, int]) -> None:
+        """Compile and touch everything that the first frames will use."""
+        blank = np.zeros(frame_shape, np.uint8)
+        slot = {name: np.empty(shape, dtype) for name, shape, dtype in self.layout.fields}
+        for number in range(2):
+            self.add(blank, number)
+            self.fill(blank, slot)
+        self._first, self._even_number = True, -2
+
+
+def focus(image: NDArray[np.generic]) -> float:
+    """Mean squared gradient over the squared mean, on every second pixel: the Tenengrad of a normalised image.
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        (n, n) float.
+
+    Returns
+    -------
+    float
+        Larger is sharper; NaN for an image without light.
+    """
+    half = np.asarray(image)[::2, ::2]
+    level = float(half.mean())
+    if level <= 0:
+        return float("nan")
+    down, across = half[1:, :-1] - half[:-1, :-1], half[:-1, 1:] - half[:-1, :-1]
+    return float((np.vdot(down, down) + np.vdot(across, across)) / down.size) / level**2

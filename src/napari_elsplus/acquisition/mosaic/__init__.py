@@ -1,0 +1,1 @@
+"""The live mosaic: tracking, insertion, loop closure, and its board in shared memory."""

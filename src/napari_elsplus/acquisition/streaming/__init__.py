@@ -1,0 +1,1 @@
+"""Frames on their way: rings, shared memory, the recorder, and what is counted."""

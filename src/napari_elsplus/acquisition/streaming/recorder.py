@@ -1,0 +1,157 @@
+"""The recorder's thread: raw frames from the stream into a file, from before it was asked until it is told to stop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from threading import Thread
+from typing import TYPE_CHECKING, Any, Final
+
+from napari_elsplus.errors import DeviceError, ElsPlusError, InputError
+from napari_elsplus.io import RecordingWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from napari_elsplus.acquisition.streaming.faults import FaultLog
+    from napari_elsplus.acquisition.streaming.stream import Stream
+    from napari_elsplus.acquisition.streaming.tally import Tally
+    from napari_elsplus.instrument.calibration import Calibration
+
+_PATIENCE_S: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingPlan:
+    """What is to be recorded: until stopped, or until one of the limits.
+
+    Parameters
+    ----------
+    path : path
+        The file, NAME.ome.tif.
+    frames : int, optional
+        Stop after so many frames.
+    seconds : float, optional
+        Stop when the frames span so long.
+    earlier_s : float
+        Begin so many seconds before the recording was asked for, as far as the frames are still in memory.
+    force : bool
+        Whether existing files may be replaced.
+
+    Raises
+    ------
+    InputError
+        If a limit is not positive.
+    """
+
+    path: Path
+    frames: int | None = None
+    seconds: float | None = None
+    earlier_s: float = 0.0
+    force: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("frames", "seconds"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise InputError(f"a recording of {value} {name}", "give a positive number, or none")
+        if not self.earlier_s >= 0:
+            raise InputError(f"a recording that begins {self.earlier_s} s earlier", "give 0 or a positive number")
+
+
+class Recorder(Thread):
+    """Writes frames until it is full, told to stop, or the stream ends; the file is closed in every case.
+
+    Parameters
+    ----------
+    stream : Stream
+        Where the frames come from.
+    plan : RecordingPlan
+        Where to and how long.
+    frame_rate_hz : float
+        For counting back in time.
+    calibration : Calibration, optional
+        In force; written beside before the first frame.
+    settings : mapping
+        The rig's settings, kept in the file.
+    tally : Tally
+        Where recorded and lost frames are counted.
+    faults : FaultLog
+        Where a full disk is reported.
+
+    Raises
+    ------
+    InputError
+        If the file exists and may not be replaced, or its folder is missing.
+    """
+
+    def __init__(
+        self,
+        stream: Stream,
+        plan: RecordingPlan,
+        *,
+        frame_rate_hz: float,
+        calibration: Calibration | None,
+        settings: Mapping[str, Any],
+        tally: Tally,
+        faults: FaultLog,
+    ) -> None:
+        super().__init__(name="recorder", daemon=True)
+        self.plan = plan
+        self._tally, self._faults = tally, faults
+        self._writer = RecordingWriter(
+            plan.path, stream.frame_shape, "uint8", calibration=calibration, settings=settings, force=plan.force
+        )
+        self._stream = stream
+        self._cursor = stream.join(earlier=round(plan.earlier_s * frame_rate_hz))
+        self._half_period_s = 0.5 / frame_rate_hz
+        self._stop_before: int | None = None
+
+    @property
+    def frames(self) -> int:
+        """Frames in the file so far."""
+        return len(self._writer)
+
+    @property
+    def full(self) -> bool:
+        """Whether all frames that were asked for are in the file."""
+        return self.plan.frames is not None and self.frames >= self.plan.frames
+
+    def stop(self) -> None:
+        """Finish with the frame that is the newest now."""
+        if self._stop_before is None:
+            self._stop_before = self._stream.written
+
+    def run(self) -> None:
+        """Write until the end; then put the file in order."""
+        try:
+            self._write()
+            self._writer.close()
+        except OSError as error:
+            reason = error.strerror or str(error)
+            self._faults.add(
+                "recorder",
+                DeviceError(f"{self.plan.path.name}: {reason}", "free some disk space; what was written is readable"),
+            )
+        except ElsPlusError as error:
+            self._faults.add("recorder", error)
+        finally:
+            self._cursor.close()
+
+    def _write(self) -> None:
+        first_s: float | None = None
+        while not self.full:
+            taken = self._cursor.take(_PATIENCE_S)
+            if taken is None:
+                if self._stream.ended:
+                    return
+                continue
+            frame, stamp = taken
+            if self._stop_before is not None and stamp.sequence >= self._stop_before:
+                return
+            first_s = stamp.exposed_s if first_s is None else first_s
+            if self.plan.seconds is not None and stamp.exposed_s - first_s > self.plan.seconds - self._half_period_s:
+                return
+            self._writer.append(frame, stamp.exposed_s, stamp.frame_number)
+            self._tally.recorded += 1
+            self._tally.skipped("recorder slow", self._cursor.skipped)

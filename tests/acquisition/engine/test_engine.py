@@ -1,0 +1,350 @@
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.engine.live_images import View
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
+from napari_elsplus.errors import CalibrationError, DeviceError, InputError
+from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.io import RecordingWriter, open_recording
+from napari_elsplus.workflows.sectioning import images
+
+
+def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    """Wait for something that another thread does."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.01)
+
+
+def newest(engine: Engine, *names: str) -> tuple[int, dict[str, np.ndarray]]:
+    ring = engine.display
+    assert ring is not None
+    out = {name: np.empty(shape, dtype) for name, shape, dtype in ring.layout.fields if name in names}
+    stamp = None
+    while stamp is None:
+        stamp = ring.newest_after(-1, out)
+    return stamp.frame_number, out
+
+
+def test_every_frame_has_its_result(engine: Engine, calibration: Calibration) -> None:
+    engine.use(calibration)
+    engine.start()
+    until(lambda: engine.status().acquired >= 60)
+    engine.stop()
+    status = engine.status()
+    assert status.processed == status.acquired
+    assert status.dropped == {}
+    assert 0 < status.latency_ms.p50 <= status.latency_ms.p99 <= status.latency_ms.max
+    assert status.mean_hz == pytest.approx(100, rel=0.05)
+
+
+def test_live_images_are_those_of_the_pipeline(engine: Engine, calibration: Calibration) -> None:
+    background = np.full((524, 1328), 3, np.float32)
+    engine.use(calibration.model_copy(update={"background": background}))
+    engine.start()
+    until(lambda: engine.status().processed > 12)
+    engine.stop()
+    _, shown = newest(engine, "raw", "ls", "residual", "els")
+    for mode in ("ls", "residual", "els"):
+        expected = images(shown["raw"][None], engine.calibration, mode)[0]  # type: ignore[arg-type]
+        np.testing.assert_array_equal(shown[mode], expected)
+
+
+def test_a_recording_holds_every_frame_with_number_and_time(
+    engine: Engine, calibration: Calibration, tmp_path: Path
+) -> None:
+    engine.use(calibration)
+    engine.start()
+    engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
+    until(lambda: engine.status().recorded >= 40)
+    engine.stop()
+    engine.finish_recording()
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        assert len(recording) == engine.status().recorded
+        assert (np.diff(recording.frame_numbers) == 1).all()
+        assert np.diff(recording.times_s) == pytest.approx(0.01, abs=1e-6)
+        numbers = [int(np.ascontiguousarray(frame[0, :8]).view(np.int64)[0]) for frame in recording]
+        assert numbers == recording.frame_numbers.tolist()
+        assert recording.calibration is not None
+        assert recording.calibration.bundle == calibration.bundle
+        assert recording.metadata["settings"]["rig"] == "small"
+
+
+def test_a_recording_ends_by_frames_and_by_seconds(engine: Engine, tmp_path: Path) -> None:
+    engine.start()
+    engine.record(RecordingPlan(tmp_path / "frames.ome.tif", frames=7))
+    until(lambda: not engine.status().recording.running)  # type: ignore[union-attr]
+    engine.record(RecordingPlan(tmp_path / "seconds.ome.tif", seconds=0.2))
+    until(lambda: not engine.status().recording.running)  # type: ignore[union-attr]
+    with open_recording(tmp_path / "frames.ome.tif") as recording:
+        assert len(recording) == 7
+    with open_recording(tmp_path / "seconds.ome.tif") as recording:
+        assert len(recording) == 20
+
+
+def test_a_recording_can_begin_before_it_was_asked_for(engine: Engine, tmp_path: Path) -> None:
+    engine.start()
+    until(lambda: engine.status().acquired >= 50)
+    now = engine.status().acquired
+    engine.record(RecordingPlan(tmp_path / "r.ome.tif", earlier_s=0.3, frames=40))
+    until(lambda: not engine.status().recording.running)  # type: ignore[union-attr]
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        assert recording.frame_numbers[0] == pytest.approx(2 + now - 30, abs=10)
+        assert (np.diff(recording.frame_numbers) == 1).all()
+
+
+def test_an_existing_recording_is_kept(engine: Engine, tmp_path: Path) -> None:
+    (tmp_path / "r.ome.tif").write_bytes(b"mine")
+    engine.start()
+    with pytest.raises(InputError, match="exists"):
+        engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
+    assert (tmp_path / "r.ome.tif").read_bytes() == b"mine"
+
+
+def test_a_full_disk_ends_the_recording_and_nothing_else(
+    engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append = RecordingWriter.append
+
+    def fills_up(writer: RecordingWriter, *arguments: Any, **options: Any) -> None:
+        if len(writer) == 9:
+            raise OSError(errno.ENOSPC, "No space left on device", str(writer.path))
+        append(writer, *arguments, **options)
+
+    monkeypatch.setattr(RecordingWriter, "append", fills_up)
+    engine.start()
+    engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
+    until(lambda: bool(engine.status().faults))
+    before = engine.status().processed
+    until(lambda: engine.status().processed > before + 10)
+    (fault,) = engine.status().faults
+    assert fault.source == "recorder"
+    assert "No space left" in fault.problem
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        assert len(recording) == 9
+
+
+def test_missing_frames_are_counted_by_cause(engine: Engine, rig: Any) -> None:
+    rig.camera.skipped_numbers = {10, 11, 20}
+    engine.start()
+    until(lambda: engine.status().acquired >= 30)
+    engine.stop()
+    assert engine.status().dropped == {"camera: gap": 3}
+
+
+def test_what_a_camera_skips_before_its_first_good_frame_is_not_lost(engine: Engine, rig: Any) -> None:
+    start = rig.camera.start
+
+    def start_and_skip() -> None:
+        start()
+        rig.camera.dropped = {"invalid after a change": 2}
+
+    rig.camera.start = start_and_skip
+    engine.start()
+    engine.stop()
+    engine.start()  # the engine itself has no frames to throw away any more
+    until(lambda: engine.status().acquired >= 10)
+    engine.stop()
+    assert engine.status().dropped == {}
+
+
+def test_gaps_that_the_camera_does_not_explain_are_counted_too(engine: Engine, rig: Any) -> None:
+    class Forgetful(dict[str, int]):
+        def __setitem__(self, key: str, value: int) -> None:
+            pass
+
+    start = rig.camera.start
+
+    def start_and_forget() -> None:
+        start()
+        rig.camera.dropped = Forgetful()
+
+    rig.camera.start = start_and_forget
+    rig.camera.skipped_numbers = {10, 11}
+    engine.start()
+    until(lambda: engine.status().acquired >= 30)
+    engine.stop()
+    assert engine.status().dropped == {"camera: missing numbers": 2}
+
+
+def test_a_slow_consumer_is_counted_and_does_not_hold_the_camera_up(engine: Engine) -> None:
+    class Slow:
+        def add(self, raw: np.ndarray, stamp: Any) -> None:
+            time.sleep(0.05)
+
+    engine.track(Slow())
+    engine.start()
+    until(lambda: "processing slow" in engine.status().dropped)
+    status = engine.status()
+    assert status.camera_hz == pytest.approx(100, rel=0.1)
+    engine.track(None)
+    engine.stop()
+    status = engine.status()
+    assert status.acquired == status.processed + status.dropped["processing slow"]
+
+
+def test_a_slow_disk_costs_recorded_frames_and_says_so(
+    engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append = RecordingWriter.append
+
+    def slowly(writer: RecordingWriter, *arguments: Any, **options: Any) -> None:
+        time.sleep(0.1 if len(writer) < 40 else 0)
+        append(writer, *arguments, **options)
+
+    monkeypatch.setattr(RecordingWriter, "append", slowly)
+    engine.start()
+    engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
+    until(lambda: "recorder slow" in engine.status().dropped)
+    engine.stop()
+    engine.finish_recording()
+    status = engine.status()
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        missing = int((np.diff(recording.frame_numbers) - 1).sum())
+    assert missing == status.dropped["recorder slow"]
+    assert status.processed == status.acquired
+
+
+def test_an_unplugged_camera_parks_the_mirror_and_keeps_the_data(
+    engine: Engine, rig: Any, calibration: Calibration, tmp_path: Path
+) -> None:
+    rig.camera.unplugged_at = 30
+    engine.use(calibration)
+    engine.start()
+    engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
+    until(lambda: not engine.status().live)
+    assert rig.scanner.calls[-1] == "park"
+    assert [fault.problem for fault in engine.status().faults] == ["the camera was unplugged"]
+    engine.finish_recording()
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        assert recording.frame_numbers[-1] == 29
+    rig.camera.unplugged_at = None
+    engine.start()
+    until(lambda: engine.status().acquired > 5)
+    assert engine.status().faults == ()
+
+
+def test_a_fault_of_the_mirror_stops_the_stream(engine: Engine, rig: Any, calibration: Calibration) -> None:
+    engine.use(calibration)
+    engine.start()
+    rig.scanner.fault = DeviceError("the strobe was lost", "check its cable")
+    until(lambda: not engine.status().live)
+    assert rig.scanner.calls[-1] == "park"
+    assert [fault.problem for fault in engine.status().faults] == ["the strobe was lost"]
+
+
+def test_other_settings_stop_the_scan_and_the_first_two_frames_are_not_used(
+    engine: Engine, rig: Any, calibration: Calibration
+) -> None:
+    engine.use(calibration)
+    engine.start()
+    until(lambda: engine.status().acquired > 3)
+    rig.scanner.calls.clear()
+    engine.configure(Settings("240hz", slit_rows=5, frame_rate_hz=80.0))
+    assert rig.scanner.calls[:2] == ["park", "scan"]
+    (first,) = engine.fresh_frames(1)
+    assert int(np.ascontiguousarray(first[0, :8]).view(np.int64)[0]) >= 2
+    assert engine.status().stale == {}
+
+
+def test_what_other_settings_make_stale_is_said(engine: Engine, calibration: Calibration) -> None:
+    made_with = {"slit_rows": 3, "frame_rate_hz": 100.0, "objective": "10x"}
+    engine.use(Calibration.parse({**calibration.content(), "acquired_with": made_with}))
+    engine.start()
+    assert engine.status().stale["bundle"] == "objective was 10x, is 4x"
+
+
+def test_a_view_that_cannot_be_made_leaves_the_one_before(engine: Engine, calibration: Calibration) -> None:
+    engine.use(calibration)
+    engine.start()
+    with pytest.raises(CalibrationError, match="flat"):
+        engine.show(View(flat_field=True))
+    engine.show(View(average=4))
+    until(lambda: engine.status().processed > 3)
+
+
+def test_an_engine_without_calibration_shows_raw_frames_and_leaves_the_mirror(engine: Engine, rig: Any) -> None:
+    engine.start()
+    until(lambda: engine.status().processed > 3)
+    assert not engine.status().scanning
+    assert "scan" not in rig.scanner.calls
+    assert {name for name, _, _ in engine.display.layout.fields} == {"raw"}  # type: ignore[union-attr]
+    with pytest.raises(InputError, match="no calibration"):
+        engine.scan()
+
+
+def test_the_mirror_parks_where_the_calibration_says_and_else_where_the_rig_does(
+    engine: Engine, rig: Any, calibration: Calibration
+) -> None:
+    assert calibration.galvo is not None
+    own = rig.scanner.park_v
+    elsewhere = calibration.galvo.model_copy(update={"park_v": -0.9})
+    engine.use(calibration.model_copy(update={"galvo": elsewhere}))
+    engine.start()
+    engine.stop()
+    assert rig.scanner.volts == -0.9
+    outside = calibration.galvo.model_copy(update={"park_v": -9.0})
+    with pytest.raises(InputError, match="parking position"):
+        engine.use(calibration.model_copy(update={"galvo": outside}))
+    assert engine.calibration is not None
+    assert engine.calibration.galvo == elsewhere
+    assert rig.scanner.park_v == -0.9
+    engine.use(calibration)
+    assert rig.scanner.park_v == own
+
+
+def test_a_mirror_that_scans_is_parked_when_nothing_says_how_to(
+    engine: Engine, rig: Any, calibration: Calibration
+) -> None:
+    engine.use(calibration)
+    engine.start()
+    assert engine.status().scanning
+    engine.use(None)
+    assert not engine.status().scanning
+    assert rig.scanner.calls[-1] == "park"
+
+
+def test_a_ramp_that_is_impossible_leaves_the_scan_and_the_images_before(
+    engine: Engine, rig: Any, calibration: Calibration
+) -> None:
+    assert calibration.galvo is not None
+    engine.use(calibration)
+    engine.start()
+    scans = rig.scanner.calls.count("scan")
+    steep = calibration.galvo.model_copy(update={"volts_per_row": 0.1})
+    smaller = calibration.bundle.model_copy(update={"diameter_px": 400.0})  # type: ignore[union-attr]
+    with pytest.raises(InputError):
+        engine.use(calibration.model_copy(update={"galvo": steep, "bundle": smaller}))
+    assert engine.status().scanning
+    assert rig.scanner.calls.count("scan") == scans
+    assert {name: shape for name, shape, _ in engine.display.layout.fields}["els"] == (466, 466)  # type: ignore[union-attr]
+
+
+def test_starting_without_settings_is_refused(rig: Any) -> None:
+    with Engine(rig) as engine, pytest.raises(InputError, match="no settings"):
+        engine.start()
+
+
+def test_a_camera_that_does_not_start_leaves_the_mirror_parked(
+    engine: Engine, rig: Any, calibration: Calibration
+) -> None:
+    def fails() -> None:
+        raise DeviceError("the camera does not answer", "connect again")
+
+    rig.camera.start = fails
+    engine.use(calibration)
+    with pytest.raises(DeviceError, match="does not answer"):
+        engine.start()
+    assert rig.scanner.calls[-1] == "park"
+    assert not engine.status().live

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from napari_elsplus.acquisition.engine.live_images import LiveImages, View, focus
+from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.workflows.sectioning import images
+
+SHAPE = (100, 200)
+CALIBRATION = Calibration.parse(
+    {
+        "bundle": {
+            "confocal_centre": [50, 50],
+            "residual_centre": [50, 150],
+            "diameter_px": 80,
+            "residual_to_confocal": [[1, 0, 0], [0, 1, -100]],
+        }
+    }
+).model_copy(update={"background": np.full(SHAPE, 7, np.float32)})
+
+
+def noise(count: int) -> NDArray[np.uint8]:
+    return np.random.default_rng(1).integers(0, 200, (count, *SHAPE)).astype(np.uint8)
+
+
+def slot_of(live: LiveImages) -> dict[str, NDArray[np.generic]]:
+    return {name: np.empty(shape, dtype) for name, shape, dtype in live.layout.fields}
+
+
+@pytest.mark.parametrize("cores", [CoreFilter.NONE, CoreFilter.MEDIAN])
+@pytest.mark.parametrize("mode", ["ls", "residual", "els", "elsa"])
+def test_live_images_are_those_of_the_pipeline(mode: str, cores: CoreFilter) -> None:
+    raw = noise(2)
+    live = LiveImages(SHAPE, CALIBRATION, View(cores=cores))
+    slot = slot_of(live)
+    for number in range(2):
+        live.add(raw[number], number)
+    live.fill(raw[1], slot)
+    expected = images(raw, CALIBRATION, mode, cores=cores)[-1]
+    np.testing.assert_array_equal(slot[mode], expected)
+
+
+def test_elsa_keeps_its_parity_across_missing_frames() -> None:
+    raw = noise(6)
+    live = LiveImages(SHAPE, CALIBRATION, View())
+    slot = slot_of(live)
+    for number in (0, 1, 3, 4):  # frame 2 is missing: 3 has no partner, and 4 waits for 5
+        live.add(raw[number], number)
+    live.fill(raw[4], slot)
+    np.testing.assert_array_equal(slot["elsa"], images(raw[:2], CALIBRATION, "elsa")[0])
+    live.add(raw[5], 5)
+    live.fill(raw[5], slot)
+    np.testing.assert_array_equal(slot["elsa"], images(raw[4:], CALIBRATION, "elsa")[0])
+
+
+def test_averaging_lowers_the_noise_as_it_says() -> None:
+    raw = noise(80)
+    live = LiveImages(SHAPE, CALIBRATION, View(average=4))
+    slot = slot_of(live)
+    for number, frame in enumerate(raw):
+        live.add(frame, number)
+    live.fill(raw[-1], slot)
+    inner = (slice(20, 60), slice(20, 60))
+    ratio = slot["els"][inner].std() / images(raw[-1:], CALIBRATION, "els")[0][inner].std()
+    assert ratio == pytest.approx((1 / 7) ** 0.5, rel=0.1)  # recursive: variance w / (2 - w) with w = 1/4
+
+
+def test_the_background_can_be_left_in() -> None:
+    raw = noise(1)
+    live = LiveImages(SHAPE, CALIBRATION, View(background=False))
+    slot = slot_of(live)
+    live.add(raw[0], 0)
+    live.fill(raw[0], slot)
+    with_background = images(raw, CALIBRATION, "ls")[0]
+    assert (slot["ls"] - with_background)[40, 40] == pytest.approx(7, abs=0.01)
+
+
+def test_saturation_is_the_share_of_white_pixels() -> None:
+    raw = np.zeros(SHAPE, np.uint8)
+    raw[:25] = 255
+    live = LiveImages(SHAPE, None, View())
+    assert live.fill(raw, slot_of(live)).saturated == pytest.approx(0.25, abs=0.04)
+
+
+def test_focus_falls_with_blur_and_ignores_brightness() -> None:
+    sharp = np.random.default_rng(2).uniform(50, 100, (80, 80)).astype(np.float32)
+    blurred = (sharp + np.roll(sharp, 1, 0) + np.roll(sharp, 1, 1) + np.roll(sharp, (1, 1), (0, 1))) / 4
+    assert focus(blurred) < 0.5 * focus(sharp)
+    assert focus(3 * sharp) == pytest.approx(focus(sharp), rel=1e-4)
+    assert np.isnan(focus(0 * sharp))
+
+
+def test_averaging_over_no_frames_is_refused() -> None:
+    with pytest.raises(InputError, match="0 frames"):
+        View(average=0)

@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+
+from napari_elsplus.acquisition.mosaic import tracking
+from napari_elsplus.acquisition.mosaic.board import MosaicBoard
+from napari_elsplus.acquisition.mosaic.feed import MosaicFeed
+from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
+from napari_elsplus.acquisition.streaming.ring import Stamp
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+from napari_elsplus.workflows.tracking import Pipeline
+from recordings import Truth, record, smooth_path, texture
+
+FRAMES = 40
+
+
+@cache
+def truth() -> Truth:
+    return record(texture(700, 3), smooth_path(FRAMES, 9.0, 700, 4))
+
+
+def stamp(number: int, later_s: float = 0.0) -> Stamp:
+    return Stamp(number, 100 + number, later_s + number / 240, number / 240)
+
+
+def test_a_stream_without_end_is_tracked_alike_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracking, "REMEMBERED_FRAMES", 7)
+    board = MosaicBoard()
+    frames, calibration = truth().frames, truth().calibration
+    live = LiveTrack(calibration, frames.shape[1:], board=board)
+    alone = Pipeline(calibration, frames.shape[1:])
+    feed = MosaicFeed(board.name)
+    try:
+        for k, frame in enumerate(frames):
+            live.add(frame, stamp(k))
+            alone.add(frame, k, k / 240)
+            assert len(live.pipeline.rows) <= 8
+        feed.update()
+        assert [(row.frame, row.row_px, row.state) for row in feed.rows] == [
+            (row.frame, row.row_px, row.state) for row in alone.rows
+        ]
+        extent = alone.mosaics[0].extent
+        np.testing.assert_array_equal(feed.canvases[0][0].read(extent)[0], alone.mosaics[0].read()[0])
+        assert live.state.counts == {"tracked": FRAMES}
+        assert live.state.newest == feed.rows[-1]
+        assert live.undo()
+        assert live.state.counts == {"lost": FRAMES}
+        assert not live.undo()
+    finally:
+        feed.close()
+        live.close()
+    live.add(frames[0], stamp(FRAMES))  # a frame that was on its way
+
+
+def test_nothing_is_left_to_compile_when_frames_come() -> None:
+    """In a process of its own: here other tests have compiled all of it."""
+    script = """
+from napari_elsplus.acquisition.mosaic.tracking import rehearse
+from benchmarks.rigs.simulated import simulated_rig
+from napari_elsplus.processing.tracking import climb, descent, evidence, ladder, local_evidence
+from napari_elsplus.workflows.tracking import Pipeline
+
+rig = simulated_rig()
+rehearse(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)
+called = (
+    descent.link_levels, descent.align_candidate, descent.fill_coarser, evidence.weakest_direction,
+    evidence.evidence_between, ladder.unexplained, climb.told, local_evidence.look_again, local_evidence.look_at_half,
+)
+print([kernel.__name__ for kernel in called if not kernel.signatures])
+"""
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert said.strip() == "[]"
+
+
+def test_a_stream_that_starts_again_goes_on_counting() -> None:
+    frames, calibration = truth().frames, truth().calibration
+    live = LiveTrack(calibration, frames.shape[1:], MosaicPlan())
+    for k in range(4):
+        live.add(frames[k], stamp(k))
+    for k in range(3):
+        live.add(frames[4 + k], stamp(k, later_s=2.0))
+    assert [row.frame for row in live.pipeline.rows] == list(range(7))
+    times = np.array([row.time_s for row in live.pipeline.rows])
+    assert (np.diff(times) > 0).all()
+    assert times[4] - times[3] == pytest.approx(2.0 - 3 / 240)
