@@ -7,7 +7,8 @@ import click
 import pytest
 
 import napari_elsplus
-from napari_elsplus.cli import COMMANDS, elsplus, main, window
+from napari_elsplus.cli import COMMANDS, elsplus, main
+from napari_elsplus.cli.rig import window
 from napari_elsplus.diagnosis.machine import Screen
 from napari_elsplus.errors import InputError
 

@@ -50,7 +50,7 @@ class _CommandPerModule(click.Group):
 def elsplus(ctx: click.Context) -> None:
     """Enhanced line-scan (ELS+) fibre-bundle endomicroscopy. Without a command: open napari with the plugin."""
     if ctx.invoked_subcommand is None:
-        import_module("napari_elsplus.cli.window").open_window()
+        import_module("napari_elsplus.cli.rig.window").open_window()
 
 
 def main(arguments: list[str] | None = None) -> None:

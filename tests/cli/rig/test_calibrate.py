@@ -131,7 +131,9 @@ def test_bad_input_is_one_line_and_leaves_nothing(elsplus: Elsplus, bad: Path, a
 def test_the_simulated_rig_is_calibrated_live(
     elsplus: Elsplus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("napari_elsplus.cli.calibrate.SWEEP_VOLTAGES", 100)  # the camera is no faster than a real one
+    monkeypatch.setattr(
+        "napari_elsplus.cli.rig.calibrate.SWEEP_VOLTAGES", 100
+    )  # the camera is no faster than a real one
     out = tmp_path / "live.json"
     run = elsplus("calibrate", "--rig", "simulated", "-o", out)
     assert run.code == 0, run.err

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from click.testing import CliRunner
 
-from napari_elsplus.cli import doctor
+from napari_elsplus.cli.rig import doctor
 from napari_elsplus.diagnosis.finding import Finding, ok, problem, warning
 
 

@@ -1,0 +1,1 @@
+"""Commands about a rig, simulated or real, and about this computer."""
