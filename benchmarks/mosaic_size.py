@@ -24,8 +24,8 @@ from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.viewing.mosaic_files import save_mosaics
-from napari_elsplus.viewing.mosaics import MosaicScale
+from napari_elsplus.viewing.mosaic.files import save_mosaics
+from napari_elsplus.viewing.mosaic.mosaics import MosaicScale
 from napari_elsplus.widgets.mosaic_layers import MosaicLayers
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 

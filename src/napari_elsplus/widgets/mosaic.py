@@ -13,10 +13,10 @@ from qtpy.QtWidgets import QFileDialog
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.io import read_calibration
-from napari_elsplus.viewing.live_mosaic import LiveMosaics
-from napari_elsplus.viewing.mosaic_files import mosaic_script, save_mosaics
-from napari_elsplus.viewing.mosaicking import StackMosaics
-from napari_elsplus.viewing.track import speed_of
+from napari_elsplus.viewing.mosaic.files import mosaic_script, save_mosaics
+from napari_elsplus.viewing.mosaic.live import LiveMosaics
+from napari_elsplus.viewing.mosaic.recorded import StackMosaics
+from napari_elsplus.viewing.mosaic.track import speed_of
 from napari_elsplus.widgets.choosing import chosen_image, renew_choices
 from napari_elsplus.widgets.engine_panel import EnginePanel
 from napari_elsplus.widgets.layer_list import LayerList

@@ -11,10 +11,10 @@ import numpy as np
 from napari.layers import Image
 
 from napari_elsplus.processing.mosaicing.coverage import Coverage
-from napari_elsplus.viewing.growing import GrowingImage
-from napari_elsplus.viewing.growing_maps import GrowingMaps
 from napari_elsplus.viewing.layers import TITLES
-from napari_elsplus.viewing.track import TrackDrawing
+from napari_elsplus.viewing.mosaic.growing import GrowingImage
+from napari_elsplus.viewing.mosaic.growing_maps import GrowingMaps
+from napari_elsplus.viewing.mosaic.track import TrackDrawing
 from napari_elsplus.widgets.map_layers import draw_maps, looked_at
 from napari_elsplus.widgets.own_layers import COVERAGE, MARKS, QUALITY, TRACK, OwnLayers
 from napari_elsplus.widgets.track_layers import draw_track
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     import napari.viewer
 
     from napari_elsplus.processing.images.sectioning import Mode
-    from napari_elsplus.viewing.growing import Change
-    from napari_elsplus.viewing.mosaics import Mosaics
+    from napari_elsplus.viewing.mosaic.growing import Change
+    from napari_elsplus.viewing.mosaic.mosaics import Mosaics
 
 GAP_PX: Final = 40
 _FILLED: Final = 0.9

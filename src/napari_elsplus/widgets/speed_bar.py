@@ -10,7 +10,7 @@ from qtpy.QtWidgets import QLabel, QProgressBar, QVBoxLayout, QWidget
 from napari_elsplus.widgets.plots import ink_on
 
 if TYPE_CHECKING:
-    from napari_elsplus.viewing.track import Speed
+    from napari_elsplus.viewing.mosaic.track import Speed
 
 SLOWER: Final = 0.5
 """Part of the fastest from which on the user is warned."""

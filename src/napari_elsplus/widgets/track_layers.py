@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from napari.layers import Points, Vectors
 
-from napari_elsplus.viewing.track import BEGINS, LOST, PREDICTED
+from napari_elsplus.viewing.mosaic.track import BEGINS, LOST, PREDICTED
 from napari_elsplus.widgets.own_layers import MARKS, TRACK, move
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.viewing.track import Drawing
+    from napari_elsplus.viewing.mosaic.track import Drawing
     from napari_elsplus.widgets.own_layers import OwnLayers
 
 SCORES: Final = (0.5, 1.0)

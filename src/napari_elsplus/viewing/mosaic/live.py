@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from napari_elsplus.acquisition.mosaic.feed import MosaicFeed
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
-from napari_elsplus.viewing.mosaics import MosaicScale, without_last_segment
-from napari_elsplus.viewing.track import fastest_px_per_frame
+from napari_elsplus.viewing.mosaic.mosaics import MosaicScale, without_last_segment
+from napari_elsplus.viewing.mosaic.track import fastest_px_per_frame
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

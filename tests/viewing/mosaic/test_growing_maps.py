@@ -8,8 +8,8 @@ import pytest
 from napari_elsplus.io import TrackPoint, TrackTable
 from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.processing.mosaicing.tiles import Rectangle
-from napari_elsplus.viewing import growing_maps
-from napari_elsplus.viewing.growing_maps import GrowingMaps
+from napari_elsplus.viewing.mosaic import growing_maps
+from napari_elsplus.viewing.mosaic.growing_maps import GrowingMaps
 
 PART, RADIUS = Rectangle(-64, -64, 320, 448), 40.0
 PLACES = {0: (0, 0), 1: (160, 8)}

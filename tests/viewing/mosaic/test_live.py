@@ -9,7 +9,7 @@ from napari_elsplus.acquisition.mosaic.board import MosaicBoard
 from napari_elsplus.acquisition.mosaic.board_tables import Tables
 from napari_elsplus.acquisition.mosaic.tracking import TrackState
 from napari_elsplus.io import TrackPoint
-from napari_elsplus.viewing.live_mosaic import LiveMosaics
+from napari_elsplus.viewing.mosaic.live import LiveMosaics
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 

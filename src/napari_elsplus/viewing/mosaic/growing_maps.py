@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.mosaicing.coverage import Coverage
-from napari_elsplus.viewing.track import placed
+from napari_elsplus.viewing.mosaic.track import placed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

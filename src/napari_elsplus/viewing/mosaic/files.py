@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import refuse_existing, write_mosaic, write_track
 from napari_elsplus.processing.mosaicing.sheet import Sheet
-from napari_elsplus.viewing.growing import white_of
+from napari_elsplus.viewing.mosaic.growing import white_of
 from napari_elsplus.viewing.stack import files_for_script
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.pictures.mosaic_picture import draw_mosaic
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.viewing.mosaics import Mosaics
+    from napari_elsplus.viewing.mosaic.mosaics import Mosaics
     from napari_elsplus.viewing.stack import Stack
     from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
@@ -101,8 +101,8 @@ from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.tracking import Method
-from napari_elsplus.viewing.mosaic_files import save_mosaics
-from napari_elsplus.viewing.mosaicking import StackMosaics
+from napari_elsplus.viewing.mosaic.files import save_mosaics
+from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 
 plan = MosaicPlan(({modes},), Method.{plan.method.name}, Insertion.{plan.insertion.name})
 calibration = read_calibration({calibration_path!r})

@@ -12,8 +12,8 @@ from matplotlib.image import imread
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import open_recording, read_track, write_calibration, write_stack
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.viewing.mosaic_files import mosaic_script, save_mosaics
-from napari_elsplus.viewing.mosaicking import StackMosaics
+from napari_elsplus.viewing.mosaic.files import mosaic_script, save_mosaics
+from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.viewing.stack import Stack
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from recordings import Truth, record, smooth_path, texture

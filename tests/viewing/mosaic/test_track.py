@@ -5,8 +5,8 @@ import pytest
 
 from napari_elsplus.io import TrackPoint, TrackTable
 from napari_elsplus.io.track_table import ROW
-from napari_elsplus.viewing import track as viewed
-from napari_elsplus.viewing.track import BEGINS, LOST, MOST_LINES, MOST_MARKS, PREDICTED, TrackDrawing, speed_of
+from napari_elsplus.viewing.mosaic import track as viewed
+from napari_elsplus.viewing.mosaic.track import BEGINS, LOST, MOST_LINES, MOST_MARKS, PREDICTED, TrackDrawing, speed_of
 
 NAN = float("nan")
 

@@ -8,8 +8,8 @@ import pytest
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.viewing.mosaicking import StackMosaics
-from napari_elsplus.viewing.trackable import images_as_they_are
+from napari_elsplus.viewing.mosaic.recorded import StackMosaics
+from napari_elsplus.viewing.mosaic.trackable import images_as_they_are
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import Method, Pipeline

@@ -10,7 +10,7 @@ import pytest
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
-from napari_elsplus.viewing.growing import COARSEST_PX, GrowingImage
+from napari_elsplus.viewing.mosaic.growing import COARSEST_PX, GrowingImage
 
 GRID = Grid(120, 1, (0, 0), (59.5, 59.5), 116.0, RollingShutter(150.0))
 
@@ -83,7 +83,7 @@ from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.viewing.growing import GrowingImage
+from napari_elsplus.viewing.mosaic.growing import GrowingImage
 
 def resident_mb():
     fields = (line.split() for line in Path("/proc/self/status").read_text().splitlines())

@@ -13,10 +13,10 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import State
-from napari_elsplus.viewing.growing import GrowingImage
-from napari_elsplus.viewing.mosaics import MosaicScale, without_last_segment
-from napari_elsplus.viewing.track import fastest_px_per_frame
-from napari_elsplus.viewing.trackable import TrackableFrames
+from napari_elsplus.viewing.mosaic.growing import GrowingImage
+from napari_elsplus.viewing.mosaic.mosaics import MosaicScale, without_last_segment
+from napari_elsplus.viewing.mosaic.track import fastest_px_per_frame
+from napari_elsplus.viewing.mosaic.trackable import TrackableFrames
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import UNLINKED, Method, Pipeline
