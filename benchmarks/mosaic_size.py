@@ -26,7 +26,7 @@ from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.mosaic.files import save_mosaics
 from napari_elsplus.viewing.mosaic.mosaics import MosaicScale
-from napari_elsplus.widgets.mosaic_layers import MosaicLayers
+from napari_elsplus.widgets.mosaic.layers import MosaicLayers
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 STEP_PX = 40.0

@@ -23,7 +23,7 @@ from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.widgets.live import Live
+from napari_elsplus.widgets.live.panel import Live
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

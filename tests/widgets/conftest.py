@@ -48,7 +48,7 @@ def small_engine(tmp_path, monkeypatch):
         return clients[-1]
 
     clients.start = start
-    monkeypatch.setattr("napari_elsplus.widgets.connection.EngineClient", start)
+    monkeypatch.setattr("napari_elsplus.widgets.shared.connection.EngineClient", start)
     for panel in ("live", "mosaic"):
         slow = f"napari_elsplus.widgets.{panel}.remembered_settings"
         monkeypatch.setattr(slow, lambda: Settings("240hz", frame_rate_hz=100.0))

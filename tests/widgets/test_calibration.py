@@ -291,7 +291,7 @@ def faulty(panel, qtbot, monkeypatch, tmp_path):
     fault, moves = tmp_path / "fault", tmp_path / "moves"
     fault.write_text("")
     command = (sys.executable, str(Path(__file__).with_name("faulty_engine.py")), str(fault), str(moves))
-    monkeypatch.setattr("napari_elsplus.widgets.connection.EngineClient", partial(EngineClient, command))
+    monkeypatch.setattr("napari_elsplus.widgets.shared.connection.EngineClient", partial(EngineClient, command))
     panel.form.connect_button.click()
     idle(qtbot, panel)
     panel.form.voltages.setValue(24)

@@ -23,7 +23,7 @@ from napari_elsplus.acquisition.calibrating.whole import SWEEP_VOLTAGES
 from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.calibration.draft import State, Step
-from napari_elsplus.widgets.plots import ThemedPlot
+from napari_elsplus.widgets.shared.plots import ThemedPlot
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

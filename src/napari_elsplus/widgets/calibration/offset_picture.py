@@ -8,7 +8,7 @@ import numpy as np
 
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.widgets.calibration.picture import Picture, Plot, told
-from napari_elsplus.widgets.plots import Band, Curve
+from napari_elsplus.widgets.shared.plots import Band, Curve
 from napari_elsplus.workflows.sectioning_performance import line_as_seen, weigh
 
 if TYPE_CHECKING:

@@ -26,10 +26,10 @@ from napari_elsplus.widgets.calibration.form import Form
 from napari_elsplus.widgets.calibration.measuring import Watching, measure_live, measure_recorded
 from napari_elsplus.widgets.calibration.session import Session, Shown
 from napari_elsplus.widgets.calibration.sharing import Sharing
-from napari_elsplus.widgets.connection import join
-from napari_elsplus.widgets.panel import Panel, copy_as_script, told
-from napari_elsplus.widgets.window_end import WindowEnd
-from napari_elsplus.widgets.work import Work
+from napari_elsplus.widgets.shared.connection import join
+from napari_elsplus.widgets.shared.panel import Panel, copy_as_script, told
+from napari_elsplus.widgets.shared.window_end import WindowEnd
+from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from napari_elsplus.widgets.plots import Band, Curve
+    from napari_elsplus.widgets.shared.plots import Band, Curve
 
 
 @dataclass(frozen=True)

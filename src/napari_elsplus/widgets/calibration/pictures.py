@@ -13,7 +13,7 @@ from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES, GalvoMap
 from napari_elsplus.processing.calibration.lag import ScanLag
 from napari_elsplus.widgets.calibration.offset_picture import offset_picture
 from napari_elsplus.widgets.calibration.picture import Picture, Plot, told
-from napari_elsplus.widgets.plots import Curve
+from napari_elsplus.widgets.shared.plots import Curve
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.widgets.connection import Connection
+    from napari_elsplus.widgets.shared.connection import Connection
 
 
 class Sharing:

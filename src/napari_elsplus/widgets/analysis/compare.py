@@ -25,12 +25,18 @@ from napari_elsplus.viewing.comparison import (
     white_levels,
 )
 from napari_elsplus.viewing.layers import TITLES
-from napari_elsplus.widgets.choosing import OPEN_ONE, calibrated_recordings, chosen_image, renew_choices, shown_index
-from napari_elsplus.widgets.panel import Panel, allow, button_row, copy_as_script, told
-from napari_elsplus.widgets.plots import Curve, ThemedPlot
-from napari_elsplus.widgets.shapes import prepare_shapes
-from napari_elsplus.widgets.stage import Exhibit, Stage
-from napari_elsplus.widgets.work import Work
+from napari_elsplus.widgets.analysis.stage import Exhibit, Stage
+from napari_elsplus.widgets.shared.choosing import (
+    OPEN_ONE,
+    calibrated_recordings,
+    chosen_image,
+    renew_choices,
+    shown_index,
+)
+from napari_elsplus.widgets.shared.panel import Panel, allow, button_row, copy_as_script, told
+from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
+from napari_elsplus.widgets.shared.shapes import prepare_shapes
+from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
     import napari.viewer

@@ -16,7 +16,7 @@ from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.io.settings import recall, remember
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.widgets.live_layers import KINDS
+from napari_elsplus.widgets.live.layers import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

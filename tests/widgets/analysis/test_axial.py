@@ -13,7 +13,7 @@ from napari_elsplus.io import write_calibration, write_column, write_stack
 from napari_elsplus.processing.analysis.axial_response import axial_response
 from napari_elsplus.viewing import axial as viewing_axial
 from napari_elsplus.viewing.axial import Scan
-from napari_elsplus.widgets.axial import BY_HAND, SIMULATED, STACK
+from napari_elsplus.widgets.analysis.axial import BY_HAND, SIMULATED, STACK
 
 PLUGIN = "napari-elsplus"
 

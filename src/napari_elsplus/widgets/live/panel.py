@@ -13,14 +13,14 @@ from qtpy.QtCore import QTimer
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.hardware.rigs import SIMULATED
 from napari_elsplus.viewing.live_script import live_script
-from napari_elsplus.widgets.drawing import Drawing
-from napari_elsplus.widgets.engine_panel import EnginePanel
-from napari_elsplus.widgets.layer_list import LayerList
-from napari_elsplus.widgets.live_form import CONTINUOUS, FIXED, LiveForm
-from napari_elsplus.widgets.live_layers import LiveLayers
-from napari_elsplus.widgets.live_status import said_of
-from napari_elsplus.widgets.panel import copy_as_script, told
-from napari_elsplus.widgets.rig import remembered_rig, remembered_settings
+from napari_elsplus.widgets.live.form import CONTINUOUS, FIXED, LiveForm
+from napari_elsplus.widgets.live.layers import LiveLayers
+from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
+from napari_elsplus.widgets.live.status import said_of
+from napari_elsplus.widgets.shared.drawing import Drawing
+from napari_elsplus.widgets.shared.engine_panel import EnginePanel
+from napari_elsplus.widgets.shared.layer_list import LayerList
+from napari_elsplus.widgets.shared.panel import copy_as_script, told
 
 if TYPE_CHECKING:
     import napari.viewer

@@ -8,13 +8,13 @@ import numpy as np
 from napari.layers import Points, Vectors
 
 from napari_elsplus.viewing.mosaic.track import BEGINS, LOST, PREDICTED
-from napari_elsplus.widgets.own_layers import MARKS, TRACK, move
+from napari_elsplus.widgets.mosaic.own_layers import MARKS, TRACK, move
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.viewing.mosaic.track import Drawing
-    from napari_elsplus.widgets.own_layers import OwnLayers
+    from napari_elsplus.widgets.mosaic.own_layers import OwnLayers
 
 SCORES: Final = (0.5, 1.0)
 """Correlations at the ends of the track's colours."""

@@ -13,8 +13,8 @@ from napari_elsplus.io.settings import recall, remember
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.viewing.layers import TITLES
-from napari_elsplus.widgets.mosaic_sources import source_names
-from napari_elsplus.widgets.speed_bar import SpeedBar
+from napari_elsplus.widgets.mosaic.sources import source_names
+from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.tracking import Method
 

@@ -16,8 +16,8 @@ from napari_elsplus.hardware.rigs import SIMULATED, rig_names
 from napari_elsplus.instrument.optics import PRESETS, preset
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.settings import put_in_force, recall, remember
-from napari_elsplus.widgets.engine_panel import EnginePanel
-from napari_elsplus.widgets.panel import told
+from napari_elsplus.widgets.shared.engine_panel import EnginePanel
+from napari_elsplus.widgets.shared.panel import told
 
 if TYPE_CHECKING:
     import napari.viewer

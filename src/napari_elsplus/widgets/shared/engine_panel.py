@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from napari_elsplus.io import read_calibration
 from napari_elsplus.io.settings import calibration_in_force
-from napari_elsplus.widgets.asking import Asking
-from napari_elsplus.widgets.connection import join
-from napari_elsplus.widgets.panel import Panel, told
-from napari_elsplus.widgets.window_end import WindowEnd
+from napari_elsplus.widgets.shared.asking import Asking
+from napari_elsplus.widgets.shared.connection import join
+from napari_elsplus.widgets.shared.panel import Panel, told
+from napari_elsplus.widgets.shared.window_end import WindowEnd
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,9 +15,9 @@ from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.viewing.mosaic.growing import GrowingImage
 from napari_elsplus.viewing.mosaic.growing_maps import GrowingMaps
 from napari_elsplus.viewing.mosaic.track import TrackDrawing
-from napari_elsplus.widgets.map_layers import draw_maps, looked_at
-from napari_elsplus.widgets.own_layers import COVERAGE, MARKS, QUALITY, TRACK, OwnLayers
-from napari_elsplus.widgets.track_layers import draw_track
+from napari_elsplus.widgets.mosaic.map_layers import draw_maps, looked_at
+from napari_elsplus.widgets.mosaic.own_layers import COVERAGE, MARKS, QUALITY, TRACK, OwnLayers
+from napari_elsplus.widgets.mosaic.track_layers import draw_track
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

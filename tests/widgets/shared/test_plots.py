@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.widgets.plots import Band, Curve, ThemedPlot
+from napari_elsplus.widgets.shared.plots import Band, Curve, ThemedPlot
 
 X = np.linspace(0, 1, 9)
 

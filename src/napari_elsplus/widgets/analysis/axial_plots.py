@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.widgets.plots import Curve
+from napari_elsplus.widgets.shared.plots import Curve
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from qtpy.QtWidgets import QLabel, QProgressBar, QVBoxLayout, QWidget
 
-from napari_elsplus.widgets.plots import ink_on
+from napari_elsplus.widgets.shared.plots import ink_on
 
 if TYPE_CHECKING:
     from napari_elsplus.viewing.mosaic.track import Speed

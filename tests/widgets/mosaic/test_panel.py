@@ -17,7 +17,7 @@ from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.io import read_track, write_calibration
 from napari_elsplus.io.settings import recall
-from napari_elsplus.widgets.mosaic import MosaicPanel
+from napari_elsplus.widgets.mosaic.panel import MosaicPanel
 from recordings import Truth, record, smooth_path, texture
 
 PLUGIN = "napari-elsplus"

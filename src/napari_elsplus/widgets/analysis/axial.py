@@ -21,8 +21,8 @@ from napari_elsplus.viewing.axial import (
     measure_scan,
     simulated_scan,
 )
-from napari_elsplus.widgets.axial_plots import drop_off_curves, response_curves, table
-from napari_elsplus.widgets.choosing import (
+from napari_elsplus.widgets.analysis.axial_plots import drop_off_curves, response_curves, table
+from napari_elsplus.widgets.shared.choosing import (
     OPEN_ONE,
     calibrated_frames,
     calibrated_recordings,
@@ -30,9 +30,9 @@ from napari_elsplus.widgets.choosing import (
     renew_choices,
     shown_index,
 )
-from napari_elsplus.widgets.panel import Panel, allow, button_row, copy_as_script, told
-from napari_elsplus.widgets.plots import ThemedPlot
-from napari_elsplus.widgets.work import Work
+from napari_elsplus.widgets.shared.panel import Panel, allow, button_row, copy_as_script, told
+from napari_elsplus.widgets.shared.plots import ThemedPlot
+from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
     import napari.viewer

@@ -22,7 +22,7 @@ from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import calibration_in_force, recall
-from napari_elsplus.widgets.live_layers import LiveLayers
+from napari_elsplus.widgets.live.layers import LiveLayers
 from processes import exists
 
 PLUGIN = "napari-elsplus"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from napari_elsplus.acquisition.engine.status import Status
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.widgets.live_status import said_of
+from napari_elsplus.widgets.live.status import said_of
 
 GALVO = {"volts_per_row": 1e-3, "volts_at_row_zero": 0.0, "r_squared": 1.0, "rms_rows": 0.0}
 ADVICE = "scan lag was not measured"

@@ -17,16 +17,16 @@ from napari_elsplus.viewing.mosaic.files import mosaic_script, save_mosaics
 from napari_elsplus.viewing.mosaic.live import LiveMosaics
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.viewing.mosaic.track import speed_of
-from napari_elsplus.widgets.choosing import chosen_image, renew_choices
-from napari_elsplus.widgets.engine_panel import EnginePanel
-from napari_elsplus.widgets.layer_list import LayerList
-from napari_elsplus.widgets.live_status import advice_on
-from napari_elsplus.widgets.mosaic_form import MosaicForm
-from napari_elsplus.widgets.mosaic_layers import MosaicLayers
-from napari_elsplus.widgets.mosaic_sources import Source, source_of
-from napari_elsplus.widgets.panel import copy_as_script, told
-from napari_elsplus.widgets.rig import remembered_rig, remembered_settings
-from napari_elsplus.widgets.work import Work
+from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
+from napari_elsplus.widgets.live.status import advice_on
+from napari_elsplus.widgets.mosaic.form import MosaicForm
+from napari_elsplus.widgets.mosaic.layers import MosaicLayers
+from napari_elsplus.widgets.mosaic.sources import Source, source_of
+from napari_elsplus.widgets.shared.choosing import chosen_image, renew_choices
+from napari_elsplus.widgets.shared.engine_panel import EnginePanel
+from napari_elsplus.widgets.shared.layer_list import LayerList
+from napari_elsplus.widgets.shared.panel import copy_as_script, told
+from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
     from collections.abc import Callable

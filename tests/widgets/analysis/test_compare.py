@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.viewing.comparison import line_profiles
-from napari_elsplus.widgets.compare import BLINK, DIFFERENCE, Compare
+from napari_elsplus.widgets.analysis.compare import BLINK, DIFFERENCE, Compare
 from pairs import calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"

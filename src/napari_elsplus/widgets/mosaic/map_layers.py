@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 from napari.layers import Image
 
 from napari_elsplus.processing.mosaicing.coverage import CELL_PX
-from napari_elsplus.widgets.own_layers import COVERAGE, QUALITY, move
-from napari_elsplus.widgets.track_layers import SCORES
+from napari_elsplus.widgets.mosaic.own_layers import COVERAGE, QUALITY, move
+from napari_elsplus.widgets.mosaic.track_layers import SCORES
 
 if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.coverage import Coverage
-    from napari_elsplus.widgets.own_layers import OwnLayers
+    from napari_elsplus.widgets.mosaic.own_layers import OwnLayers
 
 
 def looked_at(own: OwnLayers) -> bool:

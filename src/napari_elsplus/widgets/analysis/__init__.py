@@ -1,0 +1,1 @@
+"""The Compare, Axial response and Quality panels."""

@@ -1,0 +1,1 @@
+"""The Rig and Live panels."""
