@@ -4,6 +4,7 @@
 python3 run.py               opens napari with the plugin; without a screen runs the demonstration
 python3 run.py test          lint, types and tests
 python3 run.py test --all    the same, with the slow accuracy sweeps
+python3 run.py bench NAME    speed against accuracy: a benchmark's table, CSV and chart; ``bench --help`` lists all
 
 What is installed goes into ``.venv`` beside this file; the first run takes some minutes, the next ones seconds.
 """
@@ -251,6 +252,12 @@ def test(everything: bool) -> int:
     return 0
 
 
+def bench(arguments: list[str]) -> int:
+    """Run the benchmarks' own command line."""
+    prepare()
+    return run([python(), "-m", "benchmarks", *arguments])
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Do what the command line asks and give the exit code."""
     if sys.version_info < OLDEST_PYTHON:
@@ -262,11 +269,16 @@ def main(arguments: list[str] | None = None) -> int:
         )
         return 1
     parser = argparse.ArgumentParser(prog="run.py", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    commands = parser.add_subparsers(dest="command", metavar="test")
+    commands = parser.add_subparsers(dest="command", metavar="test | bench")
     testing = commands.add_parser("test", help="lint, types and tests")
     testing.add_argument("--all", action="store_true", help="with the slow accuracy sweeps")
-    options = parser.parse_args(arguments)
+    commands.add_parser("bench", help="speed against accuracy", add_help=False)
+    options, rest = parser.parse_known_args(arguments)
+    if rest and options.command != "bench":
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
     try:
+        if options.command == "bench":
+            return bench(rest)
         return test(options.all) if options.command == "test" else start()
     except Stop as stop:
         print(stop, file=sys.stderr)

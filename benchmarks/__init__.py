@@ -1,1 +1,1 @@
-"""Benchmarks for asv, over what napari_elsplus.evaluation measures; most also run by hand."""
+"""Speed against accuracy, in development only: benchmarks, studies, the documentation's charts; not in the wheel."""

@@ -52,5 +52,5 @@ def benchmark(name: str) -> Benchmark:
     if name not in MODULES:
         raise InputError(f"there is no benchmark {name!r}", f"choose one of {', '.join(MODULES)}")
     module, _, attribute = MODULES[name].partition(":")
-    found: Benchmark = getattr(import_module(f"napari_elsplus.evaluation.{module}"), attribute or "BENCHMARK")
+    found: Benchmark = getattr(import_module(f"benchmarks.{module}"), attribute or "BENCHMARK")
     return found

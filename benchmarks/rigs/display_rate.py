@@ -19,7 +19,7 @@ from qtpy.QtCore import QEventLoop
 from qtpy.QtWidgets import QApplication, QDockWidget, QOpenGLWidget  # type: ignore[attr-defined] # where Qt 6 has it
 
 from napari_elsplus.acquisition.engine.status import Settings
-from napari_elsplus.hardware.rigs import SIMULATED
+from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration

@@ -16,7 +16,8 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.parking import ParkOrder
 from napari_elsplus.hardware.protocols import FrameInfo, Region
-from napari_elsplus.hardware.scan.waveform import MirrorLimits, StrobePhase, Waveform
+from napari_elsplus.hardware.scan.timing import StrobePhase
+from napari_elsplus.hardware.scan.waveform import MirrorLimits, Waveform
 from napari_elsplus.instrument.calibration import Calibration
 
 PARK_V = -0.7

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from napari_elsplus.hardware.protocols import Region
-from napari_elsplus.hardware.rigs import Rig, open_rig
-from napari_elsplus.hardware.scan.waveform import ScanTiming, Waveform, els_waveform, exposed_rows, ramp_waveform
+from napari_elsplus.hardware.rig import Rig
+from napari_elsplus.hardware.rigs import open_rig
+from napari_elsplus.hardware.scan.timing import ScanTiming
+from napari_elsplus.hardware.scan.waveform import Waveform, els_waveform, exposed_rows, ramp_waveform
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.images.sectioning import Sectioner, disc

@@ -14,7 +14,8 @@ from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.protocols import Camera, Region, Scanner
 from napari_elsplus.hardware.rig_files import read_rig
 from napari_elsplus.hardware.rigs import open_rig, rig_names
-from napari_elsplus.hardware.scan.waveform import ScanTiming, StrobePhase, els_waveform
+from napari_elsplus.hardware.scan.timing import ScanTiming, StrobePhase
+from napari_elsplus.hardware.scan.waveform import els_waveform
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
 from napari_elsplus.instrument.optics import PRESETS

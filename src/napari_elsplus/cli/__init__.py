@@ -11,21 +11,22 @@ from importlib import import_module
 import click
 
 from napari_elsplus import __version__
-from napari_elsplus.errors import ElsPlusError, explained
+from napari_elsplus.errors import ElsPlusError, InputError, explained
 
-COMMANDS: tuple[str, ...] = (
-    "demo",
-    "acquire",
-    "calibrate",
-    "process",
-    "mosaic",
-    "compare",
-    "axial",
-    "simulate",
-    "bench",
-    "doctor",
-)
-"""Names of the commands; each is the ``command`` of the module of that name in this package."""
+COMMANDS: dict[str, str] = {
+    "demo": "files",
+    "acquire": "rig",
+    "calibrate": "rig",
+    "process": "files",
+    "mosaic": "files",
+    "compare": "files",
+    "axial": "files",
+    "simulate": "files",
+    "doctor": "rig",
+}
+"""The commands, and the folder below this one in which each has a module of its name that defines ``command``."""
+MOVED: dict[str, str] = {"bench": "run `python3 run.py bench` in a checkout of the project"}
+"""Commands of earlier versions, and what does their work now."""
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -36,9 +37,11 @@ class _CommandPerModule(click.Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name in MOVED:
+            raise InputError(f"the command {cmd_name} is not in the package any more", MOVED[cmd_name])
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"napari_elsplus.cli.{cmd_name}").command
+        command: click.Command = import_module(f"{__name__}.{COMMANDS[cmd_name]}.{cmd_name}").command
         return command
 
 
@@ -55,17 +58,37 @@ def elsplus(ctx: click.Context) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0 on success, 2 and one line for bad input, 130 when interrupted."""
+    run_program(elsplus, "napari-elsplus", arguments)
+
+
+def run_program(command: click.Command, name: str, arguments: list[str] | None = None) -> None:
+    """Run a click command as a program and exit: 0 on success, 2 and one line for bad input, 130 when interrupted.
+
+    Parameters
+    ----------
+    command : click.Command
+        The command or group.
+    name : str
+        Name of the program, which begins the line of an error.
+    arguments : list of str, optional
+        The command line without the program's name; by default that of this process.
+
+    Raises
+    ------
+    SystemExit
+        Always on failure; on success only if the command exits itself.
+    """
     try:
-        elsplus.main(arguments, prog_name="napari-elsplus", standalone_mode=False)
+        command.main(arguments, prog_name=name, standalone_mode=False)
     except (ElsPlusError, OSError) as error:
-        _leave(explained(error), EXIT_BAD_INPUT)
+        _leave(f"{name}: {explained(error)}", EXIT_BAD_INPUT)
     except click.ClickException as error:
         error.show()
         sys.exit(EXIT_BAD_INPUT)
     except (click.Abort, KeyboardInterrupt):
-        _leave("interrupted", EXIT_INTERRUPTED)
+        _leave(f"{name}: interrupted", EXIT_INTERRUPTED)
 
 
 def _leave(line: str, code: int) -> None:
-    click.echo(f"napari-elsplus: {line}", err=True)
+    click.echo(line, err=True)
     sys.exit(code)

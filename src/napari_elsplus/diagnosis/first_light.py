@@ -15,7 +15,7 @@ import numpy as np
 
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.protocols import Region
-from napari_elsplus.hardware.rigs import Rig, open_rig
+from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
 from napari_elsplus.hardware.u3v import flea3
 from napari_elsplus.hardware.u3v.camera import U3vCamera
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from usb.core import Device
+
+    from napari_elsplus.hardware.rig import Rig
 
 HEIGHTS: Final = (SENSOR_SHAPE[0], SENSOR_SHAPE[0] // 2)
 WARM_UP_FRAMES: Final = 10

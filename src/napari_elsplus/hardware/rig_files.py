@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import CardSettings
-from napari_elsplus.hardware.scan.waveform import MirrorLimits, StrobePhase
+from napari_elsplus.hardware.scan.timing import StrobePhase
+from napari_elsplus.hardware.scan.waveform import MirrorLimits
 from napari_elsplus.hardware.u3v.flea3 import Flea3
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 from napari_elsplus.io.user_folders import config_folder

@@ -68,7 +68,7 @@ def calibration_script(sources: Sequence[Source], bundle_um: float) -> str:
     return f'''"""Calibration: {", ".join(source.step for source in sources)}."""
 
 from napari_elsplus.acquisition.link.client import EngineClient
-from napari_elsplus.acquisition.calibrating.stepwise import GuidedCalibration
+from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.io import open_recording, read_volts, write_calibration
 from napari_elsplus.processing.calibration.draft import Draft, Step

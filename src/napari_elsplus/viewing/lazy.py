@@ -96,7 +96,7 @@ def image_planes(
 ) -> LazyPlanes:
     """Images of one mode, made of raw planes when they are looked at.
 
-    Parameters and errors are those of :class:`napari_elsplus.workflows.sectioning.Images`, of which each thread has its own.
+    Parameters and errors are those of ``sectioning.Images``, of which each thread has its own.
     """
     own = local()
 

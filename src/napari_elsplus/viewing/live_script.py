@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.hardware.rigs import SIMULATED
+from napari_elsplus.hardware.rig import SIMULATED
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+
 from benchmarks.documents.mosaicing import (
     characteristics,
     draw_errors,
@@ -21,7 +22,6 @@ from benchmarks.stability.pairs import Statistics
 from benchmarks.studies.drift import Drift
 from benchmarks.studies.gate import Gate, Judged
 from benchmarks.studies.mosaicing import METHODS, Outcome, Scenario
-
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.tracking.registration.motion_models import Rung
 from napari_elsplus.workflows.accuracy import TrackErrors

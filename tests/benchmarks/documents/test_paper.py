@@ -3,8 +3,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from benchmarks.documents.paper import calibration_table, draw_calibration, draw_images, mosaic_table
 
+from benchmarks.documents.paper import calibration_table, draw_calibration, draw_images, mosaic_table
 from benchmarks.studies import paper
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.workflows.accuracy import TrackErrors

@@ -7,6 +7,7 @@ from time import thread_time
 
 import numpy as np
 import pytest
+
 from benchmarks.documents.benchmark import draw_benchmark
 from benchmarks.harness.methods import (
     Absent,
@@ -21,7 +22,6 @@ from benchmarks.harness.methods import (
 from benchmarks.harness.running import run
 from benchmarks.harness.table import header, lines, markdown, write_csv
 from benchmarks.harness.verdict import verdict
-
 from napari_elsplus.errors import MeasurementError
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.harness.methods import Absent
 
 from benchmarks.harness import peers
+from benchmarks.harness.methods import Absent
 from napari_elsplus.errors import MeasurementError
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.rigs.photographs import look_at
 
+from benchmarks.rigs.photographs import look_at
 from napari_elsplus.errors import InputError
 
 

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from benchmarks.rigs.simulated import simulated_rig
 from benchmarks.studies.gate import TOLD, change_of_view, gate, judged_links
-
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.simulation.specimen.scenes import picture
 

@@ -1,8 +1,8 @@
 from __future__ import annotations
 
 import pytest
-from benchmarks.studies.line_fit import FITTED, fit_line
 
+from benchmarks.studies.line_fit import FITTED, fit_line
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS
 
 

@@ -17,7 +17,8 @@ from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.protocols import Scanner
-from napari_elsplus.hardware.scan.waveform import MirrorLimits, ScanTiming, Waveform, els_waveform, elsa_waveform
+from napari_elsplus.hardware.scan.timing import ScanTiming
+from napari_elsplus.hardware.scan.waveform import MirrorLimits, Waveform, els_waveform, elsa_waveform
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain, volts_at
 
 PERIOD_S = 1 / 240

@@ -10,11 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.hardware.scan.timing import ScanTiming, StrobePhase
 from napari_elsplus.hardware.scan.waveform import (
     REARM_S,
     MirrorLimits,
-    ScanTiming,
-    StrobePhase,
     Waveform,
     els_waveform,
     elsa_waveform,

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.documents.calibration_accuracy import FIRST_SEED
-from benchmarks.rigs.random_rigs import Rig
-from benchmarks.studies.calibration_accuracy import AIMED, survey
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from benchmarks.documents.calibration_accuracy import FIRST_SEED
+from benchmarks.rigs.random_rigs import Rig
+from benchmarks.studies.calibration_accuracy import AIMED, survey
 from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError, MeasurementError
 from napari_elsplus.processing.calibration.calibrate import (
     map_galvo,

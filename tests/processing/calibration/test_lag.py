@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 import pytest
-from benchmarks.rigs.random_rigs import Rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.calibration.lag import fit_lag, search_lag
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.rigs.random_rigs import Rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.line import Line, locate_line
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.rigs.random_rigs import Rig
 
+from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.calibrate import measure_offset
 from napari_elsplus.processing.calibration.live_offset import SEARCH_AGAIN, OffsetFollower

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.acquisition.calibrating.whole import Target, calibrate_rig
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.rigs import SIMULATED, open_rig
+from napari_elsplus.hardware.rig import SIMULATED
+from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
 from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibres, uniform

@@ -1,4 +1,4 @@
-"""A whole calibration on a live rig: every step of :mod:`napari_elsplus.acquisition.calibrating.procedures` in its safe order."""
+"""A whole calibration on a live rig: every step of ``calibrating.procedures`` in its safe order."""
 
 from __future__ import annotations
 

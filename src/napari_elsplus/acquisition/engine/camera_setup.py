@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any, Final
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.protocols import Region
-from napari_elsplus.hardware.scan.waveform import ScanTiming
+from napari_elsplus.hardware.scan.timing import ScanTiming
 from napari_elsplus.instrument.calibration import AcquiredWith, FrameSection
 from napari_elsplus.instrument.optics import preset
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.rig import Rig
     from napari_elsplus.hardware.protocols import Camera
-    from napari_elsplus.hardware.scan.waveform import StrobePhase
+    from napari_elsplus.hardware.scan.timing import StrobePhase
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.instrument.optics import Preset
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from napari_elsplus.hardware.parking import ParkOrder
     from napari_elsplus.hardware.protocols import Camera, Scanner
-    from napari_elsplus.hardware.rigs import VirtualBench
-    from napari_elsplus.hardware.scan.waveform import MirrorLimits, StrobePhase
+    from napari_elsplus.hardware.rig import VirtualBench
+    from napari_elsplus.hardware.scan.timing import StrobePhase
+    from napari_elsplus.hardware.scan.waveform import MirrorLimits
 
 
 class Rig(Protocol):

@@ -15,7 +15,7 @@ from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from napari_elsplus.acquisition.engine.status import Status
-from napari_elsplus.acquisition.link.server import QUIT, Command, Reply
+from napari_elsplus.acquisition.link.messages import QUIT, Command, Reply
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
 from napari_elsplus.errors import DeviceError
 

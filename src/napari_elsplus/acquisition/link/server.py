@@ -14,7 +14,7 @@ import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Connection, Listener
 from threading import Event, Lock, Thread
@@ -27,6 +27,7 @@ from napari_elsplus.acquisition.calibrating.whole import span_of_the_bundle
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.live_mosaic import LiveMosaic
 from napari_elsplus.acquisition.engine.status import Progress, Status
+from napari_elsplus.acquisition.link.messages import QUIT, Command, Reply
 from napari_elsplus.acquisition.link.newest import Newest
 from napari_elsplus.acquisition.streaming import shared_memory as shared
 from napari_elsplus.acquisition.streaming.priority import keep_pace, settle_memory
@@ -51,27 +52,7 @@ COMMANDS: Final = frozenset(
     }
 )  # fmt: skip
 """Methods of the engine that may be called over the connection."""
-QUIT: Final = "quit"
-"""Asks the process to end; hanging up does, too."""
 _THREADS: Final = 4
-
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """Call a method."""
-
-    number: int
-    name: str
-    arguments: tuple[Any, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Reply:
-    """What a command returned or raised."""
-
-    number: int
-    result: Any = None
-    error: BaseException | None = None
 
 
 class Server:
@@ -289,6 +270,4 @@ def _leave_with_the_client(met: Event) -> None:
 
 
 if __name__ == "__main__":
-    from napari_elsplus.acquisition.link import server as process
-
-    process.run(partial(open_live, own_process=True))
+    run(partial(open_live, own_process=True))

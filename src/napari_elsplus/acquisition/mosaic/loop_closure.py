@@ -1,6 +1,6 @@
 """Loops closed behind the live track: a thread that never keeps it waiting.
 
-The thread that tracks hands over nodes (:mod:`napari_elsplus.processing.tracking.pose_graph.keyframes`) and goes on. Here they are
+The thread that tracks hands over nodes (``pose_graph.keyframes``) and goes on. Here they are
 compared with earlier ones; once one shows a place again, all nodes are solved for, the newest frames are corrected at
 once, and the tiles on which frames lie wrong are laid anew, one by one.
 """

@@ -17,7 +17,7 @@ from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.cli.rig.live import live_engine, watch_calibration
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.rigs import SIMULATED
+from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.io import beside, read_calibration, replacing, write_mosaic, write_track
 from napari_elsplus.processing.mosaicing.picture import picture

@@ -11,7 +11,7 @@ from napari_elsplus.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.hardware.scan.waveform import ScanTiming
+    from napari_elsplus.hardware.scan.timing import ScanTiming
 
     Series = NDArray[np.float64]
 

@@ -10,7 +10,6 @@ away, so that the line is on the slit from the first row on.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from math import ceil, floor, isfinite, pi, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -22,6 +21,7 @@ from napari_elsplus.hardware.scan.path import LEAD_IN_S, TURN_S, ScanPath
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.hardware.scan.timing import ScanTiming
     from napari_elsplus.instrument.calibration import BundleSection, Calibration, GalvoSection
 
     Volts = NDArray[np.float64]
@@ -33,13 +33,6 @@ MIN_SAMPLE_RATE_HZ: Final = 20_000.0
 REARM_S: Final = 16e-6
 """The counter is deaf for so long before the next strobe; the last sample is held."""
 BRIDGE_SAMPLES: Final = 24
-
-
-class StrobePhase(StrEnum):
-    """What the camera's strobe marks: the first row's exposure, or its readout."""
-
-    EXPOSURE = "exposure"
-    READOUT = "readout"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,44 +83,6 @@ class MirrorLimits:
                 f"{worst:.4g} V asked of {what}",
                 f"the rig's limits are {self.min_v:g} to {self.max_v:g} V: check the calibration, or the rig's file",
             )
-
-
-@dataclass(frozen=True, slots=True)
-class ScanTiming:
-    """When which row is exposed, counted from the strobe.
-
-    Parameters
-    ----------
-    line_period_s, rows_per_frame : float
-        As the camera reports them.
-    slit_rows : int
-        Exposure in line periods.
-    strobe : StrobePhase
-        What the strobe marks.
-    """
-
-    line_period_s: float
-    rows_per_frame: float
-    slit_rows: int
-    strobe: StrobePhase = StrobePhase.EXPOSURE
-
-    @property
-    def frame_period_s(self) -> float:
-        """Seconds from strobe to strobe."""
-        return self.rows_per_frame * self.line_period_s
-
-    @property
-    def row_zero_s(self) -> float:
-        """Readout of row 0 after the strobe's edge."""
-        return self.slit_rows * self.line_period_s if self.strobe is StrobePhase.EXPOSURE else 0.0
-
-    def slit_row(self, time_s: Volts) -> Volts:
-        """Row on which the slit is centred, a time after the strobe."""
-        return (time_s - self.row_zero_s) / self.line_period_s + self.slit_rows / 2
-
-    def time_s(self, slit_row: float) -> float:
-        """When the slit is centred on a row, after the strobe."""
-        return self.row_zero_s + (slit_row - self.slit_rows / 2) * self.line_period_s
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,9 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.parking import park_order
-from napari_elsplus.hardware.rigs import SIMULATED, Rig, VirtualBench
-from napari_elsplus.hardware.scan.waveform import MirrorLimits, StrobePhase
+from napari_elsplus.hardware.rig import SIMULATED, Rig, VirtualBench
+from napari_elsplus.hardware.scan.timing import StrobePhase
+from napari_elsplus.hardware.scan.waveform import MirrorLimits
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.u3v.flea3 import Flea3

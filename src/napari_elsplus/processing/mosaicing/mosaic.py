@@ -1,7 +1,7 @@
 """Frames laid into a mosaic: unsheared row by row, to a fraction of a pixel, as dead leaves or blended.
 
 A frame is first freed of the stretch and shear that its own motion gave it
-(:mod:`napari_elsplus.processing.tracking.motion.rolling_shutter`): each row of the mosaic then takes its pixels from one place between
+(``motion.rolling_shutter``): each row of the mosaic then takes its pixels from one place between
 two rows of the frame, so that the interpolation weights of a row are constants.
 """
 

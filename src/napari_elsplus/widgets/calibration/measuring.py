@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
-    from napari_elsplus.acquisition.calibrating.stepwise import GuidedCalibration
+    from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
     from napari_elsplus.processing.calibration.draft import Draft, Step
 
 LOOK_S: Final = 0.04

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QTimer
 
-from napari_elsplus.acquisition.calibrating.stepwise import GuidedCalibration
 from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
 from napari_elsplus.errors import ElsPlusError, InputError
-from napari_elsplus.hardware.rigs import SIMULATED
+from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.settings import put_in_force, recall, remember
 from napari_elsplus.processing.calibration.draft import Draft, Setup, State, Step, step_of

@@ -11,7 +11,7 @@ from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QTimer
 
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
-from napari_elsplus.hardware.rigs import SIMULATED
+from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.live.form import CONTINUOUS, FIXED, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers

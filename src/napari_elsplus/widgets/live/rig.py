@@ -12,7 +12,8 @@ from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.rigs import SIMULATED, rig_names
+from napari_elsplus.hardware.rig import SIMULATED
+from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS, preset
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.settings import put_in_force, recall, remember

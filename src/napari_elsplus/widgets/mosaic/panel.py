@@ -11,7 +11,7 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.rigs import SIMULATED
+from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.io import read_calibration
 from napari_elsplus.viewing.mosaic.files import mosaic_script, save_mosaics
 from napari_elsplus.viewing.mosaic.live import LiveMosaics

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import tifffile
-from benchmarks.rigs.random_rigs import Rig
 
+from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.bundle.location import locate_bundle, locate_pair
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.rigs.random_rigs import Rig
 
+from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.bundle.core_matching import PairModel
 from napari_elsplus.processing.calibration.bundle.location import locate_pair

@@ -1,7 +1,7 @@
 """Loops closed while the probe moves: where frames belong by all links so far, and what that does to the newest.
 
 The tracker goes on from frame to frame as if it were alone. Nodes are taken from it
-(:mod:`napari_elsplus.processing.tracking.pose_graph.keyframes`) and compared with earlier ones that show the same place; what all
+(``pose_graph.keyframes``) and compared with earlier ones that show the same place; what all
 links say together moves the nodes, and the correction of the newest is that of the frames to come.
 """
 

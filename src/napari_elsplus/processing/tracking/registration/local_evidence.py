@@ -1,6 +1,6 @@
 """How much two frames say for a warp against its rivals, place by place: for views in which little is to be seen.
 
-Every block of pixels has a noise of its own (:mod:`napari_elsplus.processing.tracking.registration.local_noise`). Three things are
+Every block of pixels has a noise of its own (``registration.local_noise``). Three things are
 asked of a warp. What both frames show must tell the shift well enough in every direction. Each rival a few pixels away
 must explain the frames worse; what is known of the motion counts: a rival that slides along a fibre by another stretch
 than its shift asks for pays for that. Chance may favour a warp by a little in every block along a fibre, so the frames

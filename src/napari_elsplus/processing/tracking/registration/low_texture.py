@@ -2,7 +2,7 @@
 
 What does not move with the tissue is taken away: a glow at the rim, where the line has left the bundle while the
 residual is read, is a structure too, and where there is hardly another it holds a link back. Then the warp is refined
-under all that is known of the motion (:mod:`napari_elsplus.processing.tracking.motion.warp_prior`) and judged place by place
+under all that is known of the motion (``motion.warp_prior``) and judged place by place
 (:mod:`napari_elsplus.processing.tracking.registration.local_evidence`).
 """
 

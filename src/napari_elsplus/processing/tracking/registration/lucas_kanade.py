@@ -1,6 +1,6 @@
 """Two frames brought onto each other to a hundredth of a pixel: inverse-compositional Lucas-Kanade.
 
-The model is the rolling shutter's warp (:mod:`napari_elsplus.processing.tracking.motion.rolling_shutter`): rows stretched, columns
+The model is the rolling shutter's warp (``motion.rolling_shutter``): rows stretched, columns
 sheared. Differences of gain and offset between the frames are projected out.
 
 References

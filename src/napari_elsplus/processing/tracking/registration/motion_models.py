@@ -2,7 +2,7 @@
 
 The rolling shutter's warp has no rotation and no change of scale in it. What a link leaves unexplained tells whether
 they are needed: one more pass over the frames gives what rotation and scale would add to the warp, with its
-uncertainty (:mod:`napari_elsplus.processing.tracking.registration.model_selection` weighs it). A frame that has turned is turned back before
+uncertainty (``registration.model_selection`` weighs it). A frame that has turned is turned back before
 it is compared again, so that everything else stays as it is for a probe that does not turn.
 """
 

@@ -1,8 +1,8 @@
 """The track of a long session in napari: how long the window's thread is held while loops go on being closed.
 
-By hand: ``python benchmarks/long_track.py [--minutes M]``, without a screen under ``xvfb-run -a``. Another process
-fills a board as the engine does, up to a time without waiting for the frames; from then on rows come at the camera's
-pace, all that came so far is relocated once a second, and the panel's ticks are timed.
+By hand: ``python -m benchmarks.programs.long_track [--minutes M]``, without a screen under ``xvfb-run -a``. Another
+process fills a board as the engine does, up to a time without waiting for the frames; from then on rows come at the
+camera's pace, all that came so far is relocated once a second, and the panel's ticks are timed.
 """
 
 from __future__ import annotations

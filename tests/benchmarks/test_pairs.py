@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from benchmarks.choices.registration import METHODS
 from benchmarks.stability.pairs import cases, statistics
 

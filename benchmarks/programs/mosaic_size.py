@@ -1,8 +1,8 @@
 """A mosaic of 20 x 20 mm: memory, what showing its growth takes, and how often napari draws it.
 
-By hand: ``python benchmarks/mosaic_size.py [--side-mm S] [--insertion I]``, without a screen under ``xvfb-run -a``.
-Frames of a made-up texture are laid along a raster, twelve between two looks, as at 240 Hz and 20 looks a second;
-each look brings image, track and marks up to date and lets napari draw. Then the mosaic is saved.
+By hand: ``python -m benchmarks.programs.mosaic_size [--side-mm S] [--insertion I]``, without a screen under
+``xvfb-run -a``. Frames of a made-up texture are laid along a raster, twelve between two looks, as at 240 Hz and 20
+looks a second; each look brings image, track and marks up to date and lets napari draw. Then the mosaic is saved.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 from __future__ import annotations
 
 import pytest
-from benchmarks.parsimony.turning import Walk, follow, rung_of
 
+from benchmarks.parsimony.turning import Walk, follow, rung_of
 from napari_elsplus.processing.tracking.registration.motion_models import Rung
 
 WAYS = (("fibres", "hand", 1500.0), ("nuclei", "spiral", 8000.0), ("sparse", "hand", 3000.0), ("fibres", "still", 0.0))

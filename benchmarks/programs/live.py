@@ -1,7 +1,7 @@
 """The live engine on the simulated rig: latency, frames lost, processor time and memory.
 
-By hand: ``python benchmarks/live.py [--seconds S] [--preset 240hz] [--record FILE] [--here] [--track]``; it prints one
-line of a Markdown table, and what was lost. A soak is ``--seconds 600``.
+By hand: ``python -m benchmarks.programs.live [--seconds S] [--preset 240hz] [--record FILE] [--here] [--track]``; it
+prints one line of a Markdown table, and what was lost. A soak is ``--seconds 600``.
 """
 
 from __future__ import annotations

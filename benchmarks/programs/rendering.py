@@ -1,6 +1,6 @@
 """Rendering raw frames: does the model instrument keep up with the camera, on one core, and in how much memory?
 
-Run with asv, or by hand: ``NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/rendering.py``.
+Run with asv, or by hand: ``NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.programs.rendering``.
 """
 
 from __future__ import annotations

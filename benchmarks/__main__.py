@@ -1,4 +1,4 @@
-"""``bench``: speed against accuracy, for every choice that the software makes."""
+"""Speed against accuracy, for every choice that the software makes: ``python3 run.py bench``, from a checkout."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from benchmarks.harness.registry import MODULES, benchmark
 from benchmarks.harness.running import run
 from benchmarks.harness.table import breakdowns, header, lines, markdown, write_csv
 from benchmarks.harness.verdict import verdict
+from napari_elsplus.cli import run_program
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
 from napari_elsplus.workflows.pictures.files import save_figure
 
@@ -39,12 +40,12 @@ class _Benchmarks(click.Group):
         return super().get_command(ctx, cmd_name) or (_measuring(cmd_name) if cmd_name in MODULES else None)
 
 
-@click.command(cls=_Benchmarks, short_help="Speed against accuracy: table, CSV and chart.")
-def command() -> None:
+@click.command(cls=_Benchmarks, context_settings={"help_option_names": ["-h", "--help"]})
+def bench() -> None:
     """Measure cost and error of everything that the software could have chosen: table, CSV, chart."""
 
 
-@command.command(name="list")
+@bench.command(name="list")
 def list_benchmarks() -> None:
     """List the benchmarks."""
     for name in MODULES:
@@ -52,14 +53,14 @@ def list_benchmarks() -> None:
     click.echo(f"{'paper':19} The paper's figures on the simulated rig")
 
 
-@command.command()
+@bench.command()
 def peers() -> None:
     """Install the peers, each into an environment of its own."""
     for name in PACKAGES:
         click.echo(f"{name} {install(name)} in {environment(name)}")
 
 
-@command.command(name="paper")
+@bench.command(name="paper")
 @click.option("--out", type=FILE, required=True, help="Folder for the figures.")
 @click.option("--quick", is_flag=True, help="Few frames: whether it runs.")
 @force_option
@@ -72,7 +73,7 @@ def paper_figures(out: Path, quick: bool, force: bool) -> None:
         click.echo(f"{name}\n{table}\n")
 
 
-@command.command()
+@bench.command()
 @click.option("--docs", "folder", type=FILE, required=True, help="Folder of performance.md, stability.md, paper.md.")
 @click.option("--quick", is_flag=True, help="Small cases: whether it runs, not what the pages should say.")
 @click.option("--only", multiple=True, help="A benchmark, or paper; all by default. May be given more than once.")
@@ -126,3 +127,7 @@ def _show(result: Result) -> None:
             click.echo(f"{case}: {verdict(result, case)}")
     for name, why in result.absent.items():
         click.echo(f"absent: {name}: {why}")
+
+
+if __name__ == "__main__":
+    run_program(bench, "run.py bench")

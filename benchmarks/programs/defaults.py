@@ -1,6 +1,6 @@
 """The defaults of every choice, for asv to watch: cost and error of each, on the benchmarks' own small cases.
 
-Run with asv, or compare all methods by hand: ``napari-elsplus bench NAME --out DIR``.
+Run with asv, or compare all methods by hand: ``python3 run.py bench NAME --out DIR``.
 """
 
 from __future__ import annotations

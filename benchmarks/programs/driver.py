@@ -1,6 +1,6 @@
 """The camera's driver alone: frames through pyusb from a virtual camera whose sensor costs nothing.
 
-Run with asv, or by hand: ``python benchmarks/driver.py [SECONDS]``.
+Run with asv, or by hand: ``python -m benchmarks.programs.driver [SECONDS]``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Writing and opening recordings: does the disk keep up with 240 Hz, and what does opening 10 GB cost?
 
-Run with asv, or by hand: ``python benchmarks/recording.py [FOLDER]``.
+Run with asv, or by hand: ``python -m benchmarks.programs.recording [FOLDER]``.
 """
 
 from __future__ import annotations

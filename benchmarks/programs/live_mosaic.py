@@ -1,7 +1,8 @@
 """The live mosaic in napari, on the simulated rig: frames lost, latency from camera to track, how often it is shown.
 
-By hand: ``python benchmarks/live_mosaic.py [--seconds S]``, without a screen under ``xvfb-run -a``. It opens napari
-with the Mosaic panel, presses *Live mosaic* and looks on; with ``--live`` the Live panel shows LS and ELS+ beside it.
+By hand: ``python -m benchmarks.programs.live_mosaic [--seconds S]``, without a screen under ``xvfb-run -a``. It opens
+napari with the Mosaic panel, presses *Live mosaic* and looks on; with ``--live`` the Live panel shows LS and ELS+
+beside it.
 """
 
 from __future__ import annotations

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from benchmarks.documents.benchmark import draw_benchmark
 from benchmarks.harness.methods import Chart, Role
 from benchmarks.harness.registry import MODULES, benchmark
 from benchmarks.harness.running import run
-
 from napari_elsplus.workflows.pictures.files import save_figure
 
 

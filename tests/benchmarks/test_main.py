@@ -4,20 +4,21 @@ import csv
 from pathlib import Path
 
 import pytest
-from benchmarks.command import PAGES
+
+from benchmarks.__main__ import PAGES
 from benchmarks.harness.registry import MODULES
 
 
-def test_the_list_names_every_benchmark_and_its_question(elsplus) -> None:
-    run = elsplus("bench", "list")
+def test_the_list_names_every_benchmark_and_its_question(bench_program) -> None:
+    run = bench_program("list")
     lines = run.out.splitlines()
     assert run.code == 0
     assert [line.split()[0] for line in lines] == [*MODULES, "paper"]
     assert all(len(line.split()) > 3 for line in lines)
 
 
-def test_a_benchmark_writes_table_and_chart_and_tells_of_its_default(elsplus, tmp_path: Path) -> None:
-    run = elsplus("bench", "line", "--out", tmp_path / "new", "--quick")
+def test_a_benchmark_writes_table_and_chart_and_tells_of_its_default(bench_program, tmp_path: Path) -> None:
+    run = bench_program("line", "--out", tmp_path / "new", "--quick")
     assert run.code == 0
     with (tmp_path / "new" / "line.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -28,23 +29,23 @@ def test_a_benchmark_writes_table_and_chart_and_tells_of_its_default(elsplus, tm
     assert sorted(p.name for p in (tmp_path / "new").iterdir()) == ["line.csv", "line.png"]
 
 
-def test_results_are_not_overwritten_unless_told(elsplus, tmp_path: Path) -> None:
+def test_results_are_not_overwritten_unless_told(bench_program, tmp_path: Path) -> None:
     (tmp_path / "line.csv").write_text("mine")
-    run = elsplus("bench", "line", "--out", tmp_path, "--quick")
+    run = bench_program("line", "--out", tmp_path, "--quick")
     assert (run.code, run.err.count("\n")) == (2, 1)
     assert "--force" in run.err
     assert (tmp_path / "line.csv").read_text() == "mine"
-    assert elsplus("bench", "line", "--out", tmp_path, "--quick", "--force").code == 0
+    assert bench_program("line", "--out", tmp_path, "--quick", "--force").code == 0
 
 
-def test_an_unknown_benchmark_is_bad_input(elsplus) -> None:
-    assert elsplus("bench", "everything", "--out", "x").code == 2
+def test_an_unknown_benchmark_is_bad_input(bench_program) -> None:
+    assert bench_program("everything", "--out", "x").code == 2
 
 
-def test_pages_are_filled_between_their_marks(elsplus, tmp_path: Path) -> None:
+def test_pages_are_filled_between_their_marks(bench_program, tmp_path: Path) -> None:
     for page in PAGES:
         (tmp_path / page).write_text(f"Mine in {page}.\n\n<!-- line -->\nold\n<!-- end -->\n")
-    assert elsplus("bench", "docs", "--docs", tmp_path, "--quick", "--only", "line").code == 0
+    assert bench_program("docs", "--docs", tmp_path, "--quick", "--only", "line").code == 0
     text = (tmp_path / "performance.md").read_text()
     assert text.startswith("Mine in performance.md.")
     assert "| tilted Gaussian, all columns | default |" in text

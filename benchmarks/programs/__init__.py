@@ -1,0 +1,1 @@
+"""Programs that measure one thing each, by hand or by asv: ``python -m benchmarks.programs.NAME``."""

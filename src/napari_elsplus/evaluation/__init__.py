@@ -1,1 +1,0 @@
-"""Speed against accuracy: every choice the software makes, measured against known truth."""

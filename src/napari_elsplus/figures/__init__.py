@@ -1,1 +1,0 @@
-"""Pictures for files, made without a screen."""

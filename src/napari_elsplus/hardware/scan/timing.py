@@ -1,0 +1,58 @@
+"""When which row is exposed, counted from the camera's strobe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Seconds = NDArray[np.float64]
+
+
+class StrobePhase(StrEnum):
+    """What the camera's strobe marks: the first row's exposure, or its readout."""
+
+    EXPOSURE = "exposure"
+    READOUT = "readout"
+
+
+@dataclass(frozen=True, slots=True)
+class ScanTiming:
+    """When which row is exposed, counted from the strobe.
+
+    Parameters
+    ----------
+    line_period_s, rows_per_frame : float
+        As the camera reports them.
+    slit_rows : int
+        Exposure in line periods.
+    strobe : StrobePhase
+        What the strobe marks.
+    """
+
+    line_period_s: float
+    rows_per_frame: float
+    slit_rows: int
+    strobe: StrobePhase = StrobePhase.EXPOSURE
+
+    @property
+    def frame_period_s(self) -> float:
+        """Seconds from strobe to strobe."""
+        return self.rows_per_frame * self.line_period_s
+
+    @property
+    def row_zero_s(self) -> float:
+        """Readout of row 0 after the strobe's edge."""
+        return self.slit_rows * self.line_period_s if self.strobe is StrobePhase.EXPOSURE else 0.0
+
+    def slit_row(self, time_s: Seconds) -> Seconds:
+        """Row on which the slit is centred, a time after the strobe."""
+        return (time_s - self.row_zero_s) / self.line_period_s + self.slit_rows / 2
+
+    def time_s(self, slit_row: float) -> float:
+        """When the slit is centred on a row, after the strobe."""
+        return self.row_zero_s + (slit_row - self.slit_rows / 2) * self.line_period_s
