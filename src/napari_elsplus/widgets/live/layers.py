@@ -12,6 +12,7 @@ from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLES
+from napari_elsplus.widgets.shared.choosing import LIVE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 KINDS: Final = {RAW: "raw", **{mode.value: TITLES[mode] for mode in Mode}}
 """What can be shown, by the names of the display ring's fields."""
-LIVE: Final = "live"
-"""Begins the names of live layers, and of their kinds in their metadata."""
 
 
 class LiveLayers:

@@ -9,8 +9,9 @@ from napari.layers import Image
 
 from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.errors import InputError
-from napari_elsplus.widgets.live.layers import LIVE
 
+LIVE: Final = "live"
+"""Kind of the layers that show live images, before the kind of the image."""
 OPEN_ONE: Final = "open a recording with a calibration, or a sample: File > Open Sample > ELS+ endomicroscopy"
 """What comes first where nothing can be chosen."""
 
