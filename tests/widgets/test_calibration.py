@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus.acquisition.calibrating.stepwise import TARGETS
+from napari_elsplus.acquisition.link.guided_calibration import TARGETS
 from napari_elsplus.acquisition.calibrating.whole import Target
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
