@@ -47,7 +47,7 @@ def test_a_calibration_is_shown_and_put_in_force(make_napari_viewer_proxy, tmp_p
     viewer.open(str(path), plugin=PLUGIN)
     (outline,) = viewer.layers
     assert outline.features["view"].tolist() == ["confocal", "residual"]
-    assert settings.calibration_in_force() == path
+    assert settings.active_calibration() == path
     viewer.open(str(tmp_path / "stacks" / "bare.tif"), plugin=PLUGIN)
     assert "bare ELS+" in viewer.layers
     assert [severity for severity, _ in said()] == ["info", "warning"]
@@ -84,7 +84,7 @@ def test_bad_files_give_one_notification_and_no_layer(make_napari_viewer_proxy, 
     ((severity, message),) = said()
     assert severity == "error"
     assert ": " in message
-    assert settings.calibration_in_force() is None
+    assert settings.active_calibration() is None
 
 
 def test_a_calibration_that_does_not_fit_is_a_warning_and_the_raw_frames(make_napari_viewer_proxy, tmp_path, said):

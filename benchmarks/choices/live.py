@@ -16,7 +16,7 @@ from benchmarks.harness.running import thread_clock
 from benchmarks.rigs.simulated import SimulatedRig, simulated_rig
 from benchmarks.studies.stages import PapersCanvas, our_stages, papers_stages
 from napari_elsplus.processing.images.sectioning import Sectioner
-from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, PaperTracker
+from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TemplateTracker
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight, Trajectory
 from napari_elsplus.workflows.tracking import Pipeline
@@ -118,8 +118,8 @@ def _papers(*, eight_bits: bool) -> Callable[[Case], Callable[[Live], TimedElsew
         def front_end(raw: NDArray[np.uint8]) -> NDArray[np.uint8] | NDArray[np.float32]:
             return eight(raw) if eight_bits else floats(raw).image
 
-        def tracker() -> PaperTracker:
-            return PaperTracker(sectioner.diameter_px, sectioner.side)
+        def tracker() -> TemplateTracker:
+            return TemplateTracker(sectioner.diameter_px, sectioner.side)
 
         mask = insertion.field_mask(tracker().grid)
 

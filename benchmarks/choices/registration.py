@@ -18,7 +18,7 @@ from benchmarks.rigs.simulated import SimulatedRig, StopAndGo, jumps, simulated_
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
 from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP
 from napari_elsplus.processing.tracking.template_tracking import TEMPLATE_PX
 
@@ -107,12 +107,12 @@ class _Ours:
         """Search all shifts."""
         return _shift(self._registrar.search(*self._views(pair), Warp(), _SPREAD, self._reach))
 
-    def _views(self, pair: Pair) -> tuple[View, View]:
+    def _views(self, pair: Pair) -> tuple[PreparedFrame, PreparedFrame]:
         self._earlier.image[:], self._later.image[:] = pair.earlier, pair.later
         return self._registrar.prepare(self._earlier), self._registrar.prepare(self._later)
 
 
-def _shift(link: Link | None) -> Shift:
+def _shift(link: PairRegistration | None) -> Shift:
     if link is None:
         raise MeasurementError("no shift is supported", "the frames show nothing in common")
     return Shift(-link.warp.b, -link.warp.d, Claim.SURE if link.observed else Claim.REFUSED)

@@ -13,7 +13,7 @@ from benchmarks.harness.peers import peer
 from benchmarks.rigs.simulated import SimulatedRig, simulated_rig, tissue, without_timing
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Sectioner
-from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, PaperTracker
+from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TemplateTracker
 from napari_elsplus.simulation.specimen.trajectories import trajectory
 from napari_elsplus.workflows.accuracy import track_errors
 from napari_elsplus.workflows.tracking import Method as Tracking
@@ -93,7 +93,7 @@ def _papers_chain(case: Case) -> Callable[[Recorded], list[TrackPoint]]:
     sectioner = Sectioner(rig.calibration, rig.instrument.frame_shape)
 
     def track(item: Recorded) -> list[TrackPoint]:
-        tracker = PaperTracker(sectioner.diameter_px, sectioner.side)
+        tracker = TemplateTracker(sectioner.diameter_px, sectioner.side)
         rows = []
         for k, raw in enumerate(item.raw):
             pose = tracker.add(front_end(raw).image)

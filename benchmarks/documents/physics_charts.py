@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.analysis.axial_response import AxialResponse
-    from napari_elsplus.workflows.sectioning_performance import Trade
+    from napari_elsplus.workflows.sectioning_performance import SectioningPerformance
 
 PAPER_COLOUR: Final = "0.35"
 NAMES: Final = {Mode.LS: "LS", Mode.ELS: "ELS+"}
@@ -78,7 +78,7 @@ def kept_signal(measured: Mapping[float, AxialResponse]) -> Figure:
     return figure
 
 
-def the_choice(trades: Mapping[float, Trade]) -> Figure:
+def the_choice(trades: Mapping[float, SectioningPerformance]) -> Figure:
     """Contrast to noise, clipped field and sectioning against slit offset: what a microscopist has to weigh."""
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     panels: tuple[tuple[str, list[float]], ...] = (

@@ -14,9 +14,9 @@ from benchmarks.choices.pair import Lit
 from benchmarks.choices.pair import judge as judge_pair
 from benchmarks.harness.methods import Benchmark, Case, Chart, Judgement, Method, Role
 from benchmarks.rigs.random_rigs import Rig
-from napari_elsplus.processing.calibration.bundle.core_matching import CoreMatcher, PairModel
+from napari_elsplus.processing.calibration.bundle.core_matching import AlignmentModel, CoreMatcher
 from napari_elsplus.processing.calibration.bundle.location import locate_pair
-from napari_elsplus.processing.calibration.bundle.view_alignment import align_pair
+from napari_elsplus.processing.calibration.bundle.view_alignment import align_views
 from napari_elsplus.processing.calibration.galvo import lines_in_sweep
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def _drawn(seed: int, turn_deg: float) -> Rig:
     return replace(Rig.draw(seed).with_photons(300.0), turn_deg=turn_deg, scale=scale)
 
 
-def _model(model: PairModel) -> Callable[[Case], Callable[[Lit], Floats]]:
+def _model(model: AlignmentModel) -> Callable[[Case], Callable[[Lit], Floats]]:
     def align(item: Lit) -> Floats:
         frame = item.frame.astype(np.float32)
         left, right = locate_pair(frame)
@@ -112,7 +112,7 @@ def _model(model: PairModel) -> Callable[[Case], Callable[[Lit], Floats]]:
 
 
 def _chosen(item: Lit) -> Floats:
-    return align_pair(item.frame, *locate_pair(item.frame)).residual_to_confocal
+    return align_views(item.frame, *locate_pair(item.frame)).residual_to_confocal
 
 
 PAIR = Benchmark(
@@ -121,10 +121,10 @@ PAIR = Benchmark(
     error_label="largest misplacement / px",
     cases=_pair_cases,
     methods=(
-        Method("shift", Role.OPTION, _model(PairModel.SHIFT), 2),
-        Method("similarity", Role.OPTION, _model(PairModel.SIMILARITY), 4),
+        Method("shift", Role.OPTION, _model(AlignmentModel.SHIFT), 2),
+        Method("similarity", Role.OPTION, _model(AlignmentModel.SIMILARITY), 4),
         Method("chosen by BIC", Role.DEFAULT, lambda _: _chosen),
-        Method("affine", Role.OPTION, _model(PairModel.AFFINE), 6),
+        Method("affine", Role.OPTION, _model(AlignmentModel.AFFINE), 6),
     ),
     judge=judge_pair,
     chart=Chart.PARSIMONY,

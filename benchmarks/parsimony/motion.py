@@ -15,7 +15,7 @@ from benchmarks.rigs.simulated import simulated_rig, tissue
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
-from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
 from napari_elsplus.simulation.specimen.trajectories import Straight, Trajectory, trajectory
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class _Linked:
         self._registrar, self._grid, self._rigid = Registrar(case.context), case.context, rigid
         self._earlier, self._later = self._registrar.view(), self._registrar.view()
 
-    def _link(self, item: Step) -> Link:
+    def _link(self, item: Step) -> PairRegistration:
         self._earlier.image[:], self._later.image[:] = item.earlier, item.later
         views = self._registrar.prepare(self._earlier), self._registrar.prepare(self._later)
         v, shutter = item.velocity, self._grid.shutter

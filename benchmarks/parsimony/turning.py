@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks.rigs.simulated import simulated_rig, tissue
 from benchmarks.studies.drift import tracked_live
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
-from napari_elsplus.processing.tracking.motion.pose import State
-from napari_elsplus.processing.tracking.registration.motion_models import Rung, turned_by
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.specimen.trajectories import Turning, trajectory
 from napari_elsplus.workflows.accuracy import TrackErrors, track_errors
@@ -58,7 +58,7 @@ class Turned(NamedTuple):
 
     Parameters
     ----------
-    rung : Rung
+    rung : MotionModel
         What was modelled in the end.
     since : int or None
         First frame for which rotation was modelled.
@@ -73,7 +73,7 @@ class Turned(NamedTuple):
         all that is corrected live, and of the finished track.
     """
 
-    rung: Rung
+    rung: MotionModel
     since: int | None
     angle_deg: float
     angle_error_deg: float
@@ -106,14 +106,14 @@ def follow(walk: Walk) -> Turned:
     error = float(np.rad2deg(np.sqrt(np.mean((found - angle)[known] ** 2))))
     forms = {(abs(pose.angle) > 0, abs(pose.scale - 1) > _LEAST_ZOOM) for pose in pipeline.poses}
     zoomed, turned = any(zoom for _, zoom in forms), any(turn for turn, _ in forms)
-    rung = Rung.SIMILARITY if zoomed else Rung.RIGID if turned else Rung.TRANSLATION
+    rung = MotionModel.SIMILARITY if zoomed else MotionModel.RIGID if turned else MotionModel.TRANSLATION
     largest, errors = float(np.rad2deg(np.abs(angle).max())), track_errors(pipeline.rows, place)
     return Turned(rung, since, largest, error, errors, (*strayed_px, _strayed_px(pipeline.rows, place, angle)))
 
 
 def _strayed_px(rows: Sequence[TrackPoint], true_px: NDArray[np.float64], true_angle: NDArray[np.float64]) -> float:
     """Largest distance of the longest segment's frames from the truth, its first one lying right."""
-    tracked = [k for k, row in enumerate(rows) if row.state == State.TRACKED]
+    tracked = [k for k, row in enumerate(rows) if row.state == TrackingState.TRACKED]
     longest, _ = Counter(rows[k].segment for k in tracked).most_common(1)[0]
     those = [k for k in tracked if rows[k].segment == longest]
     found = np.array([(rows[k].row_px, rows[k].col_px) for k in those])
@@ -121,7 +121,7 @@ def _strayed_px(rows: Sequence[TrackPoint], true_px: NDArray[np.float64], true_a
     return float(np.hypot(*(found - found[0] - true).T).max())
 
 
-def rung_of(walk: Walk) -> Rung:
+def rung_of(walk: Walk) -> MotionModel:
     """Return what a walk asks for, without finishing its track."""
     raw, _, _ = _recorded(walk)
     rig = simulated_rig()

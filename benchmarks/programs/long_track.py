@@ -24,7 +24,7 @@ from napari_elsplus.acquisition.mosaic.board import MosaicBoard
 from napari_elsplus.acquisition.mosaic.tracking import TrackState
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
-from napari_elsplus.viewing.mosaic.live import LiveMosaics
+from napari_elsplus.viewing.mosaic.live import LiveMosaicView
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.tracking import Pipeline
 
@@ -147,7 +147,7 @@ def main(minutes: tuple[float, ...], picture: str | None, theme: str, maps: bool
     grid = Pipeline(rig.calibration, rig.instrument.frame_shape).grid
     board = other.stdout.readline().strip()
     state = TrackState(MosaicPlan(), board, float(grid.binning), 0.45 * grid.diameter, {}, None)
-    live = LiveMosaics(state, rig.calibration)
+    live = LiveMosaicView(state, rig.calibration)
     panel._timer.stop()  # noqa: SLF001
     panel._follow_live = lambda: None  # noqa: SLF001 - there is no engine to be asked
     live.update()

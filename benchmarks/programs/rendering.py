@@ -14,7 +14,7 @@ import numpy as np
 
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
-from napari_elsplus.simulation.rendering.ring import Ring
+from napari_elsplus.simulation.rendering.ring import FrameLoop
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import trajectory
 
@@ -68,7 +68,7 @@ class Replaying:
     """The fall-back: frames from memory."""
 
     def setup(self):
-        self.ring = Ring(Renderer(Instrument.of("240hz"), scene("fibres"), trajectory("hand")), 60)
+        self.ring = FrameLoop(Renderer(Instrument.of("240hz"), scene("fibres"), trajectory("hand")), 60)
         self.frame = np.empty(self.ring.frame_shape, np.uint8)
 
     def time_frame(self):

@@ -23,7 +23,7 @@ from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.widgets.live.panel import Live
+from napari_elsplus.widgets.live.panel import LivePanel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -78,7 +78,7 @@ def measure(seconds: float, canvases_px: Sequence[int], most: int) -> None:
     """Show up to so many layers on canvases of several sizes, each number of them for some seconds."""
     viewer = napari.Viewer(show=False)
     viewer.show(block=False)
-    panel = Live(viewer)
+    panel = LivePanel(viewer)
     viewer.window.add_dock_widget(panel, name="Live")
     try:
         client = panel.connection.connect(SIMULATED, Settings(PRESET))
@@ -97,7 +97,7 @@ def measure(seconds: float, canvases_px: Sequence[int], most: int) -> None:
         viewer.close()
 
 
-def _measure(panel: Live, client: EngineClient, layers: int, wanted_px: int, seconds: float) -> Rate:
+def _measure(panel: LivePanel, client: EngineClient, layers: int, wanted_px: int, seconds: float) -> Rate:
     for place, box in enumerate(reversed(panel.form.kinds.values())):  # ELSA, ELS+, residual, LS, raw
         box.value = place < layers
     _until(lambda: sum(layer.visible for layer in panel.layers.images.values()) == layers)
@@ -133,7 +133,7 @@ def _measure(panel: Live, client: EngineClient, layers: int, wanted_px: int, sec
     )
 
 
-def _give_the_canvas(panel: Live, size_px: int) -> None:
+def _give_the_canvas(panel: LivePanel, size_px: int) -> None:
     """Let all docks but the panel's go, float that, and give the window the size with which the canvas has its own."""
     dock = panel.parentWidget()
     while not isinstance(dock, QDockWidget):

@@ -12,7 +12,7 @@ import numpy as np
 
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
-from napari_elsplus.processing.calibration.calibrate import Findings, Pair, measure
+from napari_elsplus.processing.calibration.calibrate import BundlePair, Findings, measure
 from napari_elsplus.processing.calibration.lag import search_lag
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ def errors_of(found: Findings, rig: Rig) -> Errors:
     return errors
 
 
-def _errors_of_pair(pair: Pair, rig: Rig) -> Errors:
+def _errors_of_pair(pair: BundlePair, rig: Rig) -> Errors:
     alignment = pair.alignment
     angle = 2 * np.pi * (np.random.default_rng(rig.seed).integers(RIM) / RIM)
     rim = np.array(rig.right) + 0.45 * rig.diameter_px * np.array([np.sin(angle), np.cos(angle)])

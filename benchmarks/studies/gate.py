@@ -14,7 +14,7 @@ from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.prediction import UNEVEN, needed_times, surprise_of, unevenly
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 from napari_elsplus.processing.tracking.motion.warp_prior import warp_prior
-from napari_elsplus.processing.tracking.registration.low_texture import DOUBT, SecondLook, unlit
+from napari_elsplus.processing.tracking.registration.low_texture import DOUBT, LowTextureFallback, unlit
 from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION
 from napari_elsplus.simulation.specimen.scenes import picture
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from benchmarks.rigs.simulated import SimulatedRig
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.warp_prior import WarpPrior
-    from napari_elsplus.processing.tracking.registration.pair_registration import Link, View
+    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame
     from napari_elsplus.simulation.specimen.scenes import Scene
     from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
@@ -136,7 +136,7 @@ def jerky(rig: SimulatedRig, frames: int, seed: int) -> Recorded:
 
 
 def judged_links(frames: int, seeds: Sequence[int] | int, fibres: int = 180, *, jerks: bool = False) -> list[Judged]:
-    """Link successive frames of sparse scenes, each started some pixels off, and compare with the truth.
+    """Register successive frames of sparse scenes, each started some pixels off, and compare with the truth.
 
     Each pair is linked twice, as the tracker does: from a guess, and by a search over all shifts. Pairs between which
     the probe moved so unevenly that no link could be right are left out: the tracker tells them by their velocities.
@@ -166,7 +166,7 @@ def _links(
     front_end = FrontEnd(rig.calibration, rig.instrument.frame_shape)
     grid = front_end.grid
     registrar, shutter, binning = Registrar(grid), grid.shutter, grid.binning
-    second = SecondLook(registrar)
+    second = LowTextureFallback(registrar)
     views = []
     for frame in rig.recording(looked_at, path, frames, seed=seed):
         view = registrar.view()
@@ -203,9 +203,13 @@ def _links(
 
 
 def _looks(
-    registrar: Registrar, second: SecondLook, pair: tuple[View, View], known: WarpPrior, spread_px: float
-) -> Iterator[tuple[Link, Link]]:
-    """Link two frames both ways; each time the link at first sight, and the one in the end."""
+    registrar: Registrar,
+    second: LowTextureFallback,
+    pair: tuple[PreparedFrame, PreparedFrame],
+    known: WarpPrior,
+    spread_px: float,
+) -> Iterator[tuple[PairRegistration, PairRegistration]]:
+    """Register two frames both ways; each time the link at first sight, and the one in the end."""
     spread = (spread_px / registrar.grid.shutter.rows_per_frame,) * 2
     link = registrar.link(*pair, known.expected, spread)
     yield link, link if link.evidence >= DOUBT else second.link(*pair, known) or unlit(link)

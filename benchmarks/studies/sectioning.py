@@ -17,7 +17,7 @@ from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import paper, plate
 from napari_elsplus.simulation.specimen.trajectories import Spiral
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.workflows.sectioning_performance import Trade, weigh
+from napari_elsplus.workflows.sectioning_performance import SectioningPerformance, predict_performance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,13 +48,13 @@ def measure_axial(instrument: Instrument, *, seed: int = 0, light: float = 1.0) 
     return axial_response(scan.depths_um, *axial_profiles(scan, calibration))
 
 
-def weigh_offset(offset_um: float) -> Trade:
+def weigh_offset(offset_um: float) -> SectioningPerformance:
     """Work out what a slit offset costs and gives at the paper's usual slit and the 120 Hz preset's light level.
 
     The clipped field is that of rendered frames.
     """
     instrument = Instrument.of("120hz", slit_um=SLIT_UM, offset_um=-offset_um)
-    trade = weigh(offset_um, SLIT_UM, instrument.line, instrument.light_dn)
+    trade = predict_performance(offset_um, SLIT_UM, instrument.line, instrument.light_dn)
     return replace(trade, clipped=clipped_share(instrument))
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from benchmarks.harness.running import thread_clock
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
-from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registration.evidence import rival_evidence
-from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
 from napari_elsplus.processing.tracking.registration.pyramid_descent import CORRELATED_PX
 from napari_elsplus.processing.tracking.tracker import Tracker
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-    from napari_elsplus.processing.tracking.template_tracking import PaperTracker
+    from napari_elsplus.processing.tracking.template_tracking import TemplateTracker
 
     Image = NDArray[np.float32] | NDArray[np.uint8]
 
@@ -49,7 +49,7 @@ class _TimedRegistrar(Registrar):
         self.spent = dict.fromkeys((LINK, GATE, SEARCH, MODEL), 0.0)
         self.again = 0.0  # what was done a second time in order to time it
 
-    def prepare(self, view: View) -> View:
+    def prepare(self, view: PreparedFrame) -> PreparedFrame:
         """Time the pyramid with the link."""
         start = self._clock()
         super().prepare(view)
@@ -57,7 +57,9 @@ class _TimedRegistrar(Registrar):
             self.spent[LINK] += self._clock() - start
         return view
 
-    def link(self, earlier: View, later: View, expected: Warp, spread: tuple[float, float]) -> Link:
+    def link(
+        self, earlier: PreparedFrame, later: PreparedFrame, expected: Warp, spread: tuple[float, float]
+    ) -> PairRegistration:
         """Time a link, and its rivals once more by themselves."""
         start = self._clock()
         link = super().link(earlier, later, expected, spread)
@@ -77,7 +79,7 @@ class _TimedRegistrar(Registrar):
         self.again += self._clock() - start - whole
         return link
 
-    def search(self, *arguments: Any, **options: Any) -> Link | None:
+    def search(self, *arguments: Any, **options: Any) -> PairRegistration | None:
         """Time a search with the links that it tries."""
         start, self._searching = self._clock(), True
         found = super().search(*arguments, **options)
@@ -118,7 +120,7 @@ def our_stages(calibration: Calibration, raw: NDArray[np.uint8]) -> dict[str, fl
             made = clock()
             pose = tracker.add()
             tracked = clock()
-            if pose.state is State.TRACKED:
+            if pose.state is TrackingState.TRACKED:
                 mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
             laid = clock()
             keeping = tracked - made - registrar.again - sum(registrar.spent.values())
@@ -133,7 +135,7 @@ def our_stages(calibration: Calibration, raw: NDArray[np.uint8]) -> dict[str, fl
 def papers_stages(
     raw: NDArray[np.uint8],
     front_end: Callable[[NDArray[np.uint8]], Image],
-    tracker: Callable[[], PaperTracker],
+    tracker: Callable[[], TemplateTracker],
     mask: NDArray[np.uint8],
     canvas_px: int,
 ) -> dict[str, float]:

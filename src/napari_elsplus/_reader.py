@@ -47,7 +47,7 @@ def get_reader(path: str | Sequence[str]) -> Reader | None:
 def read_recording(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
     """Open a recording as lazy layers, with the calibration in it, beside it, or in force."""
     try:
-        opened = open_layers(str(path), settings.calibration_in_force())
+        opened = open_layers(str(path), settings.active_calibration())
     except ElsPlusError as error:
         show_error(str(error))
         return NO_LAYERS
@@ -63,7 +63,7 @@ def read_calibration_file(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
     except ElsPlusError as error:
         show_error(str(error))
         return NO_LAYERS
-    settings.put_in_force(str(path))
+    settings.set_active_calibration(str(path))
     for note in opened.notes:
         show_info(note)
     return [tuple(layer) for layer in opened.layers] or NO_LAYERS

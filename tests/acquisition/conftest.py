@@ -17,7 +17,7 @@ from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.parking import ParkOrder
 from napari_elsplus.hardware.protocols import FrameInfo, Region
 from napari_elsplus.hardware.scan.timing import StrobePhase
-from napari_elsplus.hardware.scan.waveform import MirrorLimits, Waveform
+from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
 from napari_elsplus.instrument.calibration import Calibration
 
 PARK_V = -0.7
@@ -141,7 +141,7 @@ class SmallRig:
     name: str = "small"
     camera: PacedCamera = field(default_factory=PacedCamera)
     scanner: RememberingScanner = field(default_factory=RememberingScanner)
-    limits: MirrorLimits = field(default_factory=MirrorLimits)
+    limits: GalvoLimits = field(default_factory=GalvoLimits)
     strobe: StrobePhase = StrobePhase.EXPOSURE
     park: ParkOrder | None = None
     bench: None = None

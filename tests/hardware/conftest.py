@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from napari_elsplus.hardware.daq.output import CardSettings
-from napari_elsplus.hardware.scan.waveform import MirrorLimits
+from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.u3v.flea3 import Flea3
@@ -35,7 +35,7 @@ class CardBench:
 
     card: VirtualCard
     settings: CardSettings
-    limits: MirrorLimits = field(default_factory=MirrorLimits)
+    limits: GalvoLimits = field(default_factory=GalvoLimits)
 
     def strobe_now(self) -> StrobeTrain:
         train = StrobeTrain(time.perf_counter() + 1e-3, PERIOD_S)

@@ -82,7 +82,7 @@ class Liar(Mute):
     def write(self, endpoint: int, data: bytes, timeout_ms: int) -> int:
         super().write(endpoint, data, timeout_ms)
         command = packets.HEADER.unpack_from(data)[2]
-        count = packets.READ.unpack_from(data, packets.HEADER.size)[2] if command == packets.Command.READ else 4
+        count = packets.READ.unpack_from(data, packets.HEADER.size)[2] if command == packets.CommandPacket.READ else 4
         number = self.numbers.pop(0) if self.numbers else 0
         body = (number & (1 << 64) - 1).to_bytes(8, "little").ljust(count, b"\xff")[:count]
         answer = (
@@ -123,7 +123,7 @@ def test_a_device_that_always_asks_for_time_does_not_get_all_of_it(monkeypatch) 
     class Busy(Liar):
         def read(self, endpoint: int, buffer: array, timeout_ms: int) -> int:
             self.answers = [
-                packets.HEADER.pack(b"U3VC", 0, packets.Command.PENDING_ACK, 4, self.request_id) + b"\0" * 4
+                packets.HEADER.pack(b"U3VC", 0, packets.CommandPacket.PENDING_ACK, 4, self.request_id) + b"\0" * 4
             ]
             return super().read(endpoint, buffer, timeout_ms)
 
@@ -190,7 +190,9 @@ TRAILERS = st.builds(
 @given(st.lists(st.one_of(st.binary(max_size=200), LEADERS, TRAILERS, st.just(b"\7" * PIXELS)), max_size=30))
 def test_after_any_rubbish_whole_frames_come_whole(rubbish) -> None:
     frames = [part for number in range(1000, 1040) for part in good_frame(number)]
-    endless = stream.Stream(Firehose([*rubbish, *frames]), 0x82, [PIXELS], SHAPE, patience_s=0.1, wait_for_reader=True)
+    endless = stream.U3vStream(
+        Firehose([*rubbish, *frames]), 0x82, [PIXELS], SHAPE, patience_s=0.1, wait_for_reader=True
+    )
     buffer = np.empty(SHAPE, np.uint8)
     seen = []
     try:

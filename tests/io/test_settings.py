@@ -18,16 +18,16 @@ def test_sections_keep_to_themselves():
 
 
 def test_the_calibration_in_force_is_forgotten_when_its_file_goes(tmp_path):
-    assert settings.calibration_in_force() is None
+    assert settings.active_calibration() is None
     path = tmp_path / "c.json"
     path.write_text("{}")
-    settings.put_in_force(path)
-    assert settings.calibration_in_force() == path
+    settings.set_active_calibration(path)
+    assert settings.active_calibration() == path
     path.unlink()
-    assert settings.calibration_in_force() is None
+    assert settings.active_calibration() is None
     path.write_text("{}")
-    settings.put_in_force(None)
-    assert settings.calibration_in_force() is None
+    settings.set_active_calibration(None)
+    assert settings.active_calibration() is None
 
 
 def test_a_broken_file_costs_the_memory_but_not_the_work():

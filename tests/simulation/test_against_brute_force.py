@@ -13,7 +13,7 @@ from napari_elsplus.simulation.model.axial_response import LineModel
 from napari_elsplus.simulation.model.bundle import Bundle
 from napari_elsplus.simulation.model.instrument import Instrument, RightView
 from napari_elsplus.simulation.rendering.renderer import Renderer
-from napari_elsplus.simulation.specimen.pictures import Image
+from napari_elsplus.simulation.specimen.pictures import ImageTexture
 from napari_elsplus.simulation.specimen.scenes import Plane, Scene
 from napari_elsplus.simulation.specimen.textures import Fibres, Mottle, Nuclei, Texture, Uniform
 
@@ -29,10 +29,10 @@ SMALL = Instrument(
 )
 
 
-def drawn(texture: Texture, step_um: float = 0.4, reach_um: float = 150.0) -> Image:
+def drawn(texture: Texture, step_um: float = 0.4, reach_um: float = 150.0) -> ImageTexture:
     """Draw a texture once: generators soften their edges by the step they are asked for, a picture does not."""
     axis = np.arange(-reach_um, reach_um, step_um)
-    return Image(texture.sample(axis, axis), step_um)
+    return ImageTexture(texture.sample(axis, axis), step_um)
 
 
 SCENES = {

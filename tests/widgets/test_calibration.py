@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus.acquisition.link.guided_calibration import TARGETS
 from napari_elsplus.acquisition.calibrating.whole import Target
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
+from napari_elsplus.acquisition.link.guided_calibration import TARGETS
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.io import read_calibration
-from napari_elsplus.io.settings import calibration_in_force
-from napari_elsplus.processing.calibration.draft import State, Step
+from napari_elsplus.io.settings import active_calibration
+from napari_elsplus.processing.calibration.draft import Step, StepState
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
@@ -87,11 +87,11 @@ def test_calibrated_by_clicking_the_simulated_rig_shows_a_scene_as_it_is(viewer,
         assert not said(), step
         assert (IMAGE in viewer.layers) == (OUTLINES in viewer.layers) == (step is Step.PAIR)
         form.accept.click()
-        assert state(live, step) is State.DONE
+        assert state(live, step) is StepState.DONE
         assert "✓" in form.steps[step].text()
     live.save(tmp_path / "cal.json")
     found = read_calibration(tmp_path / "cal.json")
-    assert calibration_in_force() == tmp_path / "cal.json"
+    assert active_calibration() == tmp_path / "cal.json"
     assert live.connection.client.status.live is False
 
     paper = Simulation(scene=scene("paper"), trajectory=Still(), real_time=False)
@@ -139,7 +139,7 @@ def test_watching_the_offset_goes_on_until_stopped_and_what_was_seen_can_be_acce
     idle(qtbot, live)
     assert live.connection.client.status.live is False
     form.accept.click()
-    assert state(live, Step.OFFSET) is State.DONE
+    assert state(live, Step.OFFSET) is StepState.DONE
 
 
 def test_a_failed_step_keeps_what_was_known_and_says_why_in_one_line(live, qtbot, said, monkeypatch):
@@ -152,7 +152,7 @@ def test_a_failed_step_keeps_what_was_known_and_says_why_in_one_line(live, qtbot
         (Step.PAIR, Target.DARK_TUBE, "two bundle images expected"),
     ):
         monkeypatch.setitem(TARGETS, step, wrong)
-        monkeypatch.setattr("napari_elsplus.acquisition.calibrating.stepwise.GuidedCalibration._middle", search)
+        monkeypatch.setattr("napari_elsplus.acquisition.link.guided_calibration.GuidedCalibration._middle", search)
         measure(qtbot, live, step)
         assert live.candidate is None
         assert live.draft is known
@@ -196,7 +196,7 @@ def test_from_files_accepted_discarded_and_undone(viewer, panel, qtbot, open_rec
     from_file(qtbot, panel, Step.OFFSET, open_recording / "line.tif")
     form.discard.click()
     assert panel.candidate is None
-    assert state(panel, Step.OFFSET) is State.MISSING
+    assert state(panel, Step.OFFSET) is StepState.MISSING
     from_file(qtbot, panel, Step.OFFSET, open_recording / "line.tif")
     form.accept.click()
     first = panel.draft
@@ -209,14 +209,14 @@ def test_from_files_accepted_discarded_and_undone(viewer, panel, qtbot, open_rec
     from_file(qtbot, panel, Step.BACKGROUND, open_recording / "background.tif")
     form.accept.click()
     assert [state(panel, step) for step in Step] == [
-        State.DONE, State.DONE, State.DONE, State.MISSING, State.DONE, State.DONE,
+        StepState.DONE, StepState.DONE, StepState.DONE, StepState.MISSING, StepState.DONE, StepState.DONE,
     ]  # fmt: skip
     for _ in range(3):
         form.undo.click()
     assert panel.draft is first
     form.undo.click()
     assert not form.undo.isEnabled()
-    assert state(panel, Step.OFFSET) is State.MISSING
+    assert state(panel, Step.OFFSET) is StepState.MISSING
     from_file(qtbot, panel, Step.PAIR, open_recording / "line.tif")
     assert panel.candidate is None
     assert said()[-1][0] == "error"
@@ -240,13 +240,13 @@ def test_an_offset_that_moved_makes_the_pair_stale(panel, qtbot, open_recording)
     panel.form.accept.click()
     from_file(qtbot, panel, Step.PAIR, open_recording / "transmission.tif")
     panel.form.accept.click()
-    assert state(panel, Step.PAIR) is State.DONE
+    assert state(panel, Step.PAIR) is StepState.DONE
     panel.choose(Step.OFFSET)
     turned = replace(found, rows=found.rows + 3, right=replace(found.right, row=found.right.row + 3))
     before = panel.draft.calibration.offset.rows
     panel.session.candidate = shown._replace(found=turned)
     panel.accept()
-    assert state(panel, Step.PAIR) is State.STALE
+    assert state(panel, Step.PAIR) is StepState.STALE
     assert "the offset has moved by" in panel.form.steps[Step.PAIR].toolTip()
     assert panel.draft.calibration.offset.rows == pytest.approx(before + 3)
 
@@ -260,10 +260,10 @@ def test_themes_and_loading(viewer, panel, qtbot, open_recording, tmp_path):
     panel.save(tmp_path / "cal.json")
     panel.form.undo.click()
     panel.load(tmp_path / "cal.json")
-    assert state(panel, Step.OFFSET) is State.DONE
+    assert state(panel, Step.OFFSET) is StepState.DONE
     assert "from a file" in panel.form.headline.text()
     panel.form.undo.click()
-    assert state(panel, Step.OFFSET) is State.MISSING
+    assert state(panel, Step.OFFSET) is StepState.MISSING
 
 
 def test_closing_the_dock_while_it_measures_leaves_no_panel_no_engine_and_no_thread(viewer, qtbot, said):
@@ -320,7 +320,7 @@ def test_faults_half_way_are_told_keep_the_last_good_calibration_and_park(faulty
         measure(qtbot, panel, step)
         assert panel.candidate is None, fault
         assert panel.draft is known
-        assert state(panel, Step.OFFSET) is State.DONE
+        assert state(panel, Step.OFFSET) is StepState.DONE
         (severity, message), *more = said()[told:]
         assert severity == "error"
         assert words in message

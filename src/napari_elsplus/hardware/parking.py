@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.daq.errors import told_by_the_card
 from napari_elsplus.hardware.daq.output import CardSettings, Output, open_options
-from napari_elsplus.hardware.scan.waveform import MirrorLimits
+from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 if TYPE_CHECKING:
     from nidaqmx.system import System
@@ -67,7 +67,7 @@ def carry_out(order: ParkOrder, patience_s: float = 2.0) -> None:
     """
     output = Output(
         CardSettings(order.volts, device=order.device, output=order.output, address=order.address),
-        MirrorLimits(min_v=order.min_v, max_v=order.max_v),
+        GalvoLimits(min_v=order.min_v, max_v=order.max_v),
     )
     until = time.monotonic() + patience_s
     while True:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.parking import ParkOrder
     from napari_elsplus.hardware.protocols import Camera, Scanner
     from napari_elsplus.hardware.scan.timing import StrobePhase
-    from napari_elsplus.hardware.scan.waveform import MirrorLimits
+    from napari_elsplus.hardware.scan.waveform import GalvoLimits
     from napari_elsplus.hardware.virtual.bench import OpticalBench
     from napari_elsplus.hardware.virtual.camera.bus import Plug
     from napari_elsplus.hardware.virtual.card.card import VirtualCard
@@ -29,7 +29,7 @@ class Rig:
         Under which it was opened.
     camera, scanner : Camera, Scanner
         The devices.
-    limits : MirrorLimits
+    limits : GalvoLimits
         What the mirror may be asked for.
     strobe : StrobePhase
         What the camera's strobe marks.
@@ -42,7 +42,7 @@ class Rig:
     name: str
     camera: Camera
     scanner: Scanner
-    limits: MirrorLimits
+    limits: GalvoLimits
     strobe: StrobePhase
     park: ParkOrder
     bench: VirtualBench | None = None

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.scan.timing import StrobePhase
-from napari_elsplus.hardware.scan.waveform import MirrorLimits
+from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.hardware.u3v.flea3 import Flea3
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 from napari_elsplus.io.user_folders import config_folder
@@ -65,7 +65,7 @@ class CardTable(_Table):
     address: str = ""
 
 
-class MirrorTable(_Table):
+class GalvoTable(_Table):
     """What mirror and card may be asked for."""
 
     min_v: Volts = -2.0
@@ -88,7 +88,7 @@ class RigSettings(_Table):
 
     card: CardTable
     camera: CameraTable = CameraTable()
-    mirror: MirrorTable = MirrorTable()
+    mirror: GalvoTable = GalvoTable()
 
     @classmethod
     def parse(cls, content: dict[str, Any], name: str) -> RigSettings:
@@ -113,9 +113,9 @@ class RigSettings(_Table):
         """Return the card's part for its driver."""
         return CardSettings(**self.card.model_dump())
 
-    def limits(self) -> MirrorLimits:
+    def limits(self) -> GalvoLimits:
         """Return the mirror's limits."""
-        return MirrorLimits(**self.mirror.model_dump())
+        return GalvoLimits(**self.mirror.model_dump())
 
 
 def rig_folder() -> Path:

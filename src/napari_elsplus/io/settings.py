@@ -64,13 +64,13 @@ def remember(section: str, **values: Any) -> None:
         warnings.warn(f"the settings could not be kept in {path}: {error.strerror}", stacklevel=2)
 
 
-def calibration_in_force() -> Path | None:
+def active_calibration() -> Path | None:
     """Return the calibration file that recordings without one of their own are shown with, if it still exists."""
     path = recall("calibration").get("in_force")
     return Path(path) if isinstance(path, str) and Path(path).is_file() else None
 
 
-def put_in_force(calibration: str | os.PathLike[str] | None) -> None:
+def set_active_calibration(calibration: str | os.PathLike[str] | None) -> None:
     """Make a calibration file the one in force, or none."""
     remember("calibration", in_force=None if calibration is None else str(Path(calibration).resolve()))
 

@@ -12,8 +12,8 @@ import numpy as np
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.axial_response import (
     AxialResponse,
-    Doubts,
     Saturation,
+    SystematicUncertainty,
     axial_profiles,
     axial_response,
     fit_saturation,
@@ -79,7 +79,7 @@ class HandScan:
     depth_um: list[float] = field(default_factory=list)
     ls: list[float] = field(default_factory=list)
     residual: list[float] = field(default_factory=list)
-    doubts: Doubts | None = None
+    doubts: SystematicUncertainty | None = None
     """What is uncertain in all depths alike, from the two darkest frames taken one after the other."""
     _last: NDArray[Any] | None = None
 
@@ -112,7 +112,7 @@ class HandScan:
         MeasurementError
             If there is no signal in contact.
         """
-        response = axial_response(self.depth_um, self.ls, self.residual, self.doubts or Doubts())
+        response = axial_response(self.depth_um, self.ls, self.residual, self.doubts or SystematicUncertainty())
         return Scan(f"by hand, {len(self.depth_um)} frames", response, *slit_um(calibration))
 
 

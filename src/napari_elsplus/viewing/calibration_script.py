@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class MeasurementSource:
     """Where a step's frames came from.
 
     Parameters
@@ -38,12 +38,12 @@ class Source:
     voltages: int = 0
 
 
-def calibration_script(sources: Sequence[Source], bundle_um: float) -> str:
+def calibration_script(sources: Sequence[MeasurementSource], bundle_um: float) -> str:
     """Write a script that makes the same calibration.
 
     Parameters
     ----------
-    sources : sequence of Source
+    sources : sequence of MeasurementSource
         The steps that were accepted, in order.
     bundle_um : float
         Diameter of the bundle's image.
@@ -80,7 +80,7 @@ write_calibration("calibration.json", draft.calibration)
 '''
 
 
-def _step(source: Source) -> list[str]:
+def _step(source: MeasurementSource) -> list[str]:
     step = f"Step.{source.step.name}"
     if source.path is None:
         return [

@@ -75,7 +75,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Profiles:
+class LineProfiles:
     """Grey levels along a line.
 
     Attributes
@@ -187,7 +187,9 @@ def figures(images: Mapping[Mode, Image], inside: NDArray[np.bool_]) -> dict[Mod
     }
 
 
-def line_profiles(images: Mapping[Mode, Image], start: Point, end: Point, um_per_px: float | None = None) -> Profiles:
+def line_profiles(
+    images: Mapping[Mode, Image], start: Point, end: Point, um_per_px: float | None = None
+) -> LineProfiles:
     """Profiles of several images along one line.
 
     Parameters
@@ -201,7 +203,7 @@ def line_profiles(images: Mapping[Mode, Image], start: Point, end: Point, um_per
 
     Returns
     -------
-    Profiles
+    LineProfiles
         One value per pixel of the line's length.
 
     Raises
@@ -221,7 +223,7 @@ def line_profiles(images: Mapping[Mode, Image], start: Point, end: Point, um_per
     }
     step = um_per_px or 1.0
     count = len(next(iter(values.values())))
-    return Profiles(np.arange(count, dtype=np.float64) * step, values, "um" if um_per_px else "px")
+    return LineProfiles(np.arange(count, dtype=np.float64) * step, values, "um" if um_per_px else "px")
 
 
 def difference_planes(comparison: Comparison, minuend: Mode, subtrahend: Mode) -> LazyPlanes:

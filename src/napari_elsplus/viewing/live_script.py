@@ -10,7 +10,7 @@ from napari_elsplus.hardware.rig import SIMULATED
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from napari_elsplus.acquisition.engine.live_images import View
+    from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 
@@ -18,7 +18,7 @@ SECONDS = 10.0
 """Recorded where the form says neither seconds nor frames."""
 
 
-def live_script(rig: str, settings: Settings, view: View, plan: RecordingPlan, calibration: Path | None) -> str:
+def live_script(rig: str, settings: Settings, view: LiveView, plan: RecordingPlan, calibration: Path | None) -> str:
     """Write a script that streams and records in the same way.
 
     Parameters
@@ -27,7 +27,7 @@ def live_script(rig: str, settings: Settings, view: View, plan: RecordingPlan, c
         Its name.
     settings : Settings
         How it runs.
-    view : View
+    view : LiveView
         How images are made.
     plan : RecordingPlan
         What is recorded; ten seconds if it says neither seconds nor frames.
@@ -53,13 +53,13 @@ import time
 from pathlib import Path
 
 from napari_elsplus.acquisition.link.client import EngineClient
-from napari_elsplus.acquisition.engine.live_images import View
+from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.acquisition.engine.status import Settings{imported}
 from napari_elsplus.processing.images.cores import CoreFilter
 
 settings = {settings!r}
-view = View({view.background}, {view.flat_field}, CoreFilter.{view.cores.name}, {view.average})
+view = LiveView({view.background}, {view.flat_field}, CoreFilter.{view.cores.name}, {view.average})
 path = Path({str(plan.path)!r})
 plan = RecordingPlan(path, frames={plan.frames}, seconds={seconds}, earlier_s={plan.earlier_s})
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.instrument.calibration import OpticsSection
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.processing.tracking.methods import OurTracking
+from napari_elsplus.processing.tracking.methods import RegistrationTracking
 
 if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
@@ -40,7 +40,7 @@ def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) 
         return calibration, ""
     shape = raw_pair(0)[0].shape
     assumed = _with_rows(calibration, float(shape[0]))
-    tracking = OurTracking(assumed, (shape[0], shape[1]), Mode(mode))
+    tracking = RegistrationTracking(assumed, (shape[0], shape[1]), Mode(mode))
     for index in range(min(len(raw_pair), _LOOKED_AT)):
         tracking.track(*raw_pair(index))
     found = tracking.rows_per_frame()

@@ -22,7 +22,7 @@ _NARROWEST_CORE_UM: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Trade:
+class SectioningPerformance:
     """What a slit offset gives and costs.
 
     Parameters
@@ -62,7 +62,7 @@ def line_as_seen(seen: Line, slit_rows: float, um_per_px: float) -> LineModel:
     return replace(model, core_um=core_um)
 
 
-def weigh(
+def predict_performance(
     offset_um: float,
     slit_um: float,
     line: LineModel,
@@ -70,7 +70,7 @@ def weigh(
     *,
     gain_db: float = 0.0,
     bundle_um: float = BUNDLE_UM,
-) -> Trade:
+) -> SectioningPerformance:
     """Predict what an offset gives and costs.
 
     Parameters
@@ -90,11 +90,11 @@ def weigh(
 
     Returns
     -------
-    Trade
+    SectioningPerformance
 
     Examples
     --------
-    >>> at_29_um = weigh(-29.0, 2.9, LINE_MODELS["a"], 80.0)
+    >>> at_29_um = predict_performance(-29.0, 2.9, LINE_MODELS["a"], 80.0)
     >>> round(at_29_um.drop_10db_um), round(at_29_um.signal_kept, 2), round(at_29_um.clipped, 2)
     (120, 0.82, 0.06)
     """
@@ -103,7 +103,7 @@ def weigh(
     aside = line_response(0.0, offset_um, slit_um, line) / line_response(0.0, 0.0, slit_um, line)
     confocal_e = max(light_dn, 0.0) * ELECTRONS_PER_DN / 10 ** (gain_db / 20)
     noise = contrast_to_noise(confocal_e, confocal_e * float(aside), np.sqrt(2) * READ_NOISE_E)
-    return Trade(
+    return SectioningPerformance(
         drops.drop_3db_um,
         drops.drop_10db_um,
         signal_kept(offset_um=offset_um, slit_um=slit_um, line=line),

@@ -11,8 +11,8 @@ import numpy as np
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.tracking.methods import OurTracking, PapersTracking, Tracking
-from napari_elsplus.processing.tracking.motion.pose import Pose, State
+from napari_elsplus.processing.tracking.methods import RegistrationTracking, TemplateTracking, TrackingMethod
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.mosaicing.tiles import TileStore
     from napari_elsplus.processing.tracking.front_end.grid import Grid
-    from napari_elsplus.processing.tracking.registration.motion_models import Rung
-    from napari_elsplus.processing.tracking.registration.pair_registration import Link
+    from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
+    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
 
 
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
@@ -83,7 +83,7 @@ class Pipeline:
         new_store: Callable[[int], TileStore] | None = None,
     ) -> None:
         ours = Method(method) is Method.ELSPLUS
-        make: Callable[..., Tracking] = OurTracking if ours else PapersTracking
+        make: Callable[..., TrackingMethod] = RegistrationTracking if ours else TemplateTracking
         self._tracking = make(calibration, frame_shape, Mode(mode))
         self._camera_um_per_px = calibration.um_per_px
         self._insertion = Insertion(insertion)
@@ -168,7 +168,7 @@ class Pipeline:
 
     def put(self, image: NDArray[np.float32], pose: Pose) -> Mosaic | None:
         """Lay an image down where its frame was tracked; return the mosaic that it lies in then."""
-        if pose.state is not State.TRACKED:
+        if pose.state is not TrackingState.TRACKED:
             return None
         mosaic = self.mosaics.get(pose.segment)
         if mosaic is None:
@@ -182,12 +182,12 @@ class Pipeline:
         return Mosaic(self.grid, self._insertion, weights=self._weights, store=store)
 
     @property
-    def newest_link(self) -> tuple[int, int, Link] | None:
+    def newest_link(self) -> tuple[int, int, PairRegistration] | None:
         """The link by which a frame was tracked last: the earlier and the later one, by their order, and itself."""
         return self._tracking.newest_link
 
     @property
-    def rung(self) -> Rung:
+    def rung(self) -> MotionModel:
         """What is modelled beside translations."""
         return self._tracking.rung
 
@@ -195,8 +195,8 @@ class Pipeline:
         """Take a segment's mosaic away, and call its frames lost."""
         self.mosaics.pop(segment, None)
         for index, pose in enumerate(self.poses):
-            if pose.segment == segment and pose.state is not State.LOST:
-                lost = pose._replace(row=np.nan, col=np.nan, score=np.nan, sigma=np.nan, state=State.LOST)
+            if pose.segment == segment and pose.state is not TrackingState.LOST:
+                lost = pose._replace(row=np.nan, col=np.nan, score=np.nan, sigma=np.nan, state=TrackingState.LOST)
                 self.poses[index] = lost
                 self.rows[index] = self._row(lost, self.rows[index].frame, self.rows[index].time_s)
 
@@ -235,7 +235,7 @@ class Pipeline:
         self.poses = self._tracking.refine(self.poses, lambda index: self._tracking.image(*raw_pair(index)))
         self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
         self.mosaics = {}
-        for index in watch([k for k, pose in enumerate(self.poses) if pose.state is State.TRACKED]):
+        for index in watch([k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]):
             self.put(self.image(*raw_pair(index)), self.poses[index])
 
     def _note(self, pose: Pose, frame: int, time_s: float) -> None:

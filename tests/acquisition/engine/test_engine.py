@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.acquisition.engine.engine import Engine
-from napari_elsplus.acquisition.engine.live_images import View
+from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
@@ -269,8 +269,8 @@ def test_a_view_that_cannot_be_made_leaves_the_one_before(engine: Engine, calibr
     engine.use(calibration)
     engine.start()
     with pytest.raises(CalibrationError, match="flat"):
-        engine.show(View(flat_field=True))
-    engine.show(View(average=4))
+        engine.show(LiveView(flat_field=True))
+    engine.show(LiveView(average=4))
     until(lambda: engine.status().processed > 3)
 
 

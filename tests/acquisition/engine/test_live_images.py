@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from napari_elsplus.acquisition.engine.live_images import LiveImages, View, focus
+from napari_elsplus.acquisition.engine.live_images import LiveImages, LiveView, focus
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.images.cores import CoreFilter
@@ -35,7 +35,7 @@ def slot_of(live: LiveImages) -> dict[str, NDArray[np.generic]]:
 @pytest.mark.parametrize("mode", ["ls", "residual", "els", "elsa"])
 def test_live_images_are_those_of_the_pipeline(mode: str, cores: CoreFilter) -> None:
     raw = noise(2)
-    live = LiveImages(SHAPE, CALIBRATION, View(cores=cores))
+    live = LiveImages(SHAPE, CALIBRATION, LiveView(cores=cores))
     slot = slot_of(live)
     for number in range(2):
         live.add(raw[number], number)
@@ -46,7 +46,7 @@ def test_live_images_are_those_of_the_pipeline(mode: str, cores: CoreFilter) -> 
 
 def test_elsa_keeps_its_parity_across_missing_frames() -> None:
     raw = noise(6)
-    live = LiveImages(SHAPE, CALIBRATION, View())
+    live = LiveImages(SHAPE, CALIBRATION, LiveView())
     slot = slot_of(live)
     for number in (0, 1, 3, 4):  # frame 2 is missing: 3 has no partner, and 4 waits for 5
         live.add(raw[number], number)
@@ -59,7 +59,7 @@ def test_elsa_keeps_its_parity_across_missing_frames() -> None:
 
 def test_averaging_lowers_the_noise_as_it_says() -> None:
     raw = noise(80)
-    live = LiveImages(SHAPE, CALIBRATION, View(average=4))
+    live = LiveImages(SHAPE, CALIBRATION, LiveView(average=4))
     slot = slot_of(live)
     for number, frame in enumerate(raw):
         live.add(frame, number)
@@ -71,7 +71,7 @@ def test_averaging_lowers_the_noise_as_it_says() -> None:
 
 def test_the_background_can_be_left_in() -> None:
     raw = noise(1)
-    live = LiveImages(SHAPE, CALIBRATION, View(background=False))
+    live = LiveImages(SHAPE, CALIBRATION, LiveView(background=False))
     slot = slot_of(live)
     live.add(raw[0], 0)
     live.fill(raw[0], slot)
@@ -82,7 +82,7 @@ def test_the_background_can_be_left_in() -> None:
 def test_saturation_is_the_share_of_white_pixels() -> None:
     raw = np.zeros(SHAPE, np.uint8)
     raw[:25] = 255
-    live = LiveImages(SHAPE, None, View())
+    live = LiveImages(SHAPE, None, LiveView())
     assert live.fill(raw, slot_of(live)).saturated == pytest.approx(0.25, abs=0.04)
 
 
@@ -96,4 +96,4 @@ def test_focus_falls_with_blur_and_ignores_brightness() -> None:
 
 def test_averaging_over_no_frames_is_refused() -> None:
     with pytest.raises(InputError, match="0 frames"):
-        View(average=0)
+        LiveView(average=0)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from napari_elsplus.acquisition.engine.live_images import View
+from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.mosaic.feed import MosaicFeed
@@ -91,7 +91,7 @@ def client(command: tuple[str, ...]) -> Iterator[EngineClient]:
 
 def test_images_and_status_cross_the_processes(client: EngineClient, calibration: Calibration) -> None:
     client.use(calibration).result(60)
-    client.show(View(average=2)).result(60)
+    client.show(LiveView(average=2)).result(60)
     client.start().result(60)
     until(lambda: client.status.processed > 20)
     ring = client.display()
@@ -131,7 +131,7 @@ def test_the_ring_follows_the_calibration(client: EngineClient, calibration: Cal
 def test_errors_come_back_as_they_were_raised(client: EngineClient, calibration: Calibration) -> None:
     client.use(calibration).result(60)
     with pytest.raises(CalibrationError, match="flat field"):
-        client.show(View(flat_field=True)).result(60)
+        client.show(LiveView(flat_field=True)).result(60)
     with pytest.raises(DeviceError, match="no rig 'none'"):
         client.open("none").result(60)
     with pytest.raises(DeviceError, match="no rig is open"):

@@ -2,12 +2,12 @@ from __future__ import annotations
 
 from threading import Thread
 
-from napari_elsplus.acquisition.streaming.stream import Stream
+from napari_elsplus.acquisition.streaming.stream import FrameStream
 
 SHAPE = (4, 6)
 
 
-def put(stream: Stream, count: int) -> None:
+def put(stream: FrameStream, count: int) -> None:
     """Write frames as the camera's thread does."""
     for _ in range(count):
         slot = stream.acquire()
@@ -15,7 +15,7 @@ def put(stream: Stream, count: int) -> None:
         stream.finalize(slot, frame_number=slot.sequence, time_s=slot.sequence / 240, exposed_s=0.0)
 
 
-def numbers(stream: Stream, cursor: object) -> list[int]:
+def numbers(stream: FrameStream, cursor: object) -> list[int]:
     taken = []
     while (item := cursor.take(0)) is not None:  # type: ignore[attr-defined]
         frame, stamp = item
@@ -25,7 +25,7 @@ def numbers(stream: Stream, cursor: object) -> list[int]:
 
 
 def test_every_consumer_gets_every_frame() -> None:
-    stream = Stream(SHAPE, 8)
+    stream = FrameStream(SHAPE, 8)
     first, second = stream.join(), stream.join()
     put(stream, 5)
     assert numbers(stream, first) == numbers(stream, second) == [0, 1, 2, 3, 4]
@@ -33,7 +33,7 @@ def test_every_consumer_gets_every_frame() -> None:
 
 
 def test_a_slow_consumer_loses_the_oldest_frames_and_knows_how_many() -> None:
-    stream = Stream(SHAPE, 8)
+    stream = FrameStream(SHAPE, 8)
     slow, patient = stream.join(limit=3), stream.join()
     put(stream, 7)
     assert numbers(stream, slow) == [4, 5, 6]
@@ -43,7 +43,7 @@ def test_a_slow_consumer_loses_the_oldest_frames_and_knows_how_many() -> None:
 
 
 def test_a_frame_that_is_worked_on_is_never_overwritten() -> None:
-    stream = Stream(SHAPE, 4)
+    stream = FrameStream(SHAPE, 4)
     cursor = stream.join()
     put(stream, 1)
     frame, _ = cursor.take(0)  # type: ignore[misc]
@@ -54,7 +54,7 @@ def test_a_frame_that_is_worked_on_is_never_overwritten() -> None:
 
 
 def test_the_past_is_there_for_a_consumer_that_comes_late() -> None:
-    stream = Stream(SHAPE, 8)
+    stream = FrameStream(SHAPE, 8)
     put(stream, 20)
     assert numbers(stream, stream.join(earlier=3)) == [17, 18, 19]
     assert numbers(stream, stream.join(earlier=100)) == [14, 15, 16, 17, 18, 19]
@@ -62,7 +62,7 @@ def test_the_past_is_there_for_a_consumer_that_comes_late() -> None:
 
 
 def test_consumers_read_what_is_left_when_the_stream_has_ended() -> None:
-    stream = Stream(SHAPE, 8)
+    stream = FrameStream(SHAPE, 8)
     cursor = stream.join()
     put(stream, 2)
     stream.end()
@@ -71,7 +71,7 @@ def test_consumers_read_what_is_left_when_the_stream_has_ended() -> None:
 
 
 def test_a_waiting_consumer_is_woken_by_a_frame() -> None:
-    stream = Stream(SHAPE, 8)
+    stream = FrameStream(SHAPE, 8)
     cursor = stream.join()
     got: list[int] = []
 
@@ -88,7 +88,7 @@ def test_a_waiting_consumer_is_woken_by_a_frame() -> None:
 
 
 def test_a_consumer_that_left_holds_nothing_up() -> None:
-    stream = Stream(SHAPE, 4)
+    stream = FrameStream(SHAPE, 4)
     cursor = stream.join()
     put(stream, 1)
     cursor.take(0)
@@ -98,7 +98,7 @@ def test_a_consumer_that_left_holds_nothing_up() -> None:
 
 
 def test_stamps_carry_the_camera_s_number_and_time() -> None:
-    stream = Stream(SHAPE, 4)
+    stream = FrameStream(SHAPE, 4)
     cursor = stream.join()
     slot = stream.acquire()
     stream.finalize(slot, frame_number=71, time_s=3.5, exposed_s=1.5)

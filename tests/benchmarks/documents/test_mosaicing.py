@@ -23,7 +23,7 @@ from benchmarks.studies.drift import Drift
 from benchmarks.studies.gate import Gate, Judged
 from benchmarks.studies.mosaicing import METHODS, Outcome, Scenario
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.tracking.registration.motion_models import Rung
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 from napari_elsplus.workflows.accuracy import TrackErrors
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def test_tables_tell_pairs_gate_and_turns() -> None:
     assert caught[-1] == "| 60 fibres, jerky | 50 | 99.0 % | 400 | 95.5 % | 98.0 % | 70.0 % |"
     errors = TrackErrors(10, 9, 1, 0.0123, 2, 0.0456, 100.0)
     walk = Walk("fibres", "hand", 1500.0, 10.0, 120)
-    lines = turning_table({walk: Turned(Rung.RIGID, 8, 4.8, 0.031, errors, (2.344, 0.811, 0.7))})
+    lines = turning_table({walk: Turned(MotionModel.RIGID, 8, 4.8, 0.031, errors, (2.344, 0.811, 0.7))})
     assert lines[-1] == (
         "| fibres, hand, 1.5 mm/s | 10 | 4.80 | rigid | 8 | 0.031 | 0.012 | 0.046 | 2 | 2.34; 0.81; 0.70 |"
     )

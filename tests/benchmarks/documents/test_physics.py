@@ -9,7 +9,7 @@ import pytest
 from benchmarks.documents import physics
 from napari_elsplus.processing.analysis import axial_response as axial
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response
-from napari_elsplus.workflows.sectioning_performance import Trade, weigh
+from napari_elsplus.workflows.sectioning_performance import SectioningPerformance, predict_performance
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,8 +27,8 @@ def closed_form(instrument: Instrument, *, seed: int = 0, light: float = 1.0) ->
     return axial.axial_response(depth_um, (bright + seed / 1000) * response.ls, bright * response.residual)
 
 
-def trade(offset_um: float) -> Trade:
-    return weigh(offset_um, 2.9, LINE_MODELS["a"], 80.0)
+def trade(offset_um: float) -> SectioningPerformance:
+    return predict_performance(offset_um, 2.9, LINE_MODELS["a"], 80.0)
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.protocols import Scanner
 from napari_elsplus.hardware.scan.timing import ScanTiming
-from napari_elsplus.hardware.scan.waveform import MirrorLimits, Waveform, els_waveform, elsa_waveform
+from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform, els_waveform, elsa_waveform
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain, volts_at
 
 PERIOD_S = 1 / 240
@@ -28,7 +28,7 @@ PARK_V = -0.7
 
 @pytest.fixture
 def ramp(calibration) -> Waveform:
-    return els_waveform(calibration(), TIMING, MirrorLimits())
+    return els_waveform(calibration(), TIMING, GalvoLimits())
 
 
 def parked(bench) -> bool:
@@ -163,7 +163,7 @@ def test_a_card_in_use_an_unknown_card_and_a_wrong_channel_have_their_own_messag
 
 def test_without_nis_driver_that_is_said() -> None:
     with pytest.raises(DeviceError, match="NI's driver is not installed"):
-        DaqScanner(CardSettings(PARK_V), MirrorLimits())
+        DaqScanner(CardSettings(PARK_V), GalvoLimits())
 
 
 def test_out_of_range_is_refused_before_the_card_sees_it(cards, ramp) -> None:
@@ -178,7 +178,7 @@ def test_out_of_range_is_refused_before_the_card_sees_it(cards, ramp) -> None:
             scanner.scan(wild)
         assert bench.card.version == before
     with pytest.raises(InputError, match="parking position"):
-        DaqScanner(cards(device="Dev1").settings, MirrorLimits(min_v=-0.5))
+        DaqScanner(cards(device="Dev1").settings, GalvoLimits(min_v=-0.5))
 
 
 def test_the_card_too_is_told_the_limits(cards) -> None:
@@ -209,7 +209,7 @@ def test_a_scan_whose_strobe_never_comes_counts_as_a_hold(cards, ramp, wait_for)
 
 def test_a_hold_keeps_the_slew_limit(cards) -> None:
     bench = cards()
-    limits = MirrorLimits(max_slew_v_per_s=200.0)
+    limits = GalvoLimits(max_slew_v_per_s=200.0)
     with DaqScanner(bench.settings, limits) as scanner:
         scanner.hold(0.3)
         steps = np.diff([program.resting_v for program in bench.card.programs()][1:])
@@ -240,12 +240,12 @@ def test_a_program_that_ends_without_closing_parks_at_exit() -> None:
         from napari_elsplus.hardware.daq.scanner import DaqScanner
         from napari_elsplus.hardware.virtual.card.card import VirtualCard
         from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
-        from napari_elsplus.hardware.scan.waveform import MirrorLimits
+        from napari_elsplus.hardware.scan.waveform import GalvoLimits
         import atexit
         card = VirtualCard()
         atexit.register(lambda: print(card.last_volts))
         server = CardServer(card)
-        scanner = DaqScanner(CardSettings(-0.7, address=server.address), MirrorLimits())
+        scanner = DaqScanner(CardSettings(-0.7, address=server.address), GalvoLimits())
         scanner.hold(0.3)
     """
     done = subprocess.run(

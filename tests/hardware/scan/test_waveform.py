@@ -13,7 +13,7 @@ from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.hardware.scan.timing import ScanTiming, StrobePhase
 from napari_elsplus.hardware.scan.waveform import (
     REARM_S,
-    MirrorLimits,
+    GalvoLimits,
     Waveform,
     els_waveform,
     elsa_waveform,
@@ -26,7 +26,7 @@ from napari_elsplus.hardware.virtual.timeline import Program, StrobeTrain, mean_
 
 LINE_PERIOD_S = 1 / 130_750.6
 GALVO = GalvoModel()
-KNOWN = MirrorLimits(natural_hz=GALVO.natural_hz, damping=GALVO.damping)
+KNOWN = GalvoLimits(natural_hz=GALVO.natural_hz, damping=GALVO.damping)
 HZ240 = ScanTiming(LINE_PERIOD_S, 544.794, 3)
 HZ120 = ScanTiming(LINE_PERIOD_S, 1089.588, 3)
 
@@ -57,7 +57,7 @@ def test_at_240_hz_the_mirror_is_on_the_slit_from_the_first_exposed_row_to_the_l
 
 def test_with_time_to_spare_the_lag_alone_is_enough(calibration) -> None:
     known = calibration(-30, 645, 540, 0.00126, lag_s=GALVO.lag_s)
-    waveform = els_waveform(known, HZ120, MirrorLimits())
+    waveform = els_waveform(known, HZ120, GalvoLimits())
     error = line_error_rows(waveform, HZ120, exposed_rows(known.bundle), 0.00126)
     assert np.abs(error).max() < 0.5
     assert np.abs(error[100:]).max() < 0.01
@@ -93,16 +93,16 @@ def test_240_hz_with_an_offset_of_77_um_is_refused_and_says_which_offset_would_f
     um_per_px = 3.2 / 2.4
     offset = sign * 77 / um_per_px
     with pytest.raises(InputError, match="neither image is exposed") as refused:
-        els_waveform(calibration(offset, 620 / um_per_px, 262 - offset / 2, 0.00175), HZ240, MirrorLimits())
+        els_waveform(calibration(offset, 620 / um_per_px, 262 - offset / 2, 0.00175), HZ240, GalvoLimits())
     assert "0.14 ms" in str(refused.value) or "0.15 ms" in str(refused.value)
     fits = int(re.search(r"at most (\d+) rows", str(refused.value))[1])
     assert 25 < fits < 50
-    els_waveform(calibration(sign * fits, 465, 262 - sign * fits / 2, 0.00175), HZ240, MirrorLimits())
+    els_waveform(calibration(sign * fits, 465, 262 - sign * fits / 2, 0.00175), HZ240, GalvoLimits())
     with pytest.raises(InputError):
-        els_waveform(calibration(sign * (fits + 1.5), 465, 262, 0.00175), HZ240, MirrorLimits())
+        els_waveform(calibration(sign * (fits + 1.5), 465, 262, 0.00175), HZ240, GalvoLimits())
     rate = int(re.search(r"fits (\d+) frames", str(refused.value))[1])
     slower = ScanTiming(LINE_PERIOD_S, 1 / (rate * LINE_PERIOD_S), 3)
-    els_waveform(calibration(offset, 620 / um_per_px, 262 - offset / 2, 0.00175), slower, MirrorLimits())
+    els_waveform(calibration(offset, 620 / um_per_px, 262 - offset / 2, 0.00175), slower, GalvoLimits())
 
 
 def test_the_time_to_fly_back_is_what_physics_says(calibration) -> None:
@@ -110,23 +110,23 @@ def test_the_time_to_fly_back_is_what_physics_says(calibration) -> None:
     for rows_per_frame, um_per_px, free_ms in ((1089.588, 3.63 / 3.778, 3.1), (544.794, 3.2 / 2.4, 0.43)):
         span = 620 / um_per_px + 29 / um_per_px + 3
         assert (rows_per_frame - span) * LINE_PERIOD_S * 1e3 == pytest.approx(free_ms, abs=0.06)
-        assert flyback_rows(calibration().galvo, span, MirrorLimits(), HZ240) < rows_per_frame - span
+        assert flyback_rows(calibration().galvo, span, GalvoLimits(), HZ240) < rows_per_frame - span
 
 
 def test_slew_and_acceleration_of_every_accepted_scan_keep_the_limits(calibration) -> None:
-    limits = MirrorLimits()
+    limits = GalvoLimits()
     volts = els_waveform(calibration(), HZ240, limits).volts
     rate = 250e3
     whole = np.tile(volts, 2)
     slew = np.abs(np.diff(whole))[:-40].max() * rate
     assert slew < limits.max_slew_v_per_s
     with pytest.raises(InputError, match="fly"):
-        els_waveform(calibration(), HZ240, MirrorLimits(max_slew_v_per_s=slew * 0.9))
+        els_waveform(calibration(), HZ240, GalvoLimits(max_slew_v_per_s=slew * 0.9))
 
 
 def test_a_voltage_outside_the_limits_is_refused_before_the_card_sees_it(calibration) -> None:
     with pytest.raises(InputError, match="V asked of the scan"):
-        els_waveform(calibration(), HZ240, MirrorLimits(max_v=0.2))
+        els_waveform(calibration(), HZ240, GalvoLimits(max_v=0.2))
 
 
 @pytest.mark.parametrize("rate_hz", [240.0, 120.0, 60.0, 24.0, 10.0])
@@ -159,7 +159,7 @@ def test_an_unmeasured_galvo_is_named(calibration) -> None:
 def test_whatever_is_asked_is_refused_or_safe(
     offset, diameter, centre, slope, lag_s, rows_per_frame, slit, calibration
 ) -> None:
-    limits = MirrorLimits(natural_hz=1000)
+    limits = GalvoLimits(natural_hz=1000)
     try:
         known = calibration(offset, diameter, centre, slope, lag_s)
         waveform = els_waveform(known, ScanTiming(LINE_PERIOD_S, rows_per_frame, slit), limits)

@@ -8,7 +8,7 @@ import pytest
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.analysis.axial_response import (
-    Doubts,
+    SystematicUncertainty,
     axial_profiles,
     axial_response,
     contrast_to_noise,
@@ -73,9 +73,9 @@ def test_a_zero_or_gain_that_errs_moves_the_distances_as_far_as_is_stated() -> N
     ls, residual = curves(DEPTH_UM)
     exact = axial_response(DEPTH_UM, ls, residual)
     for doubts, moved in (
-        (Doubts(ls_zero_dn=0.2), axial_response(DEPTH_UM, ls + 0.2, residual)),
-        (Doubts(residual_zero_dn=0.2), axial_response(DEPTH_UM, ls, residual + 0.2)),
-        (Doubts(gain=0.01), axial_response(DEPTH_UM, ls, residual * 1.01)),
+        (SystematicUncertainty(ls_zero_dn=0.2), axial_response(DEPTH_UM, ls + 0.2, residual)),
+        (SystematicUncertainty(residual_zero_dn=0.2), axial_response(DEPTH_UM, ls, residual + 0.2)),
+        (SystematicUncertainty(gain=0.01), axial_response(DEPTH_UM, ls, residual * 1.01)),
     ):
         stated = axial_response(DEPTH_UM, ls, residual, doubts)
         assert drops(stated) == drops(exact)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.mosaicing.keyframe_store import FIRST_SPACING, LAST_SPACING, KeptFrames
-from napari_elsplus.processing.tracking.motion.pose import Pose, State
+from napari_elsplus.processing.mosaicing.keyframe_store import FIRST_SPACING, LAST_SPACING, KeyframeStore
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 
 DIAMETER = 200.0
@@ -14,19 +14,19 @@ IMAGE = np.zeros((4, 4), np.float32)
 
 
 def pose(row: float, col: float, segment: int = 0) -> Pose:
-    return Pose(segment, row, col, Velocity(0.0, 1.0), 0.9, 0.1, State.TRACKED)
+    return Pose(segment, row, col, Velocity(0.0, 1.0), 0.9, 0.1, TrackingState.TRACKED)
 
 
 def test_grey_levels_come_back_within_a_thirty_second_and_exposed() -> None:
     image = np.random.default_rng(0).uniform(-300, 1300, (40, 40)).astype(np.float32)
-    kept = KeptFrames(DIAMETER, 5)
+    kept = KeyframeStore(DIAMETER, 5)
     assert kept.keep(0, pose(0, 0), image, exposure=1.25)
     back = kept.frames[0].image(np.empty_like(image))
     assert np.abs(back - 1.25 * image).max() <= 1 / 32 + 1e-3
 
 
 def test_what_is_passed_again_and_again_takes_no_more_room_and_the_newest_stay() -> None:
-    kept = KeptFrames(DIAMETER, most=80)
+    kept = KeyframeStore(DIAMETER, most=80)
     for frame in range(2000):
         t = 2 * np.pi * frame / 100
         kept.keep(frame, pose(80 * np.sin(t), 80 * np.cos(t)), IMAGE)
@@ -39,7 +39,7 @@ def test_what_is_passed_again_and_again_takes_no_more_room_and_the_newest_stay()
 
 
 def test_memory_grows_with_the_area_and_not_with_time() -> None:
-    kept = KeptFrames(DIAMETER, most=100_000)
+    kept = KeyframeStore(DIAMETER, most=100_000)
     most = 0
     for frame in range(6000):
         t = 2 * np.pi * frame / 100
@@ -52,7 +52,7 @@ def test_memory_grows_with_the_area_and_not_with_time() -> None:
 
 
 def test_a_long_way_is_kept_more_and_more_sparsely_until_it_would_have_gaps() -> None:
-    kept = KeptFrames(DIAMETER, most=100)
+    kept = KeyframeStore(DIAMETER, most=100)
     spacings = []
     frame = 0
     while not kept.full:
@@ -71,7 +71,7 @@ def test_a_long_way_is_kept_more_and_more_sparsely_until_it_would_have_gaps() ->
 
 @pytest.mark.parametrize("always", [False, True])
 def test_a_frame_near_the_last_one_is_kept_only_where_it_must_be(always: bool) -> None:
-    kept = KeptFrames(DIAMETER, 10)
+    kept = KeyframeStore(DIAMETER, 10)
     kept.keep(0, pose(0, 0), IMAGE)
     assert kept.keep(1, pose(0, 1), IMAGE, always=always) == always
     assert kept.keep(2, pose(0, 1, segment=1), IMAGE)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.simulation.specimen.trajectories import Recorded
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import Pipeline
@@ -121,7 +121,7 @@ def test_a_recording_without_structure_is_lost_after_its_first_frame(level: int)
 def test_one_frame_is_a_track_of_one() -> None:
     truth = record(texture(600, 7), np.full((2, 2), 300.0))
     pipeline = track(truth)
-    assert [(row.state, row.row_px, row.col_px) for row in pipeline.rows] == [(State.TRACKED, 0.0, 0.0)]
+    assert [(row.state, row.row_px, row.col_px) for row in pipeline.rows] == [(TrackingState.TRACKED, 0.0, 0.0)]
     assert len(pipeline.mosaics) == 1
 
 

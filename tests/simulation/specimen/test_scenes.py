@@ -5,7 +5,7 @@ import pytest
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.simulation.specimen.layers import Blur, Layer
-from napari_elsplus.simulation.specimen.pictures import Image, usaf_1951
+from napari_elsplus.simulation.specimen.pictures import ImageTexture, usaf_1951
 from napari_elsplus.simulation.specimen.scenes import SCENES, Plane, picture, scene
 from napari_elsplus.simulation.specimen.textures import Fibres, Mottle, Nuclei, Texture, Uniform
 
@@ -51,7 +51,7 @@ def test_layer_is_the_blurred_texture_however_it_is_reached() -> None:
 def test_layer_blurs_by_what_it_is_told() -> None:
     point = np.zeros((401, 401))
     point[200, 200] = 1
-    layer = Layer(Image(point, 0.5), Blur(4.0, 8.0), 40.0)
+    layer = Layer(ImageTexture(point, 0.5), Blur(4.0, 8.0), 40.0)
     layer.cover(-40, -40, 40, 40)
     index = np.arange(-25, 26)
     seen = layer.window[np.ix_(index & (layer.size - 1), index & (layer.size - 1))]
@@ -79,7 +79,7 @@ def test_usaf_elements_have_the_pitch_of_their_number() -> None:
 
 def test_image_lies_about_the_origin_and_keeps_its_mean_when_coarse() -> None:
     rng = np.random.default_rng(0)
-    image = Image(rng.integers(1, 200, (200, 300)).astype(np.uint16), 0.5)
+    image = ImageTexture(rng.integers(1, 200, (200, 300)).astype(np.uint16), 0.5)
     assert image.bounds_um == (-49.75, -74.75, 49.75, 74.75)
     fine, coarse = (np.arange(-40.0, 40.0, step) for step in (0.5, 4.0))
     assert image.sample(coarse, coarse).mean() == pytest.approx(image.sample(fine, fine).mean(), rel=0.01)

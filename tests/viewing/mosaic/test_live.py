@@ -9,7 +9,7 @@ from napari_elsplus.acquisition.mosaic.board import MosaicBoard
 from napari_elsplus.acquisition.mosaic.board_tables import Tables
 from napari_elsplus.acquisition.mosaic.tracking import TrackState
 from napari_elsplus.io import TrackPoint
-from napari_elsplus.viewing.mosaic.live import LiveMosaics
+from napari_elsplus.viewing.mosaic.live import LiveMosaicView
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 
@@ -20,7 +20,7 @@ def test_a_long_track_is_kept_as_far_as_it_was_copied(monkeypatch: pytest.Monkey
     board = MosaicBoard()
     for k in range(500):
         board.append(TrackPoint(k, k / 240, 0, 1.5 * k, 2.0, 3.0 * k, 4.0, 0.9, 0.01, "tracked"))
-    live = LiveMosaics(TrackState(MosaicPlan(), board.name, 2.0, 100.0, {}, None), None)
+    live = LiveMosaicView(TrackState(MosaicPlan(), board.name, 2.0, 100.0, {}, None), None)
     assert live.update(all_rows=whole)
     assert len(live.rows) == (500 if whole else 100)
     board.close()

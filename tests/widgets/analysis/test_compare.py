@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.viewing.comparison import line_profiles
-from napari_elsplus.widgets.analysis.compare import BLINK, DIFFERENCE, Compare
+from napari_elsplus.widgets.analysis.compare import BLINK, DIFFERENCE, ComparePanel
 from pairs import calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"
@@ -214,7 +214,7 @@ def test_closing_the_dock_ends_the_comparison_and_leaves_nothing(viewer, tmp_pat
     viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
     before = state(viewer)
     dock, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Compare")
-    assert isinstance(panel, Compare)
+    assert isinstance(panel, ComparePanel)
     press(panel, qtbot)
     gone = weakref.ref(panel)
     viewer.window.remove_dock_widget(panel)

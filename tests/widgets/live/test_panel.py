@@ -21,7 +21,7 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
-from napari_elsplus.io.settings import calibration_in_force, recall
+from napari_elsplus.io.settings import active_calibration, recall
 from napari_elsplus.widgets.live.layers import LiveLayers
 from processes import exists
 
@@ -265,7 +265,7 @@ def test_a_calibration_reaches_the_other_panels_whoever_loaded_it(viewer, qtbot,
     rig.save(tmp_path / "saved.json")
     qtbot.waitUntil(lambda: rig.connection.calibration_file == tmp_path / "saved.json", timeout=30_000)
     assert read_calibration(tmp_path / "saved.json") == known
-    assert calibration_in_force() == tmp_path / "saved.json"
+    assert active_calibration() == tmp_path / "saved.json"
     qtbot.waitUntil(lambda: rig.connect.enabled, timeout=30_000)
     rig.connect.native.click()
     qtbot.waitUntil(lambda: rig.connection.client is None and rig.connect.enabled, timeout=30_000)

@@ -15,7 +15,7 @@ import numpy as np
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.calibrate import (
     Background,
-    Pair,
+    BundlePair,
     SlitOffset,
     locate_pair,
     map_galvo,
@@ -95,7 +95,7 @@ def take_scanned(engine: Engine, count: int) -> NDArray[np.uint8]:
 
 
 def offset(
-    engine: Engine, volts: float, background: NDArray[np.float32] | None = None, pair: Pair | None = None
+    engine: Engine, volts: float, background: NDArray[np.float32] | None = None, pair: BundlePair | None = None
 ) -> SlitOffset:
     """Step (i) live, the line held still: :func:`napari_elsplus.processing.calibration.calibrate.measure_offset`."""
     return measure_offset(take_line(engine, volts), background, pair)
@@ -140,7 +140,7 @@ def sweep(
     engine: Engine,
     volts: NDArray[np.floating],
     background: NDArray[np.float32] | None = None,
-    pair: Pair | None = None,
+    pair: BundlePair | None = None,
     watch: Watch = iter,
     watch_fit: Watch = iter,
 ) -> GalvoMap:
@@ -148,7 +148,7 @@ def sweep(
     return map_galvo(take_sweep(engine, volts, watch), volts, background, pair, watch_fit)
 
 
-def bundle(engine: Engine) -> Pair:
+def bundle(engine: Engine) -> BundlePair:
     """Step (iii) live, lit from the far end: :func:`napari_elsplus.processing.calibration.calibrate.locate_pair`."""
     return locate_pair(take_parked(engine, BUNDLE_FRAMES))
 

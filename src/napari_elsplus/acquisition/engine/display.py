@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from napari_elsplus.acquisition.engine.live_images import LiveImages, View
+from napari_elsplus.acquisition.engine.live_images import LiveImages, LiveView
 from napari_elsplus.acquisition.engine.workers import Shown
 from napari_elsplus.acquisition.streaming.ring import Ring
 
@@ -42,7 +42,7 @@ class Display:
         self.shown: Shown | None = None
         self.where: tuple[str, Layout] | None = None
 
-    def renew(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: View) -> Shown:
+    def renew(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: LiveView) -> Shown:
         """Build how images are made anew.
 
         Raises

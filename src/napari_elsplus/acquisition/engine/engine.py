@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final, Self
 
 from napari_elsplus.acquisition.engine.camera_setup import CameraSetup
 from napari_elsplus.acquisition.engine.display import Display, on_the_heap
-from napari_elsplus.acquisition.engine.galvo import Mirror
-from napari_elsplus.acquisition.engine.live_images import View
+from napari_elsplus.acquisition.engine.galvo import GalvoController
+from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.engine.run import Run
 from napari_elsplus.acquisition.engine.status import Status
 from napari_elsplus.acquisition.streaming.faults import FaultLog
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.acquisition.engine.rig import Rig
+    from napari_elsplus.acquisition.engine.rig import EngineRig
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.acquisition.engine.workers import FrameConsumer
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
@@ -47,7 +47,7 @@ class Engine:
 
     Parameters
     ----------
-    rig : Rig
+    rig : EngineRig
         Open; owned by the engine from now on.
     make_ring : callable
         Makes the ring in which images are shown, and says its name; on the heap by default.
@@ -60,13 +60,13 @@ class Engine:
     ----------
     setup : CameraSetup
         How the camera runs.
-    mirror : Mirror
+    mirror : GalvoController
         The mirror and its limits; told to move by the engine's methods alone.
     """
 
     def __init__(
         self,
-        rig: Rig,
+        rig: EngineRig,
         *,
         make_ring: Callable[[Layout], tuple[str, Ring]] = on_the_heap,
         buffer_s: float = BUFFER_S,
@@ -74,12 +74,12 @@ class Engine:
     ) -> None:
         self._rig, self._buffer_s = rig, buffer_s
         self.setup = CameraSetup(rig)
-        self.mirror = Mirror(rig, self.setup, guardian)
+        self.mirror = GalvoController(rig, self.setup, guardian)
         self._display = Display(make_ring)
         self._lock = RLock()
         self._faults = FaultLog()
         self._calibration: Calibration | None = None
-        self._view = View()
+        self._view = LiveView()
         self._tracker: FrameConsumer | None = None
         self._run: Run | None = None
         self._live = False
@@ -127,7 +127,7 @@ class Engine:
                 self._take(before)
                 raise
 
-    def show(self, view: View) -> None:
+    def show(self, view: LiveView) -> None:
         """Choose how live images are made.
 
         Raises

@@ -5,21 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from napari_elsplus.hardware.scan.waveform import MirrorLimits, els_waveform
+from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.camera_setup import CameraSetup
-    from napari_elsplus.acquisition.engine.rig import Rig
+    from napari_elsplus.acquisition.engine.rig import EngineRig
     from napari_elsplus.hardware.guardian import Guardian
     from napari_elsplus.instrument.calibration import Calibration
 
 
-class Mirror:
+class GalvoController:
     """The scanner of a rig, driven as a calibration says.
 
     Parameters
     ----------
-    rig : Rig
+    rig : EngineRig
         Open.
     setup : CameraSetup
         Knows when which row is exposed.
@@ -32,11 +32,11 @@ class Mirror:
         Whether it was last told to scan.
     """
 
-    def __init__(self, rig: Rig, setup: CameraSetup, guardian: Guardian | None = None) -> None:
+    def __init__(self, rig: EngineRig, setup: CameraSetup, guardian: Guardian | None = None) -> None:
         self._scanner, self._strobe, self._setup = rig.scanner, rig.strobe, setup
         self._guardian, self._order = guardian, rig.park
         self._rigs_park_v = rig.scanner.park_v
-        self.limits: MirrorLimits = rig.limits
+        self.limits: GalvoLimits = rig.limits
         self.scanning = False
 
     def follow(self, calibration: Calibration | None) -> None:

@@ -29,7 +29,7 @@ _STEP: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class LiveView:
     """How live images are made; raw frames are recorded whatever is chosen here.
 
     Parameters
@@ -92,7 +92,7 @@ class LiveImages:
         Rows and columns of the raw frames.
     calibration : Calibration, optional
         Without its bundle section only raw frames are shown.
-    view : View
+    view : LiveView
         How the images are made.
 
     Raises
@@ -106,7 +106,7 @@ class LiveImages:
     follows it. Where one of the two is missing, the last ELSA image stands.
     """
 
-    def __init__(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: View) -> None:
+    def __init__(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: LiveView) -> None:
         self._sectioner: Sectioner | None = None
         self._averages = view.average > 1
         self.layout = display_layout(frame_shape, None)

@@ -9,10 +9,10 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.protocols import Camera, Scanner
     from napari_elsplus.hardware.rig import VirtualBench
     from napari_elsplus.hardware.scan.timing import StrobePhase
-    from napari_elsplus.hardware.scan.waveform import MirrorLimits
+    from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 
-class Rig(Protocol):
+class EngineRig(Protocol):
     """A camera and a mirror that belong together."""
 
     @property
@@ -28,7 +28,7 @@ class Rig(Protocol):
         """The mirror."""
 
     @property
-    def limits(self) -> MirrorLimits:
+    def limits(self) -> GalvoLimits:
         """What the mirror may be asked for."""
 
     @property

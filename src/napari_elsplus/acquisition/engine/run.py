@@ -9,7 +9,7 @@ import numpy as np
 from napari_elsplus.acquisition.engine.status import RecordingState
 from napari_elsplus.acquisition.engine.workers import CameraWorker, ProcessingWorker
 from napari_elsplus.acquisition.streaming.recorder import Recorder
-from napari_elsplus.acquisition.streaming.stream import Stream
+from napari_elsplus.acquisition.streaming.stream import FrameStream
 from napari_elsplus.acquisition.streaming.tally import Tally
 from napari_elsplus.errors import DeviceError, InputError
 
@@ -63,7 +63,7 @@ class Run:
         self.tally = Tally()
         self.frame_rate_hz = frame_rate_hz
         self._camera, self._faults = camera, faults
-        self._stream = Stream(camera.frame_shape, max(SHALLOWEST, round(buffer_s * frame_rate_hz)))
+        self._stream = FrameStream(camera.frame_shape, max(SHALLOWEST, round(buffer_s * frame_rate_hz)))
         self._taking = CameraWorker(camera, self._stream, self.tally, faults, settling)
         self.processing = ProcessingWorker(self._stream, shown, self.tally, faults, tracker)
         self._recorder: Recorder | None = None

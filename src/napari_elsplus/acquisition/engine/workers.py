@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.streaming.faults import FaultLog
     from napari_elsplus.acquisition.streaming.ring import Ring, Stamp
-    from napari_elsplus.acquisition.streaming.stream import Stream
+    from napari_elsplus.acquisition.streaming.stream import FrameStream
     from napari_elsplus.acquisition.streaming.tally import Tally
     from napari_elsplus.hardware.protocols import Camera
 
@@ -51,7 +51,7 @@ class CameraWorker(Thread):
     ----------
     camera : Camera
         Streaming.
-    stream : Stream
+    stream : FrameStream
         Where the frames go; ended when this thread ends.
     tally : Tally
         Counts frames.
@@ -69,7 +69,7 @@ class CameraWorker(Thread):
         older than it says.
     """
 
-    def __init__(self, camera: Camera, stream: Stream, tally: Tally, faults: FaultLog, settling: int) -> None:
+    def __init__(self, camera: Camera, stream: FrameStream, tally: Tally, faults: FaultLog, settling: int) -> None:
         super().__init__(name="camera", daemon=True)
         self._camera, self._stream, self._tally, self._faults = camera, stream, tally, faults
         self.camera_clock_s = -inf
@@ -132,7 +132,7 @@ class ProcessingWorker(Thread):
 
     Parameters
     ----------
-    stream : Stream
+    stream : FrameStream
         Where the frames come from.
     shown : Shown
         How images are made and where they are shown; may be replaced while frames stream.
@@ -146,7 +146,7 @@ class ProcessingWorker(Thread):
 
     def __init__(
         self,
-        stream: Stream,
+        stream: FrameStream,
         shown: Shown,
         tally: Tally,
         faults: FaultLog,

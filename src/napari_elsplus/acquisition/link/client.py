@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.calibrating.whole import Target
-    from napari_elsplus.acquisition.engine.live_images import View
+    from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.acquisition.streaming.tally import Latencies
     from napari_elsplus.acquisition.streaming.usage import Usage
     from napari_elsplus.errors import MeasurementError
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.calibration.calibrate import Background, Findings, Pair, SlitOffset
+    from napari_elsplus.processing.calibration.calibrate import Background, BundlePair, Findings, SlitOffset
     from napari_elsplus.processing.calibration.draft import Flat, LitPair, Setup
     from napari_elsplus.processing.calibration.galvo import GalvoMap
     from napari_elsplus.processing.calibration.lag import ScanLag
@@ -93,7 +93,7 @@ class EngineClient:
         asked.add_done_callback(lambda done: self._keep(done, lambda _: calibration))
         return asked
 
-    def show(self, view: View) -> Future[None]:
+    def show(self, view: LiveView) -> Future[None]:
         """Choose how live images are made."""
         return self._ask("show", view)
 
@@ -138,7 +138,7 @@ class EngineClient:
         return self._ask("stop_recording")
 
     def measure_offset(
-        self, volts: float, background: NDArray[np.float32] | None = None, pair: Pair | None = None
+        self, volts: float, background: NDArray[np.float32] | None = None, pair: BundlePair | None = None
     ) -> Future[SlitOffset]:
         """Measure the slit offset, the line held at a voltage."""
         return self._ask("measure_offset", volts, background, pair)
@@ -155,12 +155,12 @@ class EngineClient:
         self,
         volts: NDArray[np.floating],
         background: NDArray[np.float32] | None = None,
-        pair: Pair | None = None,
+        pair: BundlePair | None = None,
     ) -> Future[GalvoMap]:
         """Sweep the line over voltages, and fit the galvo's map."""
         return self._ask("map_galvo", volts, background, pair)
 
-    def locate_pair(self) -> Future[Pair]:
+    def locate_pair(self) -> Future[BundlePair]:
         """Locate the pair of bundle images, lit from the far end."""
         return self._ask("locate_pair")
 

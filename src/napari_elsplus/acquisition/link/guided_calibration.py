@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.acquisition.calibrating.whole import SWEEP_VOLTAGES, Target
-from napari_elsplus.processing.calibration.draft import Draft, Found, Setup, Step
+from napari_elsplus.processing.calibration.draft import Draft, Setup, Step, StepResult
 from napari_elsplus.processing.calibration.galvo import GalvoMap
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class GuidedCalibration:
         """Say what frames are taken with now."""
         return self._client.setup().result()
 
-    def measure(self, step: Step, draft: Draft) -> Found:
+    def measure(self, step: Step, draft: Draft) -> StepResult:
         """Measure a step; whatever happens, the mirror is parked in the end.
 
         Parameters

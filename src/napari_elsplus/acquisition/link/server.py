@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from napari_elsplus.acquisition.calibrating.procedures import Watch
-    from napari_elsplus.acquisition.engine.rig import Rig
+    from napari_elsplus.acquisition.engine.rig import EngineRig
     from napari_elsplus.acquisition.streaming.ring import Layout, Ring
     from napari_elsplus.processing.calibration.calibrate import SlitOffset
 
@@ -66,13 +66,13 @@ class Server:
         Opens a rig by its name.
     """
 
-    def __init__(self, connection: Connection, open_rig: Callable[[str], Rig]) -> None:
+    def __init__(self, connection: Connection, open_rig: Callable[[str], EngineRig]) -> None:
         self._connection, self._open_rig = connection, open_rig
         self._sending = Lock()
         self._ended = Event()
         self._engine: Engine | None = None
         self._mosaic: LiveMosaic | None = None
-        self._rig: Rig | None = None
+        self._rig: EngineRig | None = None
         self._guardian: Guardian | None = None
         self._cancelled = Event()
         self._offsets: Newest[SlitOffset | MeasurementError] = Newest()
@@ -233,7 +233,7 @@ def _shared_ring(layout: Layout) -> tuple[str, Ring]:
     return ring.name, ring
 
 
-def run(open_rig: Callable[[str], Rig]) -> None:
+def run(open_rig: Callable[[str], EngineRig]) -> None:
     """Be the engine's process: meet the client, serve it, leave nothing behind.
 
     Parameters

@@ -18,7 +18,7 @@ ROWS_AT_ONCE: Final = 1 << 16
 """Rows that are copied in one look, at most: five megabytes, a few milliseconds."""
 
 
-class Mirror(TiledCanvas):
+class TileCopy(TiledCanvas):
     """A copy of a segment whose original lies in shared memory; it stays when that is gone."""
 
     def copy(self, part: Rectangle, tiles: dict[tuple[int, int], Tile]) -> None:
@@ -58,7 +58,7 @@ class MosaicFeed:
     ----------
     rows : TrackTable
         The track, as far as it was copied; the same object all the time.
-    canvases : dict of int to dict of int to Mirror
+    canvases : dict of int to dict of int to TileCopy
         Of each image the segments, as far as they were copied.
     revision : int
         Changes when a segment was dropped.
@@ -73,7 +73,7 @@ class MosaicFeed:
         self._tables = Tables(shared.attach(name), owned=False)
         self._blended = blended
         self.rows = TrackTable()
-        self.canvases: dict[int, dict[int, Mirror]] = {}
+        self.canvases: dict[int, dict[int, TileCopy]] = {}
         self.revision = self._relocations = 0
         self._writings: list[int] = []
         self._turn = 0
@@ -126,7 +126,7 @@ class MosaicFeed:
             }
         for (image, segment), part in parts.items():
             mirrors = self.canvases.setdefault(image, {})
-            mirror = mirrors.get(segment) or Mirror(blended=self._blended)
+            mirror = mirrors.get(segment) or TileCopy(blended=self._blended)
             if not only_new and mirror.extent is not None:
                 part = part.around(mirror.extent)
             mirror.copy(part, self._tiles.get((image, segment), {}))

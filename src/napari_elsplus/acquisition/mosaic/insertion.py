@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.mosaicing.keyframe_store import KeptFrames
+from napari_elsplus.processing.mosaicing.keyframe_store import KeyframeStore
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, around_all, tile_rectangle
-from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.mosaic.board import MosaicBoard
-    from napari_elsplus.processing.mosaicing.keyframe_store import Kept
+    from napari_elsplus.processing.mosaicing.keyframe_store import Keyframe
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.pose_graph.correction import Corrections
     from napari_elsplus.workflows.tracking import Pipeline
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     """A segment, and the key of a tile."""
 
 
-class Found(NamedTuple):
+class TrackedFrame(NamedTuple):
     """A frame of the live track.
 
     Parameters
@@ -49,7 +49,7 @@ class Found(NamedTuple):
     place: Pose
 
 
-class Laying:
+class LiveInsertion:
     """The mosaics of one image, and the frames from which they can be laid anew.
 
     Parameters
@@ -65,7 +65,7 @@ class Laying:
 
     Attributes
     ----------
-    kept : KeptFrames
+    kept : KeyframeStore
         Frames from which the mosaics can be laid anew.
     """
 
@@ -73,21 +73,26 @@ class Laying:
         self.pipeline, self._board, self._image = pipeline, board, image
         self._keeps = most > 0
         self._forgotten = 0
-        self.kept = KeptFrames(pipeline.grid.diameter, most)
+        self.kept = KeyframeStore(pipeline.grid.diameter, most)
         self._laid: dict[int, Pose] = {}
-        self._newest: tuple[Found, NDArray[np.float32]] | None = None
+        self._newest: tuple[TrackedFrame, NDArray[np.float32]] | None = None
         self._own_image = np.zeros((pipeline.grid.side,) * 2, np.float32)
         self._brush = pipeline.blank_mosaic()
         self._scratch = Tile(*np.zeros((2, TILE_PX, TILE_PX), np.float32))
 
     def add(
-        self, found: Found, raw: NDArray[np.uint8], image: NDArray[np.float32] | None = None, *, keep: bool = False
+        self,
+        found: TrackedFrame,
+        raw: NDArray[np.uint8],
+        image: NDArray[np.float32] | None = None,
+        *,
+        keep: bool = False,
     ) -> None:
         """Lay a frame down if it was tracked.
 
         Parameters
         ----------
-        found : Found
+        found : TrackedFrame
             Which frame it is, and where.
         raw : numpy.ndarray
             (rows, cols).
@@ -96,10 +101,10 @@ class Laying:
         keep : bool
             Whether it has to be kept, however near the last one is.
         """
-        if found.place.state is State.TRACKED:
+        if found.place.state is TrackingState.TRACKED:
             self._lay(found, self.pipeline.image(raw) if image is None else image, keep=keep)
 
-    def _lay(self, found: Found, image: NDArray[np.float32], *, keep: bool = False) -> None:
+    def _lay(self, found: TrackedFrame, image: NDArray[np.float32], *, keep: bool = False) -> None:
         mosaic = self.pipeline.put(image, found.place)
         assert mosaic is not None, "a frame that was not tracked has no place"
         self._newest = found, image
@@ -169,7 +174,7 @@ class Laying:
     # inside
 
     def _off(
-        self, frames: Sequence[Kept], laid: Sequence[Pose], corrections: Corrections, limit_px: float
+        self, frames: Sequence[Keyframe], laid: Sequence[Pose], corrections: Corrections, limit_px: float
     ) -> list[int]:
         """Return which frames do not lie where they belong."""
         if not frames:
@@ -185,7 +190,7 @@ class Laying:
     def _reach(self, place: Pose) -> Rectangle:
         return self._brush.reach(place.row, place.col, place.velocity, place.angle, place.scale)
 
-    def _drawn(self, where: Where, frames: Iterable[tuple[Kept, Pose]]) -> tuple[Tile, list[Rectangle]]:
+    def _drawn(self, where: Where, frames: Iterable[tuple[Keyframe, Pose]]) -> tuple[Tile, list[Rectangle]]:
         """Draw a tile anew, beside the one that is looked at."""
         tile, drawn = self._scratch, []
         tile.value[:] = tile.weight[:] = 0
@@ -224,19 +229,24 @@ class Laying:
             self._board.changed(segment, dirty, self._image)
 
 
-class AlternatingLaying(Laying):
+class AlternatingInsertion(LiveInsertion):
     """ELSA's mosaics: the confocal view of every second frame, less the residual of the one after it."""
 
-    _even: Found | None = None
+    _even: TrackedFrame | None = None
     _raw: NDArray[np.uint8] | None = None
 
     def add(
-        self, found: Found, raw: NDArray[np.uint8], image: NDArray[np.float32] | None = None, *, keep: bool = False
+        self,
+        found: TrackedFrame,
+        raw: NDArray[np.uint8],
+        image: NDArray[np.float32] | None = None,
+        *,
+        keep: bool = False,
     ) -> None:
         """Lay down, with each odd frame, the even one before it."""
         even, self._even = self._even, None
         if found.number % 2 == 0:
-            if found.place.state is State.TRACKED:
+            if found.place.state is TrackingState.TRACKED:
                 if self._raw is None:
                     self._raw = np.empty_like(raw)
                 np.copyto(self._raw, raw)

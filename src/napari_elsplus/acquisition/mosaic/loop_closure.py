@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.processing.tracking.pose_graph.live_graph import LiveGraph
-from napari_elsplus.processing.tracking.registration.pair_registration import Registrar, View
-from napari_elsplus.processing.tracking.registration.prepared_frames import RecentViews
+from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
+from napari_elsplus.processing.tracking.registration.prepared_frames import RecentFrames
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from napari_elsplus.processing.mosaicing.keyframe_store import Kept
+    from napari_elsplus.processing.mosaicing.keyframe_store import Keyframe
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.pose_graph.correction import Corrections
     from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
-    from napari_elsplus.processing.tracking.registration.motion_models import Rung
+    from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 OFF_PX: Final = 0.5
 """Frames further than this from where they belong are laid anew while the probe moves; pixels of the mosaic."""
@@ -48,25 +48,25 @@ class Seen(NamedTuple):
     ----------
     node : Node
         Where the tracker has it.
-    kept : Kept or None
+    kept : Keyframe or None
         Its image, if there was room to keep it.
-    rung : Rung
+    rung : MotionModel
         What is modelled beside translations.
     """
 
     node: Node
-    kept: Kept | None
-    rung: Rung
+    kept: Keyframe | None
+    rung: MotionModel
 
 
 class Correctable(Protocol):
-    """The live track, as far as it can be corrected; called from the thread of :class:`Closing`."""
+    """The live track, as far as it can be corrected; called from the thread of :class:`LoopClosureThread`."""
 
     @property
     def crowded(self) -> bool:
         """Whether more frames are kept than there is room for."""
 
-    def thin(self, corrections: Corrections) -> Sequence[Kept]:
+    def thin(self, corrections: Corrections) -> Sequence[Keyframe]:
         """Let go of kept frames; return those of the tracked image that are left."""
 
     def correct(self, corrections: Corrections, limit_px: float, forgotten: int) -> None:
@@ -76,7 +76,7 @@ class Correctable(Protocol):
         """
 
 
-class Closing(Thread):
+class LoopClosureThread(Thread):
     """Closes loops.
 
     Parameters
@@ -99,8 +99,8 @@ class Closing(Thread):
         self._track = track
         self._registrar = Registrar(grid)
         self._graph = LiveGraph(self._registrar, self._view)
-        self._kept: dict[int, Kept] = {}
-        self._views = RecentViews(self._registrar, _VIEWS)
+        self._kept: dict[int, Keyframe] = {}
+        self._views = RecentFrames(self._registrar, _VIEWS)
         self._todo: SimpleQueue[Seen | Event | int | None] = SimpleQueue()
         self._due_s = 0.0
         self._news = False
@@ -181,7 +181,7 @@ class Closing(Thread):
         end_s = time.perf_counter()
         self._due_s = end_s + (end_s - begin_s) * (1 - SHARE) / SHARE
 
-    def _view(self, number: int) -> View | None:
+    def _view(self, number: int) -> PreparedFrame | None:
         """Return the prepared view of a node, if its frame is still kept."""
         frame = self._graph.nodes[number].frame
         view, kept = self._views.get(frame), self._kept.get(frame)

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
-from napari_elsplus.acquisition.mosaic.insertion import AlternatingLaying, Found, Laying
-from napari_elsplus.acquisition.mosaic.loop_closure import Closing, Seen
+from napari_elsplus.acquisition.mosaic.insertion import AlternatingInsertion, LiveInsertion, TrackedFrame
+from napari_elsplus.acquisition.mosaic.loop_closure import LoopClosureThread, Seen
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
-from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.pose_graph.correction import Corrections, Path
-from napari_elsplus.processing.tracking.pose_graph.keyframes import Trail
+from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.tracking import Method, Pipeline
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.streaming.ring import Stamp
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackPoint
-    from napari_elsplus.processing.mosaicing.keyframe_store import Kept
+    from napari_elsplus.processing.mosaicing.keyframe_store import Keyframe
 
 REMEMBERED_FRAMES: Final = 2400
 """Rows of the track that are kept here, where a board has them all: ten seconds."""
@@ -129,8 +129,8 @@ class LiveTrack:
         self._path = Path()
         self._corrections = Corrections()
         self._forgotten = 0
-        self._trail = Trail(self.pipeline.grid)
-        self._closing = Closing(self.pipeline.grid, self) if plan.method is Method.ELSPLUS else None
+        self._trail = KeyframeSelector(self.pipeline.grid)
+        self._closing = LoopClosureThread(self.pipeline.grid, self) if plan.method is Method.ELSPLUS else None
 
     def add(self, raw: NDArray[np.uint8], stamp: Stamp) -> None:
         """Track a frame and lay it into the mosaics."""
@@ -144,7 +144,7 @@ class LiveTrack:
             place = self._corrections.newest(pose.segment).of(pose)
             self.pipeline.keep(image, place, number, time_s, lay=False)
             self._counts.setdefault(place.segment, Counter())[place.state] += 1
-            found = Found(self._path.add(pose.segment, pose.row, pose.col), number, pose, place)
+            found = TrackedFrame(self._path.add(pose.segment, pose.row, pose.col), number, pose, place)
             self._lay(found, raw, image)
             if self._board is not None:
                 self._board.append(self.pipeline.rows[-1])
@@ -177,7 +177,7 @@ class LiveTrack:
             if self._board is not None:
                 self._board.drop(last)
             frames = self._counts.pop(last, Counter()).total()
-            self._counts.setdefault(last - 1, Counter())[State.LOST.value] += frames
+            self._counts.setdefault(last - 1, Counter())[TrackingState.LOST.value] += frames
             return True
 
     @property
@@ -207,14 +207,14 @@ class LiveTrack:
             if board is not None:
                 board.close()
 
-    # what Closing asks for
+    # what LoopClosureThread asks for
 
     @property
     def crowded(self) -> bool:
         """Whether more frames are kept than there is room for."""
         return any(laying.kept.crowded for laying in self._layings.values())
 
-    def thin(self, corrections: Corrections) -> Sequence[Kept]:
+    def thin(self, corrections: Corrections) -> Sequence[Keyframe]:
         """Let go of kept frames where there are too many; return those of the tracked image that are left."""
         for laying in self._layings.values():
             laying.thin(corrections, self._lock)
@@ -237,7 +237,7 @@ class LiveTrack:
 
     # inside
 
-    def _laying(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode, image: int) -> Laying:
+    def _laying(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode, image: int) -> LiveInsertion:
         plan, board = self._plan, self._board
         new_store = None if board is None else partial(board.new_store, image=image)
         pipeline = Pipeline(
@@ -245,11 +245,11 @@ class LiveTrack:
         )  # fmt: skip
         frame_bytes = np.dtype(np.int16).itemsize * pipeline.grid.side**2
         most = KEPT_BYTES // len(plan.modes) // frame_bytes if plan.method is Method.ELSPLUS else 0
-        return (AlternatingLaying if mode is Mode.ELSA else Laying)(pipeline, most, board, image)
+        return (AlternatingInsertion if mode is Mode.ELSA else LiveInsertion)(pipeline, most, board, image)
 
-    def _lay(self, found: Found, raw: NDArray[np.uint8], image: NDArray[np.float32]) -> None:
+    def _lay(self, found: TrackedFrame, raw: NDArray[np.uint8], image: NDArray[np.float32]) -> None:
         node = None
-        if found.pose.state is State.TRACKED and self._closing is not None:
+        if found.pose.state is TrackingState.TRACKED and self._closing is not None:
             node = self._trail.add(found.frame, found.pose, self.pipeline.newest_link)
         for mode, laying in self._layings.items():
             tracked = mode is self._plan.tracked

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.acquisition.streaming.faults import FaultLog
-    from napari_elsplus.acquisition.streaming.stream import Stream
+    from napari_elsplus.acquisition.streaming.stream import FrameStream
     from napari_elsplus.acquisition.streaming.tally import Tally
     from napari_elsplus.instrument.calibration import Calibration
 
@@ -64,7 +64,7 @@ class Recorder(Thread):
 
     Parameters
     ----------
-    stream : Stream
+    stream : FrameStream
         Where the frames come from.
     plan : RecordingPlan
         Where to and how long.
@@ -87,7 +87,7 @@ class Recorder(Thread):
 
     def __init__(
         self,
-        stream: Stream,
+        stream: FrameStream,
         plan: RecordingPlan,
         *,
         frame_rate_hz: float,

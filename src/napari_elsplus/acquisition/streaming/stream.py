@@ -24,7 +24,7 @@ class Cursor:
 
     Parameters
     ----------
-    stream : Stream
+    stream : FrameStream
         What it reads.
     start : int
         Sequence number of its first frame.
@@ -37,7 +37,7 @@ class Cursor:
         Frames lost because the consumer was too slow.
     """
 
-    def __init__(self, stream: Stream, start: int, limit: int) -> None:
+    def __init__(self, stream: FrameStream, start: int, limit: int) -> None:
         self._stream = stream
         self.next = start
         self.limit = limit
@@ -70,7 +70,7 @@ class Cursor:
         self._stream.leave(self)
 
 
-class Stream:
+class FrameStream:
     """The ring of raw frames and its cursors; the camera's thread writes, each consumer's thread reads.
 
     Parameters
@@ -82,7 +82,7 @@ class Stream:
 
     Examples
     --------
-    >>> stream = Stream((2, 3), frames=4)
+    >>> stream = FrameStream((2, 3), frames=4)
     >>> cursor = stream.join()
     >>> slot = stream.acquire()
     >>> slot.arrays["raw"][...] = 9

@@ -12,7 +12,7 @@ from napari_elsplus.io import open_recording, read_calibration, write_mosaic, wr
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.mosaicing.picture import picture
-from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import UNLINKED, Method, Pipeline
@@ -66,7 +66,7 @@ def command(
     if said:
         click.echo(said)
     click.echo(_summary(pipeline))
-    if sum(row.state == State.TRACKED for row in pipeline.rows) < 2:
+    if sum(row.state == TrackingState.TRACKED for row in pipeline.rows) < 2:
         click.echo(f"note: {UNLINKED}")
 
 

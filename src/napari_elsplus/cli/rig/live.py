@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from napari_elsplus.acquisition.calibrating.procedures import Watch
-    from napari_elsplus.acquisition.engine.rig import Rig
+    from napari_elsplus.acquisition.engine.rig import EngineRig
     from napari_elsplus.acquisition.engine.status import Settings
 
 
 @contextmanager
-def live_engine(rig_name: str, settings: Settings) -> Iterator[tuple[Rig, Engine]]:
+def live_engine(rig_name: str, settings: Settings) -> Iterator[tuple[EngineRig, Engine]]:
     """Open a rig and set its engine up; on a real rig, a guardian parks the mirror should this process die.
 
     Yields
     ------
-    rig : Rig
+    rig : EngineRig
         Open.
     engine : Engine
         In this process.

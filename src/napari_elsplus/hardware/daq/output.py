@@ -13,7 +13,7 @@ from napari_elsplus.hardware.daq.errors import told_by_the_card
 if TYPE_CHECKING:
     from nidaqmx import GrpcSessionOptions, Task
 
-    from napari_elsplus.hardware.scan.waveform import MirrorLimits, Waveform
+    from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ def open_options(address: str) -> GrpcSessionOptions | None:
 class Output:
     """The card's analog output and its clock, as nidaqmx tasks; one of them holds the output at any time."""
 
-    def __init__(self, card: CardSettings, limits: MirrorLimits) -> None:
+    def __init__(self, card: CardSettings, limits: GalvoLimits) -> None:
         self.card, self.limits = card, limits
         self._options = open_options(card.address)
         self._tasks: list[Task] = []

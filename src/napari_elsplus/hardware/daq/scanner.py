@@ -19,7 +19,7 @@ from napari_elsplus.hardware.daq.output import CardSettings, Output
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from napari_elsplus.hardware.scan.waveform import MirrorLimits, Waveform
+    from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
 
 WATCH_EVERY_S: Final = 0.02
 LOST_AFTER_FRAMES: Final = 6
@@ -36,7 +36,7 @@ class DaqScanner:
     ----------
     card : CardSettings
         Which card, and where to park.
-    limits : MirrorLimits
+    limits : GalvoLimits
         What may be put out.
     now_s : callable
         The clock by which strobes are awaited and holds are timed.
@@ -49,9 +49,7 @@ class DaqScanner:
         If the driver is missing, the card is unknown, in use or gone.
     """
 
-    def __init__(
-        self, card: CardSettings, limits: MirrorLimits, now_s: Callable[[], float] = time.perf_counter
-    ) -> None:
+    def __init__(self, card: CardSettings, limits: GalvoLimits, now_s: Callable[[], float] = time.perf_counter) -> None:
         limits.check(card.park_v, "the parking position")
         self.card, self.limits = card, limits
         self._output, self._now_s = Output(card, limits), now_s

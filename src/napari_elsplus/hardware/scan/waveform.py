@@ -36,7 +36,7 @@ BRIDGE_SAMPLES: Final = 24
 
 
 @dataclass(frozen=True, slots=True)
-class MirrorLimits:
+class GalvoLimits:
     """What mirror and card may be asked for; outside it the software refuses before anything is put out.
 
     Parameters
@@ -119,7 +119,7 @@ def exposed_rows(bundle: BundleSection, *, residual: bool = True) -> tuple[float
     return min(centres) - radius, max(centres) + radius
 
 
-def els_waveform(calibration: Calibration, timing: ScanTiming, limits: MirrorLimits) -> Waveform:
+def els_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLimits) -> Waveform:
     """Build the ramp for ELS+: every frame holds the confocal and the residual image.
 
     Parameters
@@ -128,7 +128,7 @@ def els_waveform(calibration: Calibration, timing: ScanTiming, limits: MirrorLim
         With galvo and bundle sections.
     timing : ScanTiming
         From the camera.
-    limits : MirrorLimits
+    limits : GalvoLimits
         From the rig.
 
     Raises
@@ -148,7 +148,7 @@ def els_waveform(calibration: Calibration, timing: ScanTiming, limits: MirrorLim
     >>> waveform = els_waveform(
     ...     Calibration.parse({"bundle": bundle, "galvo": galvo}),
     ...     ScanTiming(7.648e-6, 1089.6, slit_rows=3),
-    ...     MirrorLimits(),
+    ...     GalvoLimits(),
     ... )
     >>> waveform.samples_per_ramp
     2079
@@ -162,7 +162,7 @@ def els_waveform(calibration: Calibration, timing: ScanTiming, limits: MirrorLim
     return ramp_waveform(calibration.galvo, rows, timing, limits)
 
 
-def elsa_waveform(calibration: Calibration, timing: ScanTiming, limits: MirrorLimits) -> Waveform:
+def elsa_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLimits) -> Waveform:
     """Build ELSA's two ramps on the confocal image: line on the slit, then `offset_rows` away, in successive frames.
 
     Raises
@@ -184,7 +184,7 @@ def ramp_waveform(
     galvo: GalvoSection,
     rows: tuple[float, float],
     timing: ScanTiming,
-    limits: MirrorLimits,
+    limits: GalvoLimits,
     shifts_rows: tuple[float, ...] = (0.0,),
 ) -> Waveform:
     """Build ramps over given rows: the line on the slit, shifted by so many rows, one ramp per shift.
@@ -240,7 +240,7 @@ def _bridge(drive: Volts, samples: int, period: float) -> Volts:
     return short
 
 
-def _refuse_too_fast(slew: float, acceleration: float, limits: MirrorLimits) -> None:
+def _refuse_too_fast(slew: float, acceleration: float, limits: GalvoLimits) -> None:
     if slew > limits.max_slew_v_per_s or acceleration > limits.max_acceleration_v_per_s2:
         raise InputError(
             f"the flyback would need {slew:.3g} V/s and {acceleration:.3g} V/s2",
@@ -249,7 +249,7 @@ def _refuse_too_fast(slew: float, acceleration: float, limits: MirrorLimits) -> 
         )
 
 
-def flyback_rows(galvo: GalvoSection, exposed: float, limits: MirrorLimits, timing: ScanTiming) -> float:
+def flyback_rows(galvo: GalvoSection, exposed: float, limits: GalvoLimits, timing: ScanTiming) -> float:
     """Line periods that the mirror needs to fly back over a number of exposed rows, slit included.
 
     The path is the least-jerk one, whose peak speed is 15/8 and whose peak acceleration is 10/sqrt(3) of way over time
@@ -267,7 +267,7 @@ def flyback_rows(galvo: GalvoSection, exposed: float, limits: MirrorLimits, timi
 
 
 def _refuse_without_time(
-    galvo: GalvoSection, span: float, offset: float, timing: ScanTiming, limits: MirrorLimits
+    galvo: GalvoSection, span: float, offset: float, timing: ScanTiming, limits: GalvoLimits
 ) -> None:
     exposed = span + timing.slit_rows
     free, needed = timing.rows_per_frame - exposed, flyback_rows(galvo, exposed, limits, timing)

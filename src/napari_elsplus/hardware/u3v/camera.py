@@ -8,7 +8,7 @@ from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.u3v import stream as streaming
 from napari_elsplus.hardware.u3v.control import MODEL, SERIAL, Control
 from napari_elsplus.hardware.u3v.discovery import endpoints, refuse_slow_link, told_by_usb
-from napari_elsplus.hardware.u3v.stream import Stream
+from napari_elsplus.hardware.u3v.stream import U3vStream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -70,7 +70,7 @@ class U3vCamera:
         refuse_slow_link(device)
         self._device, self._wait = device, wait_for_reader
         self._ends = endpoints(device)
-        self._stream: Stream | None = None
+        self._stream: U3vStream | None = None
         self._region: Region | None = None
         self._streamed: Region | None = None
         self._dropped: Mapping[str, int] = {}
@@ -121,7 +121,7 @@ class U3vCamera:
         region = self._configured()
         sizes = streaming.arrange(self._control, region.shape)
         self._control.write_number(self._control.sirm + streaming.ENABLE, 1)
-        self._stream = Stream(
+        self._stream = U3vStream(
             self._device,
             self._ends.stream_in,
             sizes,

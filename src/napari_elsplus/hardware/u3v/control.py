@@ -13,7 +13,7 @@ from napari_elsplus.hardware.u3v.discovery import told_by_usb
 from napari_elsplus.hardware.u3v.packets import (
     HEADER,
     Ack,
-    Command,
+    CommandPacket,
     PacketError,
     parse_ack,
     pending_ms,
@@ -96,7 +96,7 @@ class Control:
         parts = []
         for done in range(0, count, self._read_payload):
             part = min(self._read_payload, count - done)
-            data = self._exchange(Command.READ, address + done, part)
+            data = self._exchange(CommandPacket.READ, address + done, part)
             if len(data) != part:
                 raise DeviceError(
                     f"the camera sent {len(data)} of {part} bytes at {address + done:#x}", "restart the camera"
@@ -113,7 +113,7 @@ class Control:
             As `read`.
         """
         for done in range(0, len(data), self._write_payload):
-            self._exchange(Command.WRITE, address + done, data[done : done + self._write_payload])
+            self._exchange(CommandPacket.WRITE, address + done, data[done : done + self._write_payload])
 
     def read_number(self, address: int, size: int = 4) -> int:
         """Read an unsigned number, little-endian."""
@@ -135,7 +135,7 @@ class Control:
         """Read one of the bootstrap's texts."""
         return self.read(address, 64).split(b"\0")[0].decode("ascii", "replace").strip()
 
-    def _exchange(self, command: Command, address: int, what: int | bytes) -> bytes:
+    def _exchange(self, command: CommandPacket, address: int, what: int | bytes) -> bytes:
         from usb.core import USBTimeoutError
 
         with self._lock, told_by_usb("the camera"):
@@ -160,7 +160,7 @@ class Control:
             "plug it in again, then open the rig again",
         )
 
-    def _await_answer(self, command: Command) -> Ack:
+    def _await_answer(self, command: CommandPacket) -> Ack:
         """Read until the answer to the last request comes; answers to older requests are passed over."""
         timeout_ms, until = TIMEOUT_MS, time.monotonic() + PATIENCE_S
         while time.monotonic() < until:
@@ -168,7 +168,7 @@ class Control:
             ack = parse_ack(self._answer[:count].tobytes())
             if ack.request_id != self._request_id:
                 continue
-            if ack.command == Command.PENDING_ACK:
+            if ack.command == CommandPacket.PENDING_ACK:
                 timeout_ms = min(pending_ms(ack) + TIMEOUT_MS, int(PATIENCE_S * 1000))
                 continue
             if ack.command == command + 1:

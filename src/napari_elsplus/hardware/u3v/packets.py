@@ -22,7 +22,7 @@ LEADER: Final = struct.Struct("<4sHHQHHQIIIIIHH")
 TRAILER: Final = struct.Struct("<4sHHQHHQI")
 
 
-class Command(IntEnum):
+class CommandPacket(IntEnum):
     """Control commands; an acknowledgement has the next number."""
 
     READ = 0x0800
@@ -69,7 +69,7 @@ class Trailer:
 def read_command(address: int, count: int, request_id: int) -> bytes:
     """Ask for memory."""
     return (
-        HEADER.pack(COMMAND_MAGIC, REQUEST_ACK, Command.READ, READ.size, request_id)
+        HEADER.pack(COMMAND_MAGIC, REQUEST_ACK, CommandPacket.READ, READ.size, request_id)
         + READ.pack(address, 0, count)
     )  # fmt: skip
 
@@ -77,7 +77,7 @@ def read_command(address: int, count: int, request_id: int) -> bytes:
 def write_command(address: int, data: bytes, request_id: int) -> bytes:
     """Write memory."""
     return (
-        HEADER.pack(COMMAND_MAGIC, REQUEST_ACK, Command.WRITE, 8 + len(data), request_id)
+        HEADER.pack(COMMAND_MAGIC, REQUEST_ACK, CommandPacket.WRITE, 8 + len(data), request_id)
         + struct.pack("<Q", address) + data
     )  # fmt: skip
 

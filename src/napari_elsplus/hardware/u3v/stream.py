@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.hardware.u3v.control import Control
 
-# Stream interface registers (USB3 Vision 1.0, table 4-22), from the SIRM's address.
+# U3vStream interface registers (USB3 Vision 1.0, table 4-22), from the SIRM's address.
 INFO, ENABLE, PAYLOAD_BYTES, LEADER_BYTES, TRAILER_BYTES = 0x00, 0x04, 0x08, 0x10, 0x14
 MAX_LEADER, TRANSFER_BYTES, TRANSFER_COUNT, FINAL_1, FINAL_2, MAX_TRAILER = 0x18, 0x1C, 0x20, 0x24, 0x28, 0x2C
 
@@ -86,7 +86,7 @@ class _Slot:
             done += count
 
 
-class Stream:
+class U3vStream:
     """Frames of a streaming device.
 
     Parameters

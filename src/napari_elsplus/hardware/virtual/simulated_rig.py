@@ -10,7 +10,7 @@ from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.parking import park_order
 from napari_elsplus.hardware.rig import SIMULATED, Rig, VirtualBench
 from napari_elsplus.hardware.scan.timing import StrobePhase
-from napari_elsplus.hardware.scan.waveform import MirrorLimits
+from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.u3v.flea3 import Flea3
@@ -54,7 +54,7 @@ def simulated_rig(simulation: Simulation | None, held: ExitStack) -> Rig:
     plug = Plug(VirtualCamera(optics, serial=SERIAL))
     park_v = min(park_volts(optics.instrument(preset)) for preset in PRESETS.values())
     galvo = simulation.galvo
-    limits = MirrorLimits(natural_hz=galvo.natural_hz, damping=galvo.damping)
+    limits = GalvoLimits(natural_hz=galvo.natural_hz, damping=galvo.damping)
     settings = CardSettings(park_v, address=address)
     device = choose_camera(SERIAL, VirtualBus(plug))
     camera = held.enter_context(U3vCamera(device, Flea3, wait_for_reader=not simulation.real_time))

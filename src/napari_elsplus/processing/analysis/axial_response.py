@@ -97,7 +97,7 @@ class AxialResponse:
         }
 
 
-class Doubts(NamedTuple):
+class SystematicUncertainty(NamedTuple):
     """What is uncertain in all depths alike, so that the scatter of the points does not show it.
 
     Parameters
@@ -113,15 +113,15 @@ class Doubts(NamedTuple):
     gain: float = 0.0
 
 
-_NO_DOUBTS = Doubts()
+_NO_DOUBTS = SystematicUncertainty()
 
 
-class Profiles(NamedTuple):
+class AxialProfiles(NamedTuple):
     """Signal of LS and residual (T,) in grey levels, ELS+ being their difference, and what is uncertain in them."""
 
     ls: Curve
     residual: Curve
-    doubts: Doubts
+    doubts: SystematicUncertainty
 
 
 def axial_profiles(
@@ -129,7 +129,7 @@ def axial_profiles(
     calibration: Calibration,
     *,
     watch: Callable[[Iterable[int]], Iterable[int]] = lambda numbers: numbers,
-) -> Profiles:
+) -> AxialProfiles:
     """Mean LS and residual signal of the central square in each frame, grey levels.
 
     Parameters
@@ -143,7 +143,7 @@ def axial_profiles(
 
     Returns
     -------
-    Profiles
+    AxialProfiles
         The doubts are the calibration's in the gain, and what rounding to whole grey levels may add to a mean.
 
     Raises
@@ -179,7 +179,9 @@ def axial_profiles(
     squares = (_square(bundle.confocal_centre, half), _square(bundle.residual_centre, half))
     zeros = [_zero_dn(frames, ls, calibration.background, square) for square in squares]
     gain = bundle.residual_gain
-    return Profiles(ls, residual, Doubts(zeros[0], zeros[1] / gain, bundle.residual_gain_uncertainty / gain))
+    return AxialProfiles(
+        ls, residual, SystematicUncertainty(zeros[0], zeros[1] / gain, bundle.residual_gain_uncertainty / gain)
+    )
 
 
 def _square(centre: tuple[float, float], half: float) -> tuple[slice, ...]:
@@ -196,7 +198,7 @@ def _zero_dn(frames: Frames, ls: Curve, background: NDArray[np.float32] | None, 
 
 
 def axial_response(
-    depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike, doubts: Doubts = _NO_DOUBTS
+    depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike, doubts: SystematicUncertainty = _NO_DOUBTS
 ) -> AxialResponse:
     """Drop-off distances and kept signal from signals against depth.
 
@@ -209,7 +211,7 @@ def axial_response(
         Depth of each frame, in any order, not necessarily even nor from zero.
     ls, residual : array_like
         Signals (T,), the background subtracted.
-    doubts : Doubts
+    doubts : SystematicUncertainty
         What is uncertain in all depths alike; it widens the distances' uncertainties.
 
     Returns

@@ -25,7 +25,7 @@ from napari_elsplus.processing.analysis.image_quality import alignment_error
 from napari_elsplus.processing.calibration.bundle.view_alignment import darkness
 from napari_elsplus.processing.calibration.steps import (
     Background,
-    Pair,
+    BundlePair,
     SlitOffset,
     locate_pair,
     map_galvo,
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Background",
+    "BundlePair",
     "Findings",
-    "Pair",
     "SlitOffset",
     "locate_pair",
     "map_galvo",
@@ -70,7 +70,7 @@ class Findings:
     shape: tuple[int, int] | None = None
     offset: SlitOffset | None = None
     galvo: GalvoMap | None = None
-    pair: Pair | None = None
+    pair: BundlePair | None = None
     background: Background | None = None
     calibration: Calibration = field(default_factory=Calibration)
 
@@ -177,7 +177,7 @@ def offset_section(offset: SlitOffset) -> OffsetSection:
     return OffsetSection(rows=offset.rows, uncertainty_rows=offset.uncertainty_rows, tilt_deg=offset.left.tilt_deg)
 
 
-def galvo_section(galvo: GalvoMap, pair: Pair | None, um_per_px: float | None) -> GalvoSection:
+def galvo_section(galvo: GalvoMap, pair: BundlePair | None, um_per_px: float | None) -> GalvoSection:
     """Write down what a calibration keeps of the galvo map; with the pair, also where the mirror is parked."""
     park_v = None
     if pair is not None:
@@ -194,7 +194,7 @@ def galvo_section(galvo: GalvoMap, pair: Pair | None, um_per_px: float | None) -
     )
 
 
-def bundle_section(pair: Pair) -> BundleSection:
+def bundle_section(pair: BundlePair) -> BundleSection:
     """Write down what a calibration keeps of the bundle pair."""
     top, bottom = (tuple(float(value) for value in row) for row in pair.alignment.residual_to_confocal)
     return BundleSection(
@@ -221,7 +221,9 @@ def _optics_section(
     return OpticsSection(**known) if known else None
 
 
-def with_flat_and_quality(calibration: Calibration, pair: Pair, bundle: Frames, flat: Frames | None) -> Calibration:
+def with_flat_and_quality(
+    calibration: Calibration, pair: BundlePair, bundle: Frames, flat: Frames | None
+) -> Calibration:
     """Add the flat field, and how well the two views cancel: both from light of the far end, above its darkness."""
     transmission = mean_frame(bundle)
     dark = darkness(transmission, pair.left, pair.right)

@@ -13,7 +13,7 @@ from napari_elsplus.instrument.calibration import AcquiredWith, Calibration, Fra
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.calibration.calibrate import (
     Background,
-    Pair,
+    BundlePair,
     SlitOffset,
     bundle_section,
     galvo_section,
@@ -44,7 +44,7 @@ class Step(StrEnum):
     FLAT = "flat field"
 
 
-class State(StrEnum):
+class StepState(StrEnum):
     """Whether a step has to be done."""
 
     DONE = "done"
@@ -79,7 +79,7 @@ class Setup:
 class LitPair:
     """Both bundle images, and the mean frame (rows, cols) in which they were found."""
 
-    pair: Pair
+    pair: BundlePair
     image: NDArray[np.float32]
 
     @property
@@ -100,7 +100,7 @@ class Flat:
     image: NDArray[np.float32]
 
 
-Found = SlitOffset | GalvoMap | LitPair | ScanLag | Background | Flat
+StepResult = SlitOffset | GalvoMap | LitPair | ScanLag | Background | Flat
 _STEPS: Final[dict[type, Step]] = {
     SlitOffset: Step.OFFSET,
     GalvoMap: Step.GALVO,
@@ -117,7 +117,7 @@ _SECTIONS: Final = {
 }
 
 
-def step_of(found: Found) -> Step:
+def step_of(found: StepResult) -> Step:
     """Return the step that finds such a thing."""
     return _STEPS[type(found)]
 
@@ -145,12 +145,12 @@ class Draft:
     """
 
     calibration: Calibration = field(default_factory=Calibration)
-    found: Mapping[Step, Found] = field(default_factory=dict)
+    found: Mapping[Step, StepResult] = field(default_factory=dict)
     outdated: Mapping[Step, str] = field(default_factory=dict)
     bundle_um: float = BUNDLE_UM
 
     @property
-    def pair(self) -> Pair | None:
+    def pair(self) -> BundlePair | None:
         """The bundle pair, if it was measured here."""
         lit = self.found.get(Step.PAIR)
         return lit.pair if isinstance(lit, LitPair) else None
@@ -160,14 +160,14 @@ class Draft:
         """The scale, if it is known."""
         return self.calibration.um_per_px
 
-    def state(self, step: Step, setup: Setup | None = None) -> tuple[State, str]:
+    def state(self, step: Step, setup: Setup | None = None) -> tuple[StepState, str]:
         """Say whether a step has to be done, and why; given a rig's setup, whether it still holds there."""
         if not self._has(step):
-            return State.MISSING, self.needs(step)
+            return StepState.MISSING, self.needs(step)
         if step in self.outdated:
-            return State.STALE, self.outdated[step]
+            return StepState.STALE, self.outdated[step]
         reason = "" if setup is None else _stale(self.calibration, setup).get(step, "")
-        return (State.STALE, reason) if reason else (State.DONE, "")
+        return (StepState.STALE, reason) if reason else (StepState.DONE, "")
 
     def needs(self, step: Step) -> str:
         """Say which steps have to come first; empty if none."""
@@ -179,7 +179,7 @@ class Draft:
         missing = [other for other in before.get(step, ()) if not self._has(other)]
         return f"first the {' and the '.join(missing)}" if missing else ""
 
-    def take(self, found: Found, setup: Setup) -> Draft:
+    def take(self, found: StepResult, setup: Setup) -> Draft:
         """Accept what a step found.
 
         Parameters

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.calibration.steps import Pair, SlitOffset
+    from napari_elsplus.processing.calibration.steps import BundlePair, SlitOffset
 
 SEARCH_AGAIN: Final = 60
 """After so many frames the brightest line is looked for anew: what was followed may be a reflection."""
@@ -24,11 +24,11 @@ class OffsetFollower:
     ----------
     background : numpy.ndarray, optional
         Mean frame of the dark tube.
-    pair : Pair, optional
+    pair : BundlePair, optional
         The bundle images, if they are known.
     """
 
-    def __init__(self, background: NDArray[np.float32] | None = None, pair: Pair | None = None) -> None:
+    def __init__(self, background: NDArray[np.float32] | None = None, pair: BundlePair | None = None) -> None:
         self._background, self._pair = background, pair
         self._last: SlitOffset | None = None
         self._followed = 0

@@ -13,7 +13,7 @@ import numpy as np
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import in_line
 from napari_elsplus.processing.calibration.bundle import location as bundles
-from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_pair
+from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, lines_in_sweep
 from napari_elsplus.processing.calibration.line import Line, locate_line
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
@@ -60,7 +60,7 @@ class SlitOffset:
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class BundlePair:
     """Both bundle images, the right one laid onto the left, and the share of the frame that was saturated."""
 
     left: bundles.Disc
@@ -125,7 +125,7 @@ def _drift(frames: Frames, name: str) -> float:
 
 
 def measure_offset(
-    frames: Frames, background: Image | None = None, pair: Pair | None = None, near: SlitOffset | None = None
+    frames: Frames, background: Image | None = None, pair: BundlePair | None = None, near: SlitOffset | None = None
 ) -> SlitOffset:
     """Step (i): where the standing line is in both views, and the difference.
 
@@ -135,7 +135,7 @@ def measure_offset(
         Raw frames (rows, cols) of the line standing near the middle of the bundle; they are averaged.
     background : numpy.ndarray, optional
         Mean frame of the dark tube.
-    pair : Pair, optional
+    pair : BundlePair, optional
         The bundle images; without them each view's middle is the middle of the lit part of the line.
     near : SlitOffset, optional
         What was found a moment ago, which saves the search.
@@ -169,7 +169,7 @@ def measure_offset(
     return _offset_at(columns, left, right, split)
 
 
-def offset_at(offset: SlitOffset, pair: Pair) -> SlitOffset:
+def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
     """Return an offset that was measured before the bundle pair was known, taken at the bundle's centres."""
     columns = pair.left.centre[1], pair.right.centre[1] - offset.split
     return _offset_at(columns, offset.left, offset.right, offset.split)
@@ -185,7 +185,7 @@ def map_galvo(
     frames: Frames,
     volts: NDArray[np.floating],
     background: Image | None = None,
-    pair: Pair | None = None,
+    pair: BundlePair | None = None,
     watch: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> GalvoMap:
     """Step (ii): which voltage puts the line onto which row of the left view.
@@ -198,7 +198,7 @@ def map_galvo(
         Voltages, shape (frames,).
     background : numpy.ndarray, optional
         Mean frame of the dark tube.
-    pair : Pair, optional
+    pair : BundlePair, optional
         The bundle images; without them rows are taken at the middle of the longest lines.
     watch : callable, optional
         Wraps the frames' numbers, to show how far it is.
@@ -222,7 +222,7 @@ def map_galvo(
     return fit_galvo(volts, lines, None if pair is None else pair.left.centre[1])
 
 
-def locate_pair(frames: Frames) -> Pair:
+def locate_pair(frames: Frames) -> BundlePair:
     """Step (iii): both bundle images, their alignment and gain, from frames lit from the far end.
 
     Raises
@@ -233,7 +233,7 @@ def locate_pair(frames: Frames) -> Pair:
     frame = mean_frame(frames)
     share = _must_not_be_saturated(frames[0], "image of the bundle", MOST_OF_BUNDLE)
     left, right = bundles.locate_pair(frame)
-    return Pair(left, right, align_pair(frame, left, right, frame >= WHITE * _white(frames[0])), share)
+    return BundlePair(left, right, align_views(frame, left, right, frame >= WHITE * _white(frames[0])), share)
 
 
 def measure_flat(frames: Frames, calibration: Calibration) -> Image:

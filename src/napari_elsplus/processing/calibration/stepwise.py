@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.calibration.draft import Draft, Found
+    from napari_elsplus.processing.calibration.draft import Draft, StepResult
     from napari_elsplus.processing.images.sectioning import Frames
 
 
@@ -32,7 +32,7 @@ def measure_step(
     draft: Draft,
     volts: NDArray[np.floating] | None = None,
     watch: Callable[[Iterable[int]], Iterable[int]] = iter,
-) -> Found:
+) -> StepResult:
     """Measure a step from recorded frames.
 
     Parameters

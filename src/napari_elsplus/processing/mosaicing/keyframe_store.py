@@ -29,7 +29,7 @@ _STEPS: Final = 16
 """Per grey level: between -2048 and 2047, where a flat field of 0.2 takes white to 1275."""
 
 
-class Kept(NamedTuple):
+class Keyframe(NamedTuple):
     """A frame, and where the tracker has it.
 
     Parameters
@@ -51,7 +51,7 @@ class Kept(NamedTuple):
         return np.multiply(self.packed, np.float32(1 / _STEPS), out=out)
 
 
-class KeptFrames:
+class KeyframeStore:
     """Frames along a path, the nearer to one another the more memory there is.
 
     One thread keeps; another one may thin them out, and read.
@@ -65,7 +65,7 @@ class KeptFrames:
 
     Attributes
     ----------
-    frames : list of Kept
+    frames : list of Keyframe
         In their order.
     full : bool
         Whether they are as far apart as they may be, and there is still no room for more: none are kept any more, and
@@ -75,7 +75,7 @@ class KeptFrames:
     --------
     >>> from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
     >>> from napari_elsplus.processing.tracking.motion.pose import Pose, State
-    >>> kept, image = KeptFrames(100.0, most=20), np.ones((4, 4), np.float32)
+    >>> kept, image = KeyframeStore(100.0, most=20), np.ones((4, 4), np.float32)
     >>> for frame in range(40):
     ...     _ = kept.keep(frame, Pose(0, 0.0, 3.0 * frame, Velocity(0.0, 3.0), 1.0, 0.1, State.TRACKED), image)
     >>> len(kept.frames)
@@ -89,7 +89,7 @@ class KeptFrames:
     def __init__(self, diameter_px: float, most: int) -> None:
         self._diameter_px, self._most, self._due = diameter_px, most, _FEW
         self.spacing = FIRST_SPACING
-        self.frames: list[Kept] = []
+        self.frames: list[Keyframe] = []
         self.full = False
         self._before: Pose | None = None
         self._gone = 0.0
@@ -125,14 +125,14 @@ class KeptFrames:
             return False
         self._gone = 0.0
         steps = np.multiply(image, np.float32(_STEPS * exposure))
-        self.frames.append(Kept(frame, pose, np.rint(steps, out=steps).astype(np.int16)))
+        self.frames.append(Keyframe(frame, pose, np.rint(steps, out=steps).astype(np.int16)))
         return True
 
-    def newest(self, frame: int) -> Kept | None:
+    def newest(self, frame: int) -> Keyframe | None:
         """Return a frame, if it is one of the last two that were kept."""
         return next((one for one in self.frames[-2:] if one.frame == frame), None)
 
-    def thin(self, place: Callable[[Kept], Pose], lock: AbstractContextManager[Any] | None = None) -> bool:
+    def thin(self, place: Callable[[Keyframe], Pose], lock: AbstractContextManager[Any] | None = None) -> bool:
         """Let go of frames that lie under newer ones, and where that is not enough, of every second; whether any went.
 
         Parameters

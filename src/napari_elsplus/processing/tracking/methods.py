@@ -9,10 +9,10 @@ import numpy as np
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.pose_graph.refinement import refine
-from napari_elsplus.processing.tracking.registration.motion_models import Rung
-from napari_elsplus.processing.tracking.registration.prepared_frames import RecentViews
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
+from napari_elsplus.processing.tracking.registration.prepared_frames import RecentFrames
 from napari_elsplus.processing.tracking.registration.shutter_timing import RowsPerFrame, estimate_rows_per_frame
-from napari_elsplus.processing.tracking.template_tracking import PaperTracker
+from napari_elsplus.processing.tracking.template_tracking import TemplateTracker
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.pose import Pose
-    from napari_elsplus.processing.tracking.registration.pair_registration import Link, View
+    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame
 
 _KEPT_VIEWS: Final = 300
 """Views of frames that are kept while a track is finished; others are made anew when they are needed."""
 
 
-class Tracking(Protocol):
+class TrackingMethod(Protocol):
     """What a method does with raw frames; `raw_residual` is the frame that the residual is taken from."""
 
     grid: Grid
@@ -54,15 +54,15 @@ class Tracking(Protocol):
         """Let go of what only :meth:`refine` needs."""
 
     @property
-    def newest_link(self) -> tuple[int, int, Link] | None:
+    def newest_link(self) -> tuple[int, int, PairRegistration] | None:
         """The link by which a frame was tracked last, if it is kept."""
 
     @property
-    def rung(self) -> Rung:
+    def rung(self) -> MotionModel:
         """What is modelled beside translations."""
 
 
-class OurTracking:
+class RegistrationTracking:
     """Sub-pixel, rolling shutter undone, gated.
 
     Parameters
@@ -113,7 +113,7 @@ class OurTracking:
         self._tracker.links.clear()
 
     @property
-    def newest_link(self) -> tuple[int, int, Link] | None:
+    def newest_link(self) -> tuple[int, int, PairRegistration] | None:
         """The link by which a frame was tracked last, if it is kept."""
         if not self._tracker.links:
             return None
@@ -121,27 +121,27 @@ class OurTracking:
         return earlier, later, link
 
     @property
-    def rung(self) -> Rung:
+    def rung(self) -> MotionModel:
         """What is modelled beside translations."""
         return self._tracker.rung
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         """Return better poses, once all frames are there."""
         registrar = self._tracker.registrar
-        views = RecentViews(registrar, _KEPT_VIEWS)
+        views = RecentFrames(registrar, _KEPT_VIEWS)
 
-        def view(index: int) -> View:
+        def view(index: int) -> PreparedFrame:
             return views.get(index) or views.add(index, lambda out: np.copyto(out, image(index)))
 
         return refine(poses, self._tracker.links, registrar, view, self._tracker.rung)
 
 
-class PapersTracking:
-    """Whole-pixel template matching, as Thrapp and Hughes describe it; parameters as of :class:`OurTracking`."""
+class TemplateTracking:
+    """Whole-pixel template matching (Thrapp and Hughes 2021); parameters as of :class:`RegistrationTracking`."""
 
     def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
         self._sectioner, self._mode = Sectioner(calibration, frame_shape), mode
-        self._tracker = PaperTracker(self._sectioner.diameter_px, self._sectioner.side)
+        self._tracker = TemplateTracker(self._sectioner.diameter_px, self._sectioner.side)
         self.grid, self.scale = self._tracker.grid, self._tracker.scale
 
     def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
@@ -174,6 +174,6 @@ class PapersTracking:
         """None: whole-pixel matches have no covariance."""
 
     @property
-    def rung(self) -> Rung:
+    def rung(self) -> MotionModel:
         """Translations alone."""
-        return Rung.TRANSLATION
+        return MotionModel.TRANSLATION

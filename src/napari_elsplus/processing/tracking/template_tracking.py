@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels
-from napari_elsplus.processing.tracking.motion.pose import Pose, State
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def takes_median(diameter_px: float) -> bool:
     return diameter_px / CORES_ACROSS >= FINE_SAMPLING_PX
 
 
-class PaperTracker:
+class TemplateTracker:
     """Integer shifts from frame to frame.
 
     Parameters
@@ -82,4 +82,4 @@ class PaperTracker:
             self._col -= col - corner
         self._template = image[corner : corner + TEMPLATE_PX, corner : corner + TEMPLATE_PX].copy()
         still = Velocity(0.0, 0.0)
-        return Pose(0, float(self._row), float(self._col), still, score, np.nan, State.TRACKED)
+        return Pose(0, float(self._row), float(self._col), still, score, np.nan, TrackingState.TRACKED)

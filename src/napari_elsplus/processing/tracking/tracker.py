@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from math import hypot, inf, isfinite, nan
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.processing.tracking.motion.pose import Pose, State
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.prediction import AT_REST, Motion, Turning, needed_times, unevenly
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 from napari_elsplus.processing.tracking.motion.warp_prior import WarpPrior, velocity_sigma, warp_prior
 from napari_elsplus.processing.tracking.registration.evidence import stretch_and_shear_variance
-from napari_elsplus.processing.tracking.registration.low_texture import DOUBT, SecondLook, unlit
-from napari_elsplus.processing.tracking.registration.model_selection import Climb
-from napari_elsplus.processing.tracking.registration.motion_models import Rung, turned_by
-from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.registration.low_texture import DOUBT, LowTextureFallback, unlit
+from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -56,14 +56,14 @@ _FIRST_REACH: Final = 0.3
 class _Placed:
     """A frame that others can be linked to."""
 
-    view: View
+    view: PreparedFrame
     index: int = -1
     row: float = 0.0
     col: float = 0.0
     velocity: Velocity = AT_REST
     angle: float = 0.0
     scale: float = 1.0
-    told_by: Link | None = None
+    told_by: PairRegistration | None = None
     """The link to the frame before, which tells the velocity; None if it was made otherwise."""
     velocity_sigma: float = inf
     """What the velocity is trusted to if no such link tells."""
@@ -86,12 +86,12 @@ class Tracker:
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         self.registrar = Registrar(grid)
-        self.links: list[tuple[int, int, Displacement, Link]] = []
-        self._second = SecondLook(self.registrar)
+        self.links: list[tuple[int, int, Displacement, PairRegistration]] = []
+        self._second = LowTextureFallback(self.registrar)
         self._slots = [self.registrar.view() for _ in range(4)]
         self._scratch = self.registrar.view()
-        self._climb = Climb()
-        self._newest: Link | None = None
+        self._climb = ModelSelection()
+        self._newest: PairRegistration | None = None
         self._asked = 0
         self._began = self._covered = 0
         self._turned = 0.0
@@ -107,7 +107,7 @@ class Tracker:
         self._coming = self._free()
 
     @property
-    def rung(self) -> Rung:
+    def rung(self) -> MotionModel:
         """What the frames have asked for so far, beside translations."""
         return self._climb.rung
 
@@ -121,29 +121,29 @@ class Tracker:
         self._frames += 1
         if self._key is None:
             self._key = self._last = here
-            pose = Pose(self._segment, 0.0, 0.0, AT_REST, nan, nan, State.TRACKED)
+            pose = Pose(self._segment, 0.0, 0.0, AT_REST, nan, nan, TrackingState.TRACKED)
         else:
             pose = self._continue(here) or self._restart(here) or self._coast(here)
         self._previous = here
         self._coming = self._free()
         return pose
 
-    def _free(self) -> View:
+    def _free(self) -> PreparedFrame:
         taken = [placed.view for placed in (self._key, self._last, self._previous) if placed is not None]
         return next(view for view in self._slots if not any(view is other for other in taken))
 
     def _continue(self, here: _Placed) -> Pose | None:
-        """Link a frame to the key frame of the segment, or to the last frame that was."""
+        """Register a frame to the key frame of the segment, or to the last frame that was."""
         key, last = self._key, self._last
         assert key is not None
         assert last is not None
         ahead = self._expected(key, here.index)
         renew = hypot(*ahead) > KEY_FRAME_REACH * self.grid.diameter
-        if self.rung is Rung.TRANSLATION:
+        if self.rung is MotionModel.TRANSLATION:
             self._ask(renew=renew)
         if renew:
             key = self._key = last
-        if renew or self.rung is not Rung.TRANSLATION:
+        if renew or self.rung is not MotionModel.TRANSLATION:
             ahead = self._expected(key, here.index)
         if hypot(*ahead) > FARTHEST * self.grid.diameter:
             return None
@@ -181,11 +181,11 @@ class Tracker:
         ahead = self._expected(last, here.index)
         gone = here.index - last.index > PATIENCE_FRAMES or hypot(*ahead) > FARTHEST * self.grid.diameter
         if gone or not self._motion.known:
-            return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, State.LOST)
+            return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, TrackingState.LOST)
         row, col = turned_by(last.angle, last.scale) @ ahead
         return Pose(
             self._segment, last.row + float(row), last.col + float(col), self._motion.next_velocity, nan, nan,
-            State.PREDICTED, last.angle, last.scale,
+            TrackingState.PREDICTED, last.angle, last.scale,
         )  # fmt: skip
 
     def _ask(self, *, renew: bool) -> None:
@@ -202,10 +202,10 @@ class Tracker:
         found = self.registrar.remainder(key.view, last.view, link.warp, self._spread)
         if found is None:
             return
-        apart, turn = last.index - key.index, -float(found.step[Rung.RIGID, 4])
+        apart, turn = last.index - key.index, -float(found.step[MotionModel.RIGID, 4])
         rung = self._climb.weigh(found, keep=renew)
         covered, turned = self._covered + apart, self._turned + turn
-        if rung is not Rung.TRANSLATION:
+        if rung is not MotionModel.TRANSLATION:
             self._turning.rate = turned / covered
             last.angle = self._turning.rate * (last.index - self._began)
             key.angle = last.angle - turn
@@ -220,7 +220,7 @@ class Tracker:
             return Displacement(0.0, 0.0)
         ahead = self._motion.ahead(index - last.index)
         gone = last.row - earlier.row, last.col - earlier.col
-        if self.rung is not Rung.TRANSLATION:
+        if self.rung is not MotionModel.TRANSLATION:
             row, col = turned_by(-last.angle, 1 / last.scale) @ gone
             gone = float(row), float(col)
         return Displacement(gone[0] + ahead.row, gone[1] + ahead.col)
@@ -230,9 +230,9 @@ class Tracker:
         """Standard deviations of stretch and shear about what the motion so far suggests."""
         return (self._motion.spread / self.grid.shutter.rows_per_frame + 1e-9,) * 2
 
-    def _link(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> Link | None:
-        """Link two frames, first where it is expected ahead, else anywhere; None if the frames do not say where."""
-        if self.rung is not Rung.TRANSLATION:
+    def _link(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> PairRegistration | None:
+        """Register two frames, first where it is expected ahead, else anywhere; None if the frames do not say where."""
+        if self.rung is not MotionModel.TRANSLATION:
             return self._turned_link(earlier, here, ahead, self.rung)
         expected = self.grid.shutter.warp(earlier.velocity, self._motion.next_velocity, ahead)
         if self._motion.known:
@@ -277,19 +277,23 @@ class Tracker:
         assert self._last is not None
         return _REACH_PX * (here.index - self._last.index) if self._motion.known else _FIRST_REACH * self.grid.diameter
 
-    def _suddenly_turned(self, earlier: _Placed, here: _Placed, ahead: Displacement, link: Link) -> Link | None:
+    def _suddenly_turned(
+        self, earlier: _Placed, here: _Placed, ahead: Displacement, link: PairRegistration
+    ) -> PairRegistration | None:
         """Try, where frames agree less than they should, whether they do once one is turned."""
         found = self.registrar.remainder(earlier.view, here.view, link.warp, self._spread)
-        if found is None or not Climb().weigh(found):
+        if found is None or not ModelSelection().weigh(found):
             return None
-        turned = self._turned_link(earlier, here, ahead, Rung.RIGID)
+        turned = self._turned_link(earlier, here, ahead, MotionModel.RIGID)
         if turned is None or not turned.correlation > max(link.correlation + _RISE_OF_CORRELATION, SURE_CORRELATION):
             return None
-        self._climb.rung = Rung.RIGID
+        self._climb.rung = MotionModel.RIGID
         return turned
 
-    def _turned_link(self, earlier: _Placed, here: _Placed, ahead: Displacement, rung: Rung) -> Link | None:
-        """Link two frames of a probe that turns."""
+    def _turned_link(
+        self, earlier: _Placed, here: _Placed, ahead: Displacement, rung: MotionModel
+    ) -> PairRegistration | None:
+        """Register two frames of a probe that turns."""
         last, motion = self._last, self._motion
         assert last is not None
         turn = last.angle - earlier.angle + self._turning.rate * (here.index - last.index) if motion.known else 0.0
@@ -310,7 +314,7 @@ class Tracker:
                 return link
         return None
 
-    def _accepted(self, link: Link, here: _Placed) -> bool:
+    def _accepted(self, link: PairRegistration, here: _Placed) -> bool:
         """Whether the frames single out this shift, and agree about as well as frames did so far.
 
         After a gap less is known beforehand, so that the frames themselves must say more.
@@ -320,7 +324,7 @@ class Tracker:
         usual = not link.correlation < self._usual - FALL_OF_CORRELATION
         return usual and link.stands(gap if isfinite(link.again) else gap * needed_times(self._motion.spread))
 
-    def _place(self, earlier: _Placed, here: _Placed, link: Link) -> bool:
+    def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration) -> bool:
         """Give a frame its position and velocity; refuse if the probe moved too unevenly for the link to say so."""
         shutter, last = self.grid.shutter, self._last
         assert last is not None
@@ -338,19 +342,19 @@ class Tracker:
             earlier.velocity = before
         moved = shutter.displacement(link.warp, after)
         here.angle, here.scale, here.velocity = earlier.angle + link.turn, earlier.scale * link.zoom, after
-        row, col = moved if self.rung is Rung.TRANSLATION else turned_by(here.angle, here.scale) @ moved
+        row, col = moved if self.rung is MotionModel.TRANSLATION else turned_by(here.angle, here.scale) @ moved
         here.row, here.col = earlier.row + float(row), earlier.col + float(col)
         self.links.append((earlier.index, here.index, moved, link))
         return True
 
-    def _velocity_after_gap(self, earlier: _Placed, here: _Placed, link: Link) -> tuple[Velocity, float]:
+    def _velocity_after_gap(self, earlier: _Placed, here: _Placed, link: PairRegistration) -> tuple[Velocity, float]:
         """Velocity of a frame linked to one some frames before: from its shear, or from where it came to lie."""
         shutter, motion, last = self.grid.shutter, self._motion, self._last
         assert last is not None
         moved = shutter.displacement(link.warp, motion.next_velocity)
         gap = here.index - last.index
         gone = Displacement(last.row - earlier.row, last.col - earlier.col)
-        if self.rung is not Rung.TRANSLATION:
+        if self.rung is not MotionModel.TRANSLATION:
             gone = Displacement(*(turned_by(-last.angle, 1 / last.scale) @ gone).tolist())
         along = Velocity((moved.row - gone.row) / gap, (moved.col - gone.col) / gap)
         if not isfinite(shutter.rows_per_frame):
@@ -363,11 +367,11 @@ class Tracker:
         velocity = Velocity(*(v + part * (w - v) for v, w, part in zip(along, sheared, parts, strict=True)))
         return velocity, max(part * variance for part, variance in zip(parts, unsure, strict=True)) ** 0.5
 
-    def _track(self, here: _Placed, link: Link) -> Pose:
+    def _track(self, here: _Placed, link: PairRegistration) -> Pose:
         last = self._last
         assert last is not None
         gap = here.index - last.index
-        if self.rung is not Rung.TRANSLATION:
+        if self.rung is not MotionModel.TRANSLATION:
             self._turning.follow(here.angle - last.angle, gap)
         self._motion.follow(here.velocity, successive=gap == 1)
         self._last, self._newest = here, link
@@ -375,6 +379,6 @@ class Tracker:
         self._usual = self._usual + _MEMORY * (link.correlation - self._usual) if known else link.correlation
         sigma = hypot(link.sigma, self._uneven)
         return Pose(
-            self._segment, here.row, here.col, here.velocity, link.correlation, sigma, State.TRACKED,
+            self._segment, here.row, here.col, here.velocity, link.correlation, sigma, TrackingState.TRACKED,
             here.angle, here.scale,
         )  # fmt: skip

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     Frame = NDArray[np.uint8]
 
 
-class Ring:
+class FrameLoop:
     """A fall-back for a renderer: the same calls, answered from memory.
 
     The ring holds the frames 0 to n - 1 for one instrument and one way in which the line moves; frame k is answered
@@ -41,7 +41,7 @@ class Ring:
     --------
     >>> from napari_elsplus.simulation.model.instrument import Instrument
     >>> from napari_elsplus.simulation.specimen.scenes import scene
-    >>> ring = Ring(Renderer(Instrument.of("240hz"), scene("uniform")), frames=2)
+    >>> ring = FrameLoop(Renderer(Instrument.of("240hz"), scene("uniform")), frames=2)
     >>> bool((ring.render(5) == ring.renderer.render(1)).all()), ring.valid, ring.name
     (True, True, 'ring of 2 pre-rendered frames')
     """

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.simulation.model.bundle import Cores
     from napari_elsplus.simulation.model.instrument import Instrument
-    from napari_elsplus.simulation.rendering.views import View
+    from napari_elsplus.simulation.rendering.views import BundleView
     from napari_elsplus.simulation.specimen.scenes import Plane, Scene
 
 _FAR_UM = 1e6
@@ -81,12 +81,12 @@ class Scan:
         self._place_on_grid()
         self.terms = tuple(term for plane in scene.planes for term in self._terms_of(plane))
 
-    def light(self, view: View, line_rows: NDArray[np.float64] | None) -> CoreLight:
+    def light(self, view: BundleView, line_rows: NDArray[np.float64] | None) -> CoreLight:
         """Work out what the cores of a view receive.
 
         Parameters
         ----------
-        view : View
+        view : BundleView
             The view.
         line_rows : numpy.ndarray or None
             Row of the left image on which the line stood in the middle of each camera row's exposure, shape (rows,);
@@ -172,7 +172,7 @@ class Scan:
         return received
 
     def _offsets(
-        self, view: View, line_rows: NDArray[np.float64] | None
+        self, view: BundleView, line_rows: NDArray[np.float64] | None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Line minus core (um) and smear over the exposure (um) for each core; line minus core on the grid's rows."""
         instrument = self._instrument

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.model.instrument import Instrument, RightView
 
 
-class View(NamedTuple):
+class BundleView(NamedTuple):
     """One image of the bundle: its gain, its centre's row, its cores' places (px), the pixels that they light."""
 
     gain: float
@@ -26,15 +26,15 @@ class View(NamedTuple):
     spots: Spots
 
 
-class Views(NamedTuple):
+class BundleViews(NamedTuple):
     """The bundle's cores, and its left (confocal) and right (residual) view."""
 
     cores: Cores
-    left: View
-    right: View
+    left: BundleView
+    right: BundleView
 
 
-def views(instrument: Instrument) -> Views:
+def views(instrument: Instrument) -> BundleViews:
     """Lay the bundle out on the camera; the same instrument's layout is kept, as it takes some tenths of a second."""
     return _views(
         instrument.bundle,
@@ -54,12 +54,12 @@ def _views(
     right_centre: tuple[float, float],
     frame_shape: tuple[int, int],
     um_per_px: float,
-) -> Views:
+) -> BundleViews:
     cores = bundle.cores()
     cores_px = np.stack([cores.rows_um, cores.cols_um]) / um_per_px
 
-    def view(gain: float, centre: tuple[float, float], places: NDArray[np.float64]) -> View:
+    def view(gain: float, centre: tuple[float, float], places: NDArray[np.float64]) -> BundleView:
         rows, cols = places + np.array(centre)[:, None]
-        return View(gain, centre[0], rows, cols, spread_spots(rows, cols, frame_shape, bundle, um_per_px))
+        return BundleView(gain, centre[0], rows, cols, spread_spots(rows, cols, frame_shape, bundle, um_per_px))
 
-    return Views(cores, view(1.0, left_centre, cores_px), view(right.gain, right_centre, right.matrix @ cores_px))
+    return BundleViews(cores, view(1.0, left_centre, cores_px), view(right.gain, right_centre, right.matrix @ cores_px))

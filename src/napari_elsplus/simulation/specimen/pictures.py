@@ -56,7 +56,7 @@ def usaf_1951(groups: tuple[int, ...] = (4, 5, 6, 7)) -> Bars:
     return Bars(tuple(bars))
 
 
-class Image:
+class ImageTexture:
     """A picture as a plane; the middle of the picture is the scene's origin.
 
     Parameters

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.simulation.specimen.pictures import Image, usaf_1951
+from napari_elsplus.simulation.specimen.pictures import ImageTexture, usaf_1951
 from napari_elsplus.simulation.specimen.textures import Fibres, Mottle, Nuclei, Texture, Uniform
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def distal_light() -> Scene:
 
 def picture(image: NDArray[np.generic], um_per_px: float) -> Scene:
     """Any grey image in contact with the probe, over an even ground 200 um away."""
-    return Scene((Plane(Image(image, um_per_px)), Plane(Uniform(), depth_um=200, brightness=0.5)))
+    return Scene((Plane(ImageTexture(image, um_per_px)), Plane(Uniform(), depth_um=200, brightness=0.5)))
 
 
 SCENES: Final[dict[str, Callable[[int], Scene]]] = {

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.tiles import Canvas
 
 
-class LiveMosaics:
+class LiveMosaicView:
     """Follows the board of an engine in another process.
 
     Parameters

@@ -12,7 +12,7 @@ from napari_elsplus.io import TrackTable
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
-from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.viewing.mosaic.growing import GrowingImage
 from napari_elsplus.viewing.mosaic.mosaics import MosaicScale, without_last_segment
 from napari_elsplus.viewing.mosaic.track import fastest_px_per_frame
@@ -148,7 +148,7 @@ class StackMosaics:
             self.rows.append(self._lead.add(raw, frame, self._time_s(frame), raw_residual))
             self._follow(self._followers, self._lead.poses[-1], frame)
         self._refine(watch)
-        if self.rows.counts[State.TRACKED.value] < 2:
+        if self.rows.counts[TrackingState.TRACKED.value] < 2:
             self.notes.append(UNLINKED)
 
     def _refine(self, watch: Watch) -> None:
@@ -163,7 +163,7 @@ class StackMosaics:
         self.revision += 1
 
     def _follow(self, followers: Mapping[Mode, Pipeline], pose: Pose, frame: int) -> None:
-        if pose.state is not State.TRACKED:
+        if pose.state is not TrackingState.TRACKED:
             return
         for mode, follower in followers.items():
             if mode is not Mode.ELSA:

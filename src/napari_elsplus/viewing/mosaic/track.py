@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.io.tracks import STATES
-from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TEMPLATE_PX
 from napari_elsplus.processing.tracking.tracker import FARTHEST
 from napari_elsplus.workflows.tracking import Method
@@ -42,7 +42,7 @@ ROWS_AT_ONCE: Final = 1 << 12
 """Rows that are taken in at a time: some ten milliseconds' worth, and more than come between two looks."""
 MOST_MARKS: Final = 300
 _FARTHEST_MARKS_PX: Final = 1 << 14
-_TRACKED, _LOST = STATES.index(State.TRACKED), STATES.index(State.LOST)
+_TRACKED, _LOST = STATES.index(TrackingState.TRACKED), STATES.index(TrackingState.LOST)
 
 
 class Drawing(NamedTuple):
@@ -168,13 +168,13 @@ class TrackDrawing:
         )
 
     def _add(self, here: _Here, state: str, score: float) -> None:
-        if state == State.LOST:
+        if state == TrackingState.LOST:
             if self._last is not None:
                 self._end_line()
                 self._marks.append((self._last.number, LOST))
             self._vertex = self._last = None
             return
-        if state == State.PREDICTED:
+        if state == TrackingState.PREDICTED:
             self._end_line()
             self._marks.append((here.number, PREDICTED))
             self._vertex = None
@@ -340,8 +340,8 @@ def speed_of(rows: Sequence[TrackPoint], fastest_px: float, um_per_px: float | N
     last = rows[-LATELY_FRAMES:]
     if not last:
         return Speed(fastest_px=fastest_px)
-    tracked = [row for row in last if row.state == State.TRACKED and row.segment == last[-1].segment]
-    share = sum(row.state == State.TRACKED for row in last) / len(last)
+    tracked = [row for row in last if row.state == TrackingState.TRACKED and row.segment == last[-1].segment]
+    share = sum(row.state == TrackingState.TRACKED for row in last) / len(last)
     if len(tracked) < 2:
         return Speed(fastest_px=fastest_px, tracked=share)
     first, final = tracked[0], tracked[-1]

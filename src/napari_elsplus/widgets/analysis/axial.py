@@ -47,7 +47,7 @@ CURVES: Final = "signal and depth"
 HINT: Final = "Measure a scan to see its drop-offs; several scans give them against the slit."
 
 
-class AxialResponse(Panel):
+class AxialResponsePanel(Panel):
     """Measure the axial response: from a stack, step by step by hand, or of the simulated instrument.
 
     Parameters

@@ -53,7 +53,7 @@ PREPARING: Final = "Making the first images; on a new installation this takes so
 HINT: Final = "Choose a recording and press Compare; then draw a line on any of the images."
 
 
-class Compare(Panel):
+class ComparePanel(Panel):
     """Compare LS, ELSA and ELS+ of a recording that is open in the viewer.
 
     Parameters

@@ -57,7 +57,7 @@ HINT: Final = (
 )
 
 
-class Quality(Panel):
+class QualityPanel(Panel):
     """Check an instrument as the paper does.
 
     Parameters

@@ -11,19 +11,19 @@ if TYPE_CHECKING:
     import napari.viewer
 
     from napari_elsplus.processing.calibration.draft import Draft
-    from napari_elsplus.widgets.calibration.session import Shown
+    from napari_elsplus.widgets.calibration.session import ShownResult
 
 IMAGE, OUTLINES = "calibration: bundle", "calibration: outlines"
 
 
-def show_bundle(viewer: napari.viewer.Viewer, shown: Shown | None, draft: Draft) -> None:
+def show_bundle(viewer: napari.viewer.Viewer, shown: ShownResult | None, draft: Draft) -> None:
     """Show the pair if that is what is looked at; else take its layers away.
 
     Parameters
     ----------
     viewer : napari.Viewer
         The viewer.
-    shown : Shown or None
+    shown : ShownResult or None
         What is looked at.
     draft : Draft
         What was accepted so far.

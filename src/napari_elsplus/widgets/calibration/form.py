@@ -22,7 +22,7 @@ from qtpy.QtWidgets import (
 from napari_elsplus.acquisition.calibrating.whole import SWEEP_VOLTAGES
 from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS
-from napari_elsplus.processing.calibration.draft import State, Step
+from napari_elsplus.processing.calibration.draft import Step, StepState
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 
 if TYPE_CHECKING:
@@ -30,7 +30,11 @@ if TYPE_CHECKING:
 
     from napari_elsplus.widgets.calibration.picture import Picture
 
-MARKS: Final = {State.DONE: "\N{CHECK MARK}", State.STALE: "\N{WARNING SIGN}", State.MISSING: "\N{WHITE CIRCLE}"}
+MARKS: Final = {
+    StepState.DONE: "\N{CHECK MARK}",
+    StepState.STALE: "\N{WARNING SIGN}",
+    StepState.MISSING: "\N{WHITE CIRCLE}",
+}
 """Told apart without colour."""
 PLOTS: Final = 2
 HEADLINE_PT: Final = 17
@@ -100,7 +104,7 @@ class Form:
         for button in self.steps.values():
             button.setStyleSheet(style)
 
-    def show_states(self, states: Mapping[Step, tuple[State, str]], now: Step) -> None:
+    def show_states(self, states: Mapping[Step, tuple[StepState, str]], now: Step) -> None:
         """Mark each step as done, stale or missing."""
         for number, (step, button) in enumerate(self.steps.items(), 1):
             state, why = states[step]
@@ -129,7 +133,7 @@ class Form:
             smaller = f"font-size:{NEAR_PT}pt" if far else ""
             self.headline.setText(f"{far}<span style='{style}; {smaller}'>{picture.headline}</span>")
             warn = self.plots[0].ink("vermilion")
-            said = [f"<span style='color:{warn}'>{MARKS[State.STALE]} {line}</span>" for line in picture.warnings]
+            said = [f"<span style='color:{warn}'>{MARKS[StepState.STALE]} {line}</span>" for line in picture.warnings]
             if numbers:
                 self.numbers.setText("<br>".join([*picture.lines, *said]))
             plots = list(picture.plots)
@@ -152,14 +156,14 @@ class Form:
         candidate: bool,
         past: bool,
         scripted: bool,
-        state: State,
+        state: StepState,
     ) -> None:
         """Enable what may be done now; what may not says why."""
         self.connect_button.setText("Disconnect" if connected else "Connect")
         self.connect_button.setEnabled(not busy)
         self.rig.setEnabled(not busy and not connected)
         self.preset.setEnabled(not busy and not connected)
-        self.measure.setText("Measure" if state is State.MISSING else "Measure again")
+        self.measure.setText("Measure" if state is StepState.MISSING else "Measure again")
         why = "connect to a rig first" if not connected else "something is being measured" if busy else needs
         _allow(self.measure, why, f"Measure the {step} live")
         self.watch.setVisible(step is Step.OFFSET)

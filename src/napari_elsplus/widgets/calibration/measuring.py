@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.io import open_recording, read_volts
 from napari_elsplus.processing.calibration.stepwise import measure_step, setup_of
-from napari_elsplus.viewing.calibration_script import Source
+from napari_elsplus.viewing.calibration_script import MeasurementSource
 from napari_elsplus.widgets.calibration.pictures import picture
-from napari_elsplus.widgets.calibration.session import Shown
+from napari_elsplus.widgets.calibration.session import ShownResult
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -24,17 +24,19 @@ LOOK_S: Final = 0.04
 """The engine measures the offset in every frame; nobody reads more than so often."""
 
 
-def measure_live(guided: GuidedCalibration, step: Step, draft: Draft, target_um: float, source: Source) -> Shown:
+def measure_live(
+    guided: GuidedCalibration, step: Step, draft: Draft, target_um: float, source: MeasurementSource
+) -> ShownResult:
     """Measure a step on the rig.
 
     Raises
     ------
     ElsPlusError
-        As :meth:`~napari_elsplus.acquisition.calibrating.stepwise.GuidedCalibration.measure`.
+        As :meth:`~napari_elsplus.acquisition.link.guided_calibration.GuidedCalibration.measure`.
     """
     setup = guided.setup()
     found = guided.measure(step, draft)
-    return Shown(found, setup, picture(found, draft, setup, target_um), source)
+    return ShownResult(found, setup, picture(found, draft, setup, target_um), source)
 
 
 def measure_recorded(
@@ -44,7 +46,7 @@ def measure_recorded(
     draft: Draft,
     target_um: float,
     watch: Callable[[Iterable[int]], Iterable[int]],
-) -> Shown:
+) -> ShownResult:
     """Measure a step from a recording.
 
     Raises
@@ -59,7 +61,7 @@ def measure_recorded(
             raise InputError(f"{path.name} holds 0 frames", "choose another file")
         setup = setup_of(frames)
         found = measure_step(step, frames, draft, None if volts is None else read_volts(volts), watch)
-    return Shown(found, setup, picture(found, draft, setup, target_um), Source(step, path, volts))
+    return ShownResult(found, setup, picture(found, draft, setup, target_um), MeasurementSource(step, path, volts))
 
 
 class Watching:
@@ -73,7 +75,7 @@ class Watching:
         What is known so far.
     target_um : float
         Slit offset that is wanted.
-    source : Source
+    source : MeasurementSource
         Where the frames come from.
 
     Attributes
@@ -84,10 +86,10 @@ class Watching:
         How many were taken with :meth:`newest`.
     """
 
-    def __init__(self, guided: GuidedCalibration, draft: Draft, target_um: float, source: Source) -> None:
+    def __init__(self, guided: GuidedCalibration, draft: Draft, target_um: float, source: MeasurementSource) -> None:
         self._guided, self._draft, self._source = guided, draft, source
         self._goes_on = True
-        self._newest: Shown | str | None = None
+        self._newest: ShownResult | str | None = None
         self.target_um = target_um
         self.readings = 0
 
@@ -110,15 +112,15 @@ class Watching:
                 if count > 1:
                     rate = f"{(count - 1) / max(perf_counter() - begun_s, 1e-3):.0f} measurements a second"
                     shown = replace(shown, lines=[*shown.lines, rate])
-                self._newest = Shown(found, setup, shown, self._source)
+                self._newest = ShownResult(found, setup, shown, self._source)
             sleep(LOOK_S)
 
     def stop(self) -> None:
         """Measure no more."""
         self._goes_on = False
 
-    def newest(self) -> Shown | str | None:
+    def newest(self) -> ShownResult | str | None:
         """Return what was found since the last call, or why nothing was; None if nothing is new."""
         newest, self._newest = self._newest, None
-        self.readings += isinstance(newest, Shown)
+        self.readings += isinstance(newest, ShownResult)
         return newest

@@ -9,7 +9,7 @@ import numpy as np
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.widgets.calibration.picture import Picture, Plot, told
 from napari_elsplus.widgets.shared.plots import Band, Curve
-from napari_elsplus.workflows.sectioning_performance import line_as_seen, weigh
+from napari_elsplus.workflows.sectioning_performance import line_as_seen, predict_performance
 
 if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.calibrate import SlitOffset
@@ -70,7 +70,9 @@ def _trade(found: SlitOffset, draft: Draft, setup: Setup, scale: float) -> list[
     slit_rows = setup.acquired_with.slit_rows or _SLIT_ROWS
     line = line_as_seen(found.left, slit_rows, scale)
     light_dn, gain_db = found.left.amplitude, setup.acquired_with.gain_db or 0.0
-    given = weigh(found.rows * scale, slit_rows * scale, line, light_dn, gain_db=gain_db, bundle_um=draft.bundle_um)
+    given = predict_performance(
+        found.rows * scale, slit_rows * scale, line, light_dn, gain_db=gain_db, bundle_um=draft.bundle_um
+    )
     return [
         f"predicted drop-offs {given.drop_3db_um:.0f} µm (3 dB), {given.drop_10db_um:.0f} µm (10 dB)",
         f"signal kept {100 * given.signal_kept:.0f} %, contrast to noise {given.contrast_to_noise:.0f}, "

@@ -14,9 +14,9 @@ from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.io import read_calibration, write_calibration
-from napari_elsplus.io.settings import put_in_force, recall, remember
-from napari_elsplus.processing.calibration.draft import Draft, Setup, State, Step, step_of
-from napari_elsplus.viewing.calibration_script import Source, calibration_script
+from napari_elsplus.io.settings import recall, remember, set_active_calibration
+from napari_elsplus.processing.calibration.draft import Draft, Setup, Step, StepState, step_of
+from napari_elsplus.viewing.calibration_script import MeasurementSource, calibration_script
 from napari_elsplus.viewing.outlines import summary
 from napari_elsplus.widgets.calibration import dialogs
 from napari_elsplus.widgets.calibration.bundle_layers import show_bundle
@@ -24,7 +24,7 @@ from napari_elsplus.widgets.calibration.explained import EXPLAINED, PREPARE
 from napari_elsplus.widgets.calibration.explained import SIMULATED as SIMULATED_TARGETS
 from napari_elsplus.widgets.calibration.form import Form
 from napari_elsplus.widgets.calibration.measuring import Watching, measure_live, measure_recorded
-from napari_elsplus.widgets.calibration.session import Session, Shown
+from napari_elsplus.widgets.calibration.session import Session, ShownResult
 from napari_elsplus.widgets.calibration.sharing import Sharing
 from napari_elsplus.widgets.shared.connection import join
 from napari_elsplus.widgets.shared.panel import Panel, copy_as_script, told
@@ -81,7 +81,7 @@ class CalibrationPanel(Panel):
         return self.session.draft
 
     @property
-    def candidate(self) -> Shown | None:
+    def candidate(self) -> ShownResult | None:
         """What was found last, neither accepted nor discarded yet."""
         return self.session.candidate
 
@@ -160,7 +160,7 @@ class CalibrationPanel(Panel):
             calibration = read_calibration(path)
             self.session.begin_with(calibration)
             self.sharing.offer(self.draft.calibration, Path(path))
-            put_in_force(path)
+            set_active_calibration(path)
             show_info(f"{Path(path).name}: {summary(calibration)}")
         self._refresh()
 
@@ -168,7 +168,7 @@ class CalibrationPanel(Panel):
         """Write the calibration, and show recordings that have none of their own with it from now on."""
         with told():
             written = write_calibration(path, self.draft.calibration, force=True)
-            put_in_force(written)
+            set_active_calibration(written)
             self.sharing.offer(self.draft.calibration, written)
             show_info(f"saved {written.name}: {summary(self.draft.calibration)}")
 
@@ -219,9 +219,9 @@ class CalibrationPanel(Panel):
         form.script.clicked.connect(self.copy_script)
         self.listen(self.viewer.events.theme, self._theme_changed)
 
-    def _live_source(self) -> Source:
+    def _live_source(self) -> MeasurementSource:
         form = self.form
-        return Source(
+        return MeasurementSource(
             self.step,
             rig=self.connection.rig or "",
             preset=form.preset.currentText(),
@@ -259,7 +259,7 @@ class CalibrationPanel(Panel):
         if done.exception() is None:
             self._setup, self._changed = done.result(), True
 
-    def _found(self, shown: Shown) -> None:
+    def _found(self, shown: ShownResult) -> None:
         self.choose(step_of(shown.found))
         self.session.candidate = shown
 
@@ -326,7 +326,7 @@ class CalibrationPanel(Panel):
             scripted=bool(self.session.sources),
             state=self.draft.state(self.step, self._setup)[0],
         )
-        if shown is None and self.draft.state(self.step)[0] is not State.MISSING:
+        if shown is None and self.draft.state(self.step)[0] is not StepState.MISSING:
             form.say("known from a file; measure it to see more")
         show_bundle(self.viewer, shown, self.draft)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT
 from napari_elsplus.processing.calibration.calibrate import Background, SlitOffset
-from napari_elsplus.processing.calibration.draft import MOVED_ROWS, Draft, Flat, Found, LitPair, Setup, Step
+from napari_elsplus.processing.calibration.draft import MOVED_ROWS, Draft, Flat, LitPair, Setup, Step, StepResult
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES, GalvoMap
 from napari_elsplus.processing.calibration.lag import ScanLag
 from napari_elsplus.widgets.calibration.offset_picture import offset_picture
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def picture(found: Found, draft: Draft, setup: Setup, target_um: float) -> Picture:
+def picture(found: StepResult, draft: Draft, setup: Setup, target_um: float) -> Picture:
     """Say and draw what a step found.
 
     Parameters

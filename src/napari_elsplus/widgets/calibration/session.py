@@ -8,18 +8,18 @@ from napari_elsplus.processing.calibration.draft import Draft
 
 if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.calibration.draft import Found, Setup, Step
-    from napari_elsplus.viewing.calibration_script import Source
+    from napari_elsplus.processing.calibration.draft import Setup, Step, StepResult
+    from napari_elsplus.viewing.calibration_script import MeasurementSource
     from napari_elsplus.widgets.calibration.picture import Picture
 
 
-class Shown(NamedTuple):
+class ShownResult(NamedTuple):
     """What a step found, what it was measured with, how it is shown, and where its frames came from."""
 
-    found: Found
+    found: StepResult
     setup: Setup
     picture: Picture
-    source: Source
+    source: MeasurementSource
 
 
 class Session:
@@ -29,15 +29,15 @@ class Session:
     ----------
     draft : Draft
         What was accepted.
-    candidate : Shown or None
+    candidate : ShownResult or None
         What was found last, neither accepted nor discarded yet.
     """
 
     def __init__(self) -> None:
         self.draft = Draft()
-        self.candidate: Shown | None = None
-        self._accepted: dict[Step, Shown] = {}
-        self._past: list[tuple[Draft, dict[Step, Shown]]] = []
+        self.candidate: ShownResult | None = None
+        self._accepted: dict[Step, ShownResult] = {}
+        self._past: list[tuple[Draft, dict[Step, ShownResult]]] = []
 
     @property
     def past(self) -> bool:
@@ -45,11 +45,11 @@ class Session:
         return bool(self._past)
 
     @property
-    def sources(self) -> list[Source]:
+    def sources(self) -> list[MeasurementSource]:
         """Where the frames of what was accepted came from, in the order in which it was."""
         return [shown.source for shown in self._accepted.values()]
 
-    def shown(self, step: Step) -> Shown | None:
+    def shown(self, step: Step) -> ShownResult | None:
         """Return what is known of a step: the candidate, or what was accepted here."""
         return self.candidate or self._accepted.get(step)
 

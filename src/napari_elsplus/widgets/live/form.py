@@ -11,7 +11,7 @@ from magicgui.widgets import CheckBox, ComboBox, Container, FileEdit, FloatSpinB
 from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
 from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from napari_elsplus.acquisition.engine.live_images import RAW, View
+from napari_elsplus.acquisition.engine.live_images import RAW, LiveView
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.io.settings import recall, remember
 from napari_elsplus.processing.images.cores import CoreFilter
@@ -111,9 +111,9 @@ class LiveForm:
         )
 
     @property
-    def view(self) -> View:
+    def view(self) -> LiveView:
         """How images are to be made."""
-        return View(self.background.value, self.flat_field.value, CoreFilter(self.cores.value), self.average.value)
+        return LiveView(self.background.value, self.flat_field.value, CoreFilter(self.cores.value), self.average.value)
 
     def next_path(self, kind: str) -> Path:
         """Where a recording or a snap of this moment goes."""

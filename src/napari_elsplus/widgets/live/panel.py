@@ -37,7 +37,7 @@ RATE_TICKS: Final = 61
 """Images from which the display's rate is told."""
 
 
-class Live(EnginePanel):
+class LivePanel(EnginePanel):
     """Stream, look and record.
 
     Parameters

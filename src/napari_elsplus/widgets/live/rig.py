@@ -16,7 +16,7 @@ from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS, preset
 from napari_elsplus.io import read_calibration, write_calibration
-from napari_elsplus.io.settings import put_in_force, recall, remember
+from napari_elsplus.io.settings import recall, remember, set_active_calibration
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import told
 
@@ -46,7 +46,7 @@ def remembered_settings() -> Settings:
     )
 
 
-class Rig(EnginePanel):
+class RigPanel(EnginePanel):
     """Connect to a rig and set it up.
 
     Parameters
@@ -110,7 +110,7 @@ class Rig(EnginePanel):
         with told():
             calibration = read_calibration(path)
             self.connection.require()
-            self.asking.ask(self.connection.take(calibration, path), lambda _: put_in_force(path))
+            self.asking.ask(self.connection.take(calibration, path), lambda _: set_active_calibration(path))
 
     def save(self, path: Path) -> None:
         """Write the calibration that all panels work by; recordings without one of their own are shown with it."""
@@ -119,7 +119,7 @@ class Rig(EnginePanel):
             if calibration is None:
                 raise InputError("there is no calibration to save", "calibrate first")
             written = write_calibration(path, calibration, force=True)
-            put_in_force(written)
+            set_active_calibration(written)
             self.asking.ask(self.connection.take(calibration, written), lambda _: show_info(f"saved {written.name}"))
 
     def refresh(self) -> None:

@@ -14,14 +14,14 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.io import read_calibration
 from napari_elsplus.viewing.mosaic.files import mosaic_script, save_mosaics
-from napari_elsplus.viewing.mosaic.live import LiveMosaics
+from napari_elsplus.viewing.mosaic.live import LiveMosaicView
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.viewing.mosaic.track import speed_of
 from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.live.status import advice_on
 from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
-from napari_elsplus.widgets.mosaic.sources import Source, source_of
+from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
 from napari_elsplus.widgets.shared.choosing import chosen_image, renew_choices
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.layer_list import LayerList
@@ -55,8 +55,8 @@ class MosaicPanel(EnginePanel):
         self.layers = MosaicLayers(viewer, LayerList(self).undisturbed)
         self.work = Work(self._ended)
         self._stack: StackMosaics | None = None
-        self._shown: StackMosaics | LiveMosaics | None = None
-        self._source: Source | None = None
+        self._shown: StackMosaics | LiveMosaicView | None = None
+        self._source: MosaicSource | None = None
         self._hidden: list[Any] = []
         self._ticks = 0
         self._stale = False
@@ -145,7 +145,7 @@ class MosaicPanel(EnginePanel):
             assert self._source is not None
             self.layers.show(self._shown, self._shown.plan.tracked, self._source.titles)
         shown = self._shown
-        self._stale |= shown.update() if isinstance(shown, LiveMosaics) else self.work.busy
+        self._stale |= shown.update() if isinstance(shown, LiveMosaicView) else self.work.busy
         self._stale |= self.layers.behind
         whole = self._ticks % WHOLE_TICKS == 0
         if shown is not None and self._stale:
@@ -178,7 +178,7 @@ class MosaicPanel(EnginePanel):
         if shown is None or self.work.busy:
             return
         client = self.connection.client
-        if isinstance(shown, LiveMosaics) and shown.follows and client is not None:
+        if isinstance(shown, LiveMosaicView) and shown.follows and client is not None:
             self.asking.ask(client.undo_segment(), _tell_if_none)
             return
         _tell_if_none(shown.undo())
@@ -193,7 +193,7 @@ class MosaicPanel(EnginePanel):
             shown = self._shown
             if self.work.busy:
                 raise InputError("the mosaic still grows", "wait for its end, or cancel it")
-            if isinstance(shown, LiveMosaics):
+            if isinstance(shown, LiveMosaicView):
                 self._stale |= shown.update(all_rows=True)
             self.work.begin(
                 0,
@@ -251,7 +251,7 @@ class MosaicPanel(EnginePanel):
         """Look at the engine's mosaic where there is a new one; at none where the engine is gone."""
         client = self.connection.client
         track = None if client is None else client.status.track
-        shown = self._shown if isinstance(self._shown, LiveMosaics) else None
+        shown = self._shown if isinstance(self._shown, LiveMosaicView) else None
         if client is None or track is None:
             if shown is not None and shown.follows:
                 shown.update(all_rows=True)
@@ -261,7 +261,7 @@ class MosaicPanel(EnginePanel):
         if known or not track.running or not self._goes_live:
             return
         try:
-            live = LiveMosaics(track, client.calibration)
+            live = LiveMosaicView(track, client.calibration)
         except FileNotFoundError:  # replaced a moment ago; the next status says by what
             return
         self._leave_live()
@@ -269,7 +269,7 @@ class MosaicPanel(EnginePanel):
         self.layers.show(live, live.plan.tracked)
 
     def _leave_live(self) -> None:
-        if isinstance(self._shown, LiveMosaics):
+        if isinstance(self._shown, LiveMosaicView):
             self._shown.close()
 
     def _made(self, mosaics: StackMosaics) -> None:
@@ -299,7 +299,7 @@ class MosaicPanel(EnginePanel):
         um = self._shown.scale.um_per_px
         area_mm2 = self.layers.covered_px * (um or float("nan")) ** 2 * 1e-6
         words += f"; {area_mm2:.2g} mm\N{SUPERSCRIPT TWO}." if isfinite(area_mm2) else "."
-        track = None if client is None or not isinstance(self._shown, LiveMosaics) else client.status.track
+        track = None if client is None or not isinstance(self._shown, LiveMosaicView) else client.status.track
         if track is not None and track.loops:
             words += f" Places recognised {track.loops} times."
         if track is not None and not track.lays_anew:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Source:
+class MosaicSource:
     """Frames, and what is known of them.
 
     Attributes
@@ -78,7 +78,7 @@ def source_names(viewer: napari.viewer.Viewer) -> list[str]:
     return [layer.name for layer in sorted(usable, key=lambda layer: _facts(layer).get("kind") != "raw")]
 
 
-def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Source:
+def source_of(layer: Image, given: Calibration | None, path: Path | None) -> MosaicSource:
     """Return what a mosaic of a layer is made of.
 
     Parameters
@@ -115,9 +115,9 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Sou
     times_s = stack.recording.times_s if stack is not None and stack.recording is not None else None
     frames = stack.planes if stack is not None and raw else _Planes(layer.data)
     if calibration is not None:
-        return Source(frames, calibration, times_s, TITLES)
+        return MosaicSource(frames, calibration, times_s, TITLES)
     um = float(layer.scale[-1]) if str(layer.units[-1]) in ("micrometer", "um") else None
-    return Source(frames, images_as_they_are(frames, um), times_s, {Mode.LS: layer.name}, finished=True)
+    return MosaicSource(frames, images_as_they_are(frames, um), times_s, {Mode.LS: layer.name}, finished=True)
 
 
 def _facts(layer: Image) -> dict[str, Any]:

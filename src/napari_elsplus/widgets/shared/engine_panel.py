@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from napari_elsplus.io import read_calibration
-from napari_elsplus.io.settings import calibration_in_force
+from napari_elsplus.io.settings import active_calibration
 from napari_elsplus.widgets.shared.asking import Asking
 from napari_elsplus.widgets.shared.connection import join
 from napari_elsplus.widgets.shared.panel import Panel, told
@@ -53,7 +53,7 @@ class EnginePanel(Panel):
         What the panels share comes first, then the file in force unless it was made on another rig.
         """
         known, path = self.connection.calibration, self.connection.calibration_file
-        file = calibration_in_force()
+        file = active_calibration()
         if known is None and file is not None:
             with told():
                 read = read_calibration(file)

@@ -27,7 +27,7 @@ _BAR_SHARE: Final = 0.25
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ComparisonFigure:
     """The three images of one moment, scaled as the paper scales them.
 
     Attributes
@@ -52,7 +52,7 @@ class Comparison:
         return np.where(self.inside[self.profile_row], mean, np.float32(np.nan))
 
 
-def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> Comparison:
+def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> ComparisonFigure:
     """Make LS, ELSA and ELS+ of one raw frame; ELSA's residual is the next frame's.
 
     Parameters
@@ -87,15 +87,15 @@ def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> Comparison
     white = {mode: white_level(images[mode], inside) for mode in (Mode.LS, Mode.ELS)}
     white[Mode.ELSA] = white[Mode.ELS]
     scaled = {mode: image / np.float32(white[mode]) for mode, image in images.items()}
-    return Comparison(scaled, inside, sectioner.side // 2)
+    return ComparisonFigure(scaled, inside, sectioner.side // 2)
 
 
-def draw_comparison(comparison: Comparison, um_per_px: float | None = None) -> Figure:
+def draw_comparison(comparison: ComparisonFigure, um_per_px: float | None = None) -> Figure:
     """Draw the three images and their profiles along one line.
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ComparisonFigure
         What :func:`compare` made.
     um_per_px : float, optional
         For the scale bar and the profile's axis; pixels where it is unknown.
@@ -120,7 +120,7 @@ def draw_comparison(comparison: Comparison, um_per_px: float | None = None) -> F
     return figure
 
 
-def _draw_profiles(axes: Axes, comparison: Comparison, um_per_px: float | None) -> None:
+def _draw_profiles(axes: Axes, comparison: ComparisonFigure, um_per_px: float | None) -> None:
     side = len(comparison.inside)
     position = (np.arange(side) - (side - 1) / 2) * (um_per_px or 1)
     for mode, title in TITLES.items():

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.workflows.pictures.comparison import Comparison
+    from napari_elsplus.workflows.pictures.comparison import ComparisonFigure
 
 
 def draw_contact_sheet(
     raw: NDArray[np.integer | np.floating],
     calibration: Calibration,
-    comparison: Comparison,
+    comparison: ComparisonFigure,
     mosaics: dict[Mode, NDArray[np.float32]],
 ) -> Figure:
     """Draw a raw frame with both bundles outlined, the images made of it, and the mosaics.
@@ -33,7 +33,7 @@ def draw_contact_sheet(
         Raw frame (rows, cols).
     calibration : Calibration
         With its bundle section.
-    comparison : Comparison
+    comparison : ComparisonFigure
         LS, ELSA and ELS+ of that frame.
     mosaics : dict
         Mode to mosaic (rows, cols) float32, 0 where nothing was drawn; LS and ELS+.

@@ -9,16 +9,16 @@ import pytest
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.bundle.core_matching import PairModel
+from napari_elsplus.processing.calibration.bundle.core_matching import AlignmentModel
 from napari_elsplus.processing.calibration.bundle.location import locate_pair
-from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_pair
+from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
 
 RIG = Rig(left=(105.0, 103.0), right=(95.5, 318.3), diameter_px=190.0)
 
 
 def aligned(rig: Rig, image: np.ndarray | None = None) -> Alignment:
     image = rig.bundle()[0] if image is None else image
-    return align_pair(image, *locate_pair(image))
+    return align_views(image, *locate_pair(image))
 
 
 def error_px(found: Alignment, rig: Rig) -> float:
@@ -32,14 +32,14 @@ def error_px(found: Alignment, rig: Rig) -> float:
 @pytest.mark.parametrize(
     ("turn_deg", "scale", "gain", "model"),
     [
-        (0.0, 1.0, 1.0, PairModel.SHIFT),
-        (0.3, 1.005, 0.93, PairModel.SIMILARITY),
-        (-1.5, 0.99, 1.2, PairModel.SIMILARITY),
+        (0.0, 1.0, 1.0, AlignmentModel.SHIFT),
+        (0.3, 1.005, 0.93, AlignmentModel.SIMILARITY),
+        (-1.5, 0.99, 1.2, AlignmentModel.SIMILARITY),
     ],
 )
 @pytest.mark.parametrize("photons", [1000.0, 12.0])
 def test_map_model_and_gain_are_true(
-    turn_deg: float, scale: float, gain: float, model: PairModel, photons: float
+    turn_deg: float, scale: float, gain: float, model: AlignmentModel, photons: float
 ) -> None:
     rig = replace(RIG, turn_deg=turn_deg, scale=scale, gain=gain, photons=photons)
     rig = replace(rig, electrons_per_dn=max(photons / 120, 1.0), read_noise_e=1.5)
@@ -57,7 +57,7 @@ def test_a_pair_that_is_sheared_is_aligned_as_such() -> None:
 
     rig = Sheared(RIG.left, RIG.right, RIG.diameter_px)
     found = aligned(rig)
-    assert found.model is PairModel.AFFINE
+    assert found.model is AlignmentModel.AFFINE
     assert error_px(found, rig) < 0.05
 
 
@@ -68,7 +68,7 @@ def test_a_wrong_start_by_a_core_is_put_right(seed: int) -> None:
     image = rig.bundle()[0]
     left, right = locate_pair(image)
     away = replace(right, centre=(right.centre[0] + rig.pitch_px, right.centre[1] - 0.5 * rig.pitch_px))
-    assert error_px(align_pair(image, left, away), rig) < 0.1
+    assert error_px(align_views(image, left, away), rig) < 0.1
 
 
 def test_stray_light_does_not_change_the_gain() -> None:
@@ -95,4 +95,4 @@ def test_a_view_that_is_half_dark_is_refused() -> None:
 def test_where_saturation_leaves_nothing_to_compare_it_says_so() -> None:
     image = RIG.bundle()[0]
     with pytest.raises(MeasurementError, match="saturated here and there all over"):
-        align_pair(image, *locate_pair(image), saturated=np.ones(image.shape, bool))
+        align_views(image, *locate_pair(image), saturated=np.ones(image.shape, bool))

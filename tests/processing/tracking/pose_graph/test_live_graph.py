@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
-from napari_elsplus.processing.tracking.motion.pose import Pose, State
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.pose_graph import live_graph
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction, Corrections
-from napari_elsplus.processing.tracking.pose_graph.keyframes import Node, Trail
+from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector, Node
 from napari_elsplus.processing.tracking.pose_graph.live_graph import LiveGraph
-from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
 from recordings import Truth, record, texture
 
@@ -43,7 +43,7 @@ def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
 ) -> None:
     monkeypatch.setattr(live_graph, "MOST_NODES", 6 if few else 1000)
     front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
-    tracker, trail = Tracker(front_end.grid), Trail(front_end.grid)
+    tracker, trail = Tracker(front_end.grid), KeyframeSelector(front_end.grid)
     registrar, views, images = Registrar(front_end.grid), {}, {}
     graph = LiveGraph(registrar, lambda number: views[graph.nodes[number].frame])
     found: list[tuple[int, Pose]] = []
@@ -54,7 +54,7 @@ def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
             tracker.slot()[:] = 0
         images[k] = tracker.slot().copy()
         pose = spoilt(tracker.add(), k)
-        if pose.state is not State.TRACKED:
+        if pose.state is not TrackingState.TRACKED:
             continue
         found.append((k, pose))
         node = trail.add(k, pose, (*tracker.links[-1][:2], tracker.links[-1][3]) if tracker.links else None)
@@ -90,17 +90,17 @@ def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
 
 
 def test_a_correction_takes_a_turned_pose_to_its_place() -> None:
-    pose = Pose(4, 100.0, -30.0, Velocity(1.0, 2.0), 0.9, 0.1, State.TRACKED, angle=0.1)
+    pose = Pose(4, 100.0, -30.0, Velocity(1.0, 2.0), 0.9, 0.1, TrackingState.TRACKED, angle=0.1)
     place = pose._replace(segment=1, row=7.0, col=9.0, angle=0.35, scale=1.02)
     there = Correction.between(pose, place).of(pose)
     assert there.segment == 1
     np.testing.assert_allclose([there.row, there.col, there.angle, there.scale], [7.0, 9.0, 0.35, 1.02])
-    lost = pose._replace(row=np.nan, col=np.nan, state=State.LOST)
+    lost = pose._replace(row=np.nan, col=np.nan, state=TrackingState.LOST)
     assert np.isnan(Correction.between(pose, place).of(lost).row)
 
 
 def test_segments_that_nothing_is_known_of_stay_where_they_are() -> None:
-    pose = Pose(2, 1.0, 2.0, Velocity(0.0, 0.0), 0.9, 0.1, State.TRACKED)
+    pose = Pose(2, 1.0, 2.0, Velocity(0.0, 0.0), 0.9, 0.1, TrackingState.TRACKED)
     known = Corrections({0: [(5, Correction(0, 3.0))], 2: [(5, Correction(0, 3.0))]})
     assert known.of(9, pose).segment == 0
     assert known.without({2}).of(9, pose) == pose
@@ -110,7 +110,7 @@ def test_segments_that_nothing_is_known_of_stay_where_they_are() -> None:
 
 def test_the_longer_the_way_between_two_nodes_the_less_it_is_trusted() -> None:
     grid = FrontEnd(truth().calibration, truth().frames.shape[1:]).grid
-    tracker, trail = Tracker(grid), Trail(grid)
+    tracker, trail = Tracker(grid), KeyframeSelector(grid)
     front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
     nodes: list[Node] = []
     for k, frame in enumerate(truth().frames):
@@ -127,9 +127,9 @@ def test_the_longer_the_way_between_two_nodes_the_less_it_is_trusted() -> None:
 
 def test_the_node_at_which_a_turn_was_noticed_does_not_say_how_far_the_probe_turned_since_the_one_before() -> None:
     grid = FrontEnd(truth().calibration, truth().frames.shape[1:]).grid
-    trail = Trail(grid)
-    link = Link(Warp(1.0, -2.0, 0.0, 0.0), np.eye(4) * 1e4, 0.95, 0.9, 1.0, turn=0.01, turn_sigma=1e-3)
-    pose = Pose(1, 0.0, 0.0, Velocity(2.0, 0.0), 0.9, 0.1, State.TRACKED)
+    trail = KeyframeSelector(grid)
+    link = PairRegistration(Warp(1.0, -2.0, 0.0, 0.0), np.eye(4) * 1e4, 0.95, 0.9, 1.0, turn=0.01, turn_sigma=1e-3)
+    pose = Pose(1, 0.0, 0.0, Velocity(2.0, 0.0), 0.9, 0.1, TrackingState.TRACKED)
     first = trail.add(0, pose, (0, 1, link))
     assert first is not None
     assert trail.add(1, pose._replace(row=2.0), (1, 2, link)) is None

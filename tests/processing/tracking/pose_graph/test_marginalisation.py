@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares_places
-from napari_elsplus.processing.tracking.pose_graph.marginalisation import linked_anew, those_that_stay
+from napari_elsplus.processing.tracking.pose_graph.marginalisation import linked_anew, retained_nodes
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by
 
 NODES = 60
@@ -32,7 +32,7 @@ def test_the_nodes_that_stay_lie_where_they_lay(sigma: float) -> None:
     chain = [link(k, k + 1, noise[0, k], sigma) for k in range(NODES - 1)]
     loops = [link(k, k + ROUND, noise[1, k], sigma) for k in range(NODES - ROUND)]
     path = np.arange(NODES, dtype=float)
-    stays = those_that_stay(path, np.zeros(NODES, np.int64), path % 7 > 0, 20)
+    stays = retained_nodes(path, np.zeros(NODES, np.int64), path % 7 > 0, 20)
     assert stays.sum() == 20
     assert stays[::7].all()
     assert stays[[0, -1]].all()
@@ -50,7 +50,7 @@ def test_the_nodes_that_stay_lie_where_they_lay(sigma: float) -> None:
 def test_ends_of_segments_stay_and_what_lies_far_apart_goes_last() -> None:
     segment = np.repeat([0, 3], 10)
     path = np.concatenate([np.arange(10.0), 10 + 5 * np.arange(10.0)])
-    stays = those_that_stay(path, segment, np.ones(20, bool), 12)
+    stays = retained_nodes(path, segment, np.ones(20, bool), 12)
     assert stays[[0, 9, 10, 19]].all()
     assert stays[10:].all()
-    assert not those_that_stay(path, segment, np.ones(20, bool), 2)[[1, 8, 11, 18]].any()
+    assert not retained_nodes(path, segment, np.ones(20, bool), 2)[[1, 8, 11, 18]].any()

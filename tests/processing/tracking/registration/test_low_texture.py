@@ -15,15 +15,17 @@ from napari_elsplus.processing.tracking.registration.local_evidence import (
     unlikelihood,
 )
 from napari_elsplus.processing.tracking.registration.local_noise import blocks, local_evidence, shared_information
-from napari_elsplus.processing.tracking.registration.low_texture import SecondLook
+from napari_elsplus.processing.tracking.registration.low_texture import LowTextureFallback
 from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
-from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
 from recordings import record, texture
 
 BEFORE, AFTER = Velocity(9.0, -6.0), Velocity(12.0, -4.0)
 
 
-def looked_at(scene: np.ndarray, **options: float) -> tuple[Registrar, tuple[View, View], Displacement]:
+def looked_at(
+    scene: np.ndarray, **options: float
+) -> tuple[Registrar, tuple[PreparedFrame, PreparedFrame], Displacement]:
     """Two successive frames of an accelerating probe, and its displacement."""
     start = np.array(scene.shape) / 2
     truth = record(scene, np.stack([start, start + BEFORE, start + np.add(BEFORE, AFTER)]), **options)  # type: ignore[arg-type]
@@ -60,7 +62,7 @@ def known(registrar: Registrar, off: tuple[float, float], trust_px: float | None
 @pytest.mark.parametrize("off", [(0.0, 0.0), (3.0, 2.0), (-2.0, 3.0)])
 def test_the_end_of_one_fibre_is_enough(off: tuple[float, float]) -> None:
     registrar, pair, moved = looked_at(one_fibre(900, (40.0, 24.0)))
-    link = SecondLook(registrar).link(*pair, known(registrar, off))
+    link = LowTextureFallback(registrar).link(*pair, known(registrar, off))
     assert link is not None
     found = registrar.grid.shutter.displacement(link.warp, AFTER)
     assert np.hypot(*np.subtract(found, moved)) < 0.5
@@ -70,26 +72,26 @@ def test_the_end_of_one_fibre_is_enough(off: tuple[float, float]) -> None:
 @pytest.mark.parametrize("off", [(0.0, 0.0), (3.0, 2.0), (5.0, 3.0)])
 def test_a_fibre_without_ends_does_not_tell_the_motion_along_it(off: tuple[float, float]) -> None:
     registrar, pair, _ = looked_at(one_fibre(900, None))
-    second = SecondLook(registrar)
+    second = LowTextureFallback(registrar)
     for link in (second.link(*pair, known(registrar, off)), second.search(*pair, known(registrar, off), 8.0)):
         assert link is None or not link.observed
 
 
 def test_the_end_is_found_among_all_shifts() -> None:
     registrar, pair, moved = looked_at(one_fibre(900, (40.0, 24.0)))
-    link = SecondLook(registrar).search(*pair, known(registrar, (12.0, -9.0)), 16.0)
+    link = LowTextureFallback(registrar).search(*pair, known(registrar, (12.0, -9.0)), 16.0)
     assert link is not None
     assert np.hypot(*np.subtract(registrar.grid.shutter.displacement(link.warp, AFTER), moved)) < 0.5
 
 
 def test_where_everything_is_smooth_there_is_nothing_to_look_at_again() -> None:
     registrar, pair, _ = looked_at(texture(900, 2, 40.0))
-    assert SecondLook(registrar).link(*pair, known(registrar, (0.0, 0.0))) is None
+    assert LowTextureFallback(registrar).link(*pair, known(registrar, (0.0, 0.0))) is None
 
 
 def test_a_view_that_is_filled_anew_is_looked_at_anew() -> None:
     registrar, pair, _ = looked_at(one_fibre(900, (40.0, 24.0)))
-    second = SecondLook(registrar)
+    second = LowTextureFallback(registrar)
     before = second.link(*pair, known(registrar, (0.0, 0.0)))
     pair[1].image[:] = 0
     registrar.prepare(pair[1])
@@ -176,7 +178,7 @@ def test_a_stretch_far_from_what_is_expected_is_refused(off_px: float, refused: 
     registrar, pair, moved = looked_at(texture(900, 3))
     after = Velocity(AFTER.row + off_px, AFTER.col)
     free = warp_prior(registrar.grid.shutter, (BEFORE, after), moved, 1.0)
-    link = SecondLook(registrar).link(*pair, free)
+    link = LowTextureFallback(registrar).link(*pair, free)
     assert link is not None
     assert link.observed is not refused
 
@@ -207,8 +209,8 @@ def test_a_link_that_stood_is_asked_again_where_it_leads(end: tuple[float, float
     shutter = registrar.grid.shutter
     slid = Displacement(moved.row + (0.0 if end else 4.3), moved.col + (0.0 if end else 2.6))
     warp = shutter.warp(BEFORE, AFTER, slid)
-    link = Link(warp, np.eye(4), 0.99, 0.9, 0.5)
-    second = SecondLook(registrar)
+    link = PairRegistration(warp, np.eye(4), 0.99, 0.9, 0.5)
+    second = LowTextureFallback(registrar)
     again = second.confirmed(link, *pair, (BEFORE, AFTER), 0.5, registrar.view())
     assert link.observed
     assert again.observed is stands
@@ -220,10 +222,10 @@ def test_a_link_that_stood_is_asked_again_where_it_leads(end: tuple[float, float
 def test_a_link_between_turned_frames_is_asked_again_upright() -> None:
     registrar, pair, moved = looked_at(texture(900, 3))
     upright = registrar.grid.shutter.warp(Velocity(0.0, 0.0), AFTER, moved)
-    right = Link(upright, np.eye(4), 0.99, 0.9, 0.5, turn=0.0, turn_sigma=1e-3)
+    right = PairRegistration(upright, np.eye(4), 0.99, 0.9, 0.5, turn=0.0, turn_sigma=1e-3)
     turned = right._replace(turn=0.06)
     velocities, scratch = (BEFORE, AFTER), registrar.view()
-    second = SecondLook(registrar)
+    second = LowTextureFallback(registrar)
     seen = [second.confirmed(link, *pair, velocities, 0.5, scratch).again for link in (right, turned)]
     assert seen[0] > 5 * max(seen[1], 1)
 
@@ -232,7 +234,7 @@ def test_soft_light_has_to_say_more_than_detail() -> None:
     registrar, pair, moved = looked_at(texture(900, 2, 40.0))
     warp = registrar.grid.shutter.warp(BEFORE, AFTER, moved)
     for evidence, stands in ((0.2, False), (0.4, True)):
-        link = Link(warp, np.eye(4), 0.95, 0.9, evidence)
+        link = PairRegistration(warp, np.eye(4), 0.95, 0.9, evidence)
         assert link.observed
-        again = SecondLook(registrar).confirmed(link, *pair, (BEFORE, AFTER), 0.5, registrar.view())
+        again = LowTextureFallback(registrar).confirmed(link, *pair, (BEFORE, AFTER), 0.5, registrar.view())
         assert again.observed is stands

@@ -6,17 +6,17 @@ import pytest
 
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
-from napari_elsplus.processing.tracking.registration.model_selection import Climb, largest_sum, steady_turn
+from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection, largest_sum, steady_turn
 from napari_elsplus.processing.tracking.registration.motion_models import (
+    MotionModel,
     Remainder,
-    Rung,
     angle_of,
     composed,
     scale_of,
     turned_by,
     upright,
 )
-from napari_elsplus.processing.tracking.registration.pair_registration import Registrar, View
+from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Spiral, Still, Turning
 from simulated import followed
 
@@ -29,7 +29,7 @@ def texture(seed: int = 0, side: int = 400) -> np.ndarray:
     return (100 + 40 * image / image.std()).astype(np.float32)
 
 
-def view(form: np.ndarray, shift: tuple[float, float], registrar: Registrar, noise: float, seed: int) -> View:
+def view(form: np.ndarray, shift: tuple[float, float], registrar: Registrar, noise: float, seed: int) -> PreparedFrame:
     """What a probe at `shift` sees whose pixels lie at `form` times theirs in the scene."""
     tissue = texture()
     row, col = (np.arange(GRID.side)[:, None] - GRID.centre[0], np.arange(GRID.side) - GRID.centre[1])
@@ -41,7 +41,7 @@ def view(form: np.ndarray, shift: tuple[float, float], registrar: Registrar, noi
     return registrar.prepare(seen)
 
 
-def pair(form: np.ndarray, shift: tuple[float, float], seed: int = 0) -> tuple[Registrar, View, View]:
+def pair(form: np.ndarray, shift: tuple[float, float], seed: int = 0) -> tuple[Registrar, PreparedFrame, PreparedFrame]:
     registrar = Registrar(GRID)
     upright_view = view(np.eye(2), (0.0, 0.0), registrar, 2.0, 2 * seed)
     return registrar, upright_view, view(form, shift, registrar, 2.0, 2 * seed + 1)
@@ -53,7 +53,7 @@ def test_small_turns_and_zooms_are_told_by_what_a_link_leaves(degrees: float, sc
     link = registrar.link(a, b, Warp(b=-5.0, d=3.0), LOOSE)
     found = registrar.remainder(a, b, link.warp, LOOSE)
     assert found is not None
-    _, form = composed(link.warp, found.step[Rung.SIMILARITY])
+    _, form = composed(link.warp, found.step[MotionModel.SIMILARITY])
     assert abs(angle_of(form) + np.deg2rad(degrees)) < 4 * found.sigma[0] < np.deg2rad(0.25)
     assert abs(scale_of(form) - 1 / scale) < 4 * found.sigma[1] < 5e-3
 
@@ -65,7 +65,7 @@ def test_its_uncertainty_is_honest() -> None:
         link = registrar.link(a, b, Warp(b=-4.0, d=-2.0), LOOSE)
         found = registrar.remainder(a, b, link.warp, LOOSE)
         assert found is not None
-        misses.append(found.step[Rung.SIMILARITY, 4:] / found.sigma)
+        misses.append(found.step[MotionModel.SIMILARITY, 4:] / found.sigma)
     assert 0.1 < np.sqrt(np.mean(np.square(misses))) < 1.5
 
 
@@ -76,7 +76,7 @@ def test_links_hold_under_large_turns_that_are_roughly_known(degrees: float) -> 
     moved = turned_by(-turn) @ (8.0, 6.0)
     link = registrar.turned_link(
         a, b, (float(moved[0]) + 1, float(moved[1]) - 1, 0.8 * turn, 1.0), (Velocity(0.0, 0.0),) * 2, LOOSE,
-        Rung.RIGID, registrar.view(),
+        MotionModel.RIGID, registrar.view(),
     )  # fmt: skip
     assert link is not None
     assert link.observed
@@ -93,7 +93,13 @@ def test_motion_of_the_earlier_frame_is_undone_before_it_is_turned() -> None:
     upright(a.image.copy(), a.image, GRID.centre, np.linalg.inv(sheared))
     registrar.prepare(a)
     link = registrar.turned_link(
-        a, b, (0.0, 0.0, np.deg2rad(4.5), 1.0), (velocity, Velocity(0.0, 0.0)), LOOSE, Rung.RIGID, registrar.view()
+        a,
+        b,
+        (0.0, 0.0, np.deg2rad(4.5), 1.0),
+        (velocity, Velocity(0.0, 0.0)),
+        LOOSE,
+        MotionModel.RIGID,
+        registrar.view(),
     )
     assert link is not None
     expected = GRID.shutter.warp(velocity, Velocity(0.0, 0.0), Displacement(0.0, 0.0))
@@ -102,38 +108,38 @@ def test_motion_of_the_earlier_frame_is_undone_before_it_is_turned() -> None:
     assert abs(np.rad2deg(link.turn) - 5.0) < 0.1
 
 
-def noticed(rate: float, zoom: float, links: int, seed: int = 0) -> tuple[Rung, int]:
+def noticed(rate: float, zoom: float, links: int, seed: int = 0) -> tuple[MotionModel, int]:
     """What a sequence of links asks for, each of which turns and zooms a little; and after how many."""
     random = np.random.default_rng(seed)
-    climb, sigma = Climb(), np.array([3e-4, 3e-4])
+    climb, sigma = ModelSelection(), np.array([3e-4, 3e-4])
     for k in range(links):
         step = np.zeros((3, 6))
         step[:, 4:] = random.normal((rate, zoom), sigma)
-        if climb.weigh(Remainder(step, sigma, 1500.0)) is not Rung.TRANSLATION:
+        if climb.weigh(Remainder(step, sigma, 1500.0)) is not MotionModel.TRANSLATION:
             return climb.rung, k
     return climb.rung, links
 
 
 def test_no_more_is_modelled_than_the_frames_ask_for() -> None:
-    assert [noticed(0.0, 0.0, 500, seed)[0] for seed in range(100)].count(Rung.TRANSLATION) >= 99
+    assert [noticed(0.0, 0.0, 500, seed)[0] for seed in range(100)].count(MotionModel.TRANSLATION) >= 99
 
 
 def test_a_turn_that_no_single_link_shows_is_noticed_in_their_sum() -> None:
     rung, links = noticed(2e-4, 0.0, 500)
-    assert rung is Rung.RIGID
+    assert rung is MotionModel.RIGID
     assert 5 < links < 100
-    assert noticed(2e-4, 2e-3, 500)[0] is Rung.SIMILARITY
+    assert noticed(2e-4, 2e-3, 500)[0] is MotionModel.SIMILARITY
 
 
 def test_a_turn_that_begins_late_is_noticed() -> None:
-    climb, sigma, rungs = Climb(), np.array([3e-4, 3e-4]), []
+    climb, sigma, rungs = ModelSelection(), np.array([3e-4, 3e-4]), []
     random = np.random.default_rng(0)
     for k in range(48):
         step = np.zeros((3, 6))
         step[:, 4:] = random.normal((0.002 if k >= 40 else 0.0, 0.0), sigma)
         rungs.append(climb.weigh(Remainder(step, sigma, 1500.0)))
-    assert rungs[39] is Rung.TRANSLATION
-    assert rungs[-1] is Rung.RIGID
+    assert rungs[39] is MotionModel.TRANSLATION
+    assert rungs[-1] is MotionModel.RIGID
 
 
 def test_errors_that_mislead_many_links_in_a_row_are_no_turn() -> None:
@@ -141,13 +147,13 @@ def test_errors_that_mislead_many_links_in_a_row_are_no_turn() -> None:
     climbed = 0
     for seed in range(40):
         random = np.random.default_rng(seed)
-        climb, sigma, error = Climb(), np.array([3e-4, 3e-4]), np.zeros(2)
+        climb, sigma, error = ModelSelection(), np.array([3e-4, 3e-4]), np.zeros(2)
         for _ in range(60):
             error = 0.6 * error + 0.8 * random.normal(0, sigma)
             step = np.zeros((3, 6))
             step[:, 4:] = error
             climb.weigh(Remainder(step, sigma, 1500.0))
-        climbed += climb.rung is not Rung.TRANSLATION
+        climbed += climb.rung is not MotionModel.TRANSLATION
     assert climbed <= 2
 
 

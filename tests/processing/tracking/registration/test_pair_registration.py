@@ -6,7 +6,7 @@ import pytest
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
-from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
 from recordings import fibres, record, texture
 
 LOOSE = (0.02, 0.02)
@@ -14,7 +14,7 @@ LOOSE = (0.02, 0.02)
 
 def pair(
     scene: np.ndarray, before: tuple[float, float], after: tuple[float, float], **options: float
-) -> tuple[Registrar, View, View, Warp, Displacement]:
+) -> tuple[Registrar, PreparedFrame, PreparedFrame, Warp, Displacement]:
     """Two successive frames of a probe with these velocities, their true warp and displacement."""
     start = np.array(scene.shape) / 2
     starts = np.stack([start, start + before, start + before + np.array(after)])
@@ -31,7 +31,7 @@ def pair(
     return registrar, views[0], views[1], shutter.warp(Velocity(*before), Velocity(*after), moved), moved
 
 
-def displacement(registrar: Registrar, link: Link) -> Displacement:
+def displacement(registrar: Registrar, link: PairRegistration) -> Displacement:
     shutter = registrar.grid.shutter
     return shutter.displacement(link.warp, shutter.velocities(link.warp)[1])
 

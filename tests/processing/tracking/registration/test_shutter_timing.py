@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
-from napari_elsplus.processing.tracking.registration.pair_registration import Link
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
 from napari_elsplus.processing.tracking.registration.shutter_timing import estimate_rows_per_frame
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
@@ -23,7 +23,7 @@ def links(velocities: np.ndarray, noise: float = 3e-4, seed: int = 0) -> list:
         step = TRUE.step(Velocity(*before), Velocity(*after))
         warp = TRUE.warp(Velocity(*before), Velocity(*after), step)
         warp = warp._replace(a=warp.a + rng.normal(0, noise), s=warp.s + rng.normal(0, noise))
-        found.append((k, k + 1, step, Link(warp, np.eye(4), 0.99, 0.9, 1.0)))
+        found.append((k, k + 1, step, PairRegistration(warp, np.eye(4), 0.99, 0.9, 1.0)))
     return found
 
 

@@ -123,10 +123,10 @@ class VirtualCamera:
         body = packet[packets.HEADER.size :]
         status, data = 0, b""
         try:
-            if command == packets.Command.READ:
+            if command == packets.CommandPacket.READ:
                 address, _, count = packets.READ.unpack_from(body)
                 data = self.memory.read(address, count)
-            elif command == packets.Command.WRITE:
+            elif command == packets.CommandPacket.WRITE:
                 (address,) = struct.unpack_from("<Q", body)
                 self._write(address, body[8:])
                 data = struct.pack("<HH", 0, len(body) - 8)
@@ -139,7 +139,7 @@ class VirtualCamera:
             return
         if self.faults.pending_acks:
             self.faults.pending_acks -= 1
-            self._answers.append(_ack(0, packets.Command.PENDING_ACK, request_id, packets.PENDING.pack(0, 50)))
+            self._answers.append(_ack(0, packets.CommandPacket.PENDING_ACK, request_id, packets.PENDING.pack(0, 50)))
         self._answers.append(_ack(status, command + 1, request_id, data))
 
     def answer(self, timeout_s: float) -> bytes:

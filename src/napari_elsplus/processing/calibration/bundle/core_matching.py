@@ -34,7 +34,7 @@ SHIFT_STEP_PX: Final = 0.75
 SHIFT_STEPS: Final = 4
 
 
-class PairModel(StrEnum):
+class AlignmentModel(StrEnum):
     """How the right view may differ from the left, from the simplest."""
 
     SHIFT = "shift"
@@ -44,18 +44,18 @@ class PairModel(StrEnum):
     @property
     def parameters(self) -> int:
         """Number of parameters."""
-        return {PairModel.SHIFT: 2, PairModel.SIMILARITY: 4, PairModel.AFFINE: 6}[self]
+        return {AlignmentModel.SHIFT: 2, AlignmentModel.SIMILARITY: 4, AlignmentModel.AFFINE: 6}[self]
 
     @property
     def matrices(self) -> Floats:
         """The 2 x 3 matrix of each parameter, acting on (row, col, 1): shape (parameters, 2, 3)."""
         shift = [[[0, 0, 1], [0, 0, 0]], [[0, 0, 0], [0, 0, 1]]]
         match self:
-            case PairModel.SHIFT:
+            case AlignmentModel.SHIFT:
                 terms = shift
-            case PairModel.SIMILARITY:
+            case AlignmentModel.SIMILARITY:
                 terms = [*shift, [[1, 0, 0], [0, 1, 0]], [[0, -1, 0], [1, 0, 0]]]
-            case PairModel.AFFINE:
+            case AlignmentModel.AFFINE:
                 terms = [*shift, *([[[1, 0, 0], [0, 0, 0]], [[0, 1, 0], [0, 0, 0]]])]
                 terms += [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]]
         return np.array(terms, np.float64)
@@ -69,22 +69,22 @@ class PairModel(StrEnum):
     def constraints(self) -> Floats:
         """What must vanish in the affine parameters, less the identity, if this model holds: (constraints, 6)."""
         match self:
-            case PairModel.SHIFT:
+            case AlignmentModel.SHIFT:
                 return np.eye(6)[2:]
-            case PairModel.SIMILARITY:
+            case AlignmentModel.SIMILARITY:
                 return np.array([[0.0, 0, 1, 0, 0, -1], [0, 0, 0, 1, 1, 0]])
-            case PairModel.AFFINE:
+            case AlignmentModel.AFFINE:
                 return np.zeros((0, 6))
 
     def nearest(self, matrix: Floats) -> Floats:
         """Return the matrix of this model that is nearest to one, 2 x 2."""
         match self:
-            case PairModel.SHIFT:
+            case AlignmentModel.SHIFT:
                 return np.eye(2)
-            case PairModel.SIMILARITY:
+            case AlignmentModel.SIMILARITY:
                 stretch, turn = matrix[0, 0] + matrix[1, 1], matrix[1, 0] - matrix[0, 1]
                 return np.array([[stretch, -turn], [turn, stretch]]) / 2
-            case PairModel.AFFINE:
+            case AlignmentModel.AFFINE:
                 return matrix
 
     def displacements(self, rows: Floats, cols: Floats) -> Floats:
@@ -192,7 +192,7 @@ class CoreMatcher:
                 found[:, 2] += (down[scores.argmax()], across[scores.argmax()])
         return found
 
-    def fit(self, start: Floats, model: PairModel) -> CoreFit:
+    def fit(self, start: Floats, model: AlignmentModel) -> CoreFit:
         """Fit a model by Newton steps from a motion that is right to within a core.
 
         Of what least squares would sum, only products of the one view with the other are kept. Products of a view with
@@ -237,7 +237,7 @@ class CoreMatcher:
     def _sample(self, motion: Floats) -> Image:
         return resampled(self._contrast, self.grid_to_frame(self._right_centre, motion), self.side)
 
-    def _at_rim(self, influence: Floats, model: PairModel) -> float:
+    def _at_rim(self, influence: Floats, model: AlignmentModel) -> float:
         rim = float(np.hypot(self.rows, self.cols).max())
         angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
         errors = np.tensordot(influence, model.displacements(rim * np.sin(angles), rim * np.cos(angles)), 1)

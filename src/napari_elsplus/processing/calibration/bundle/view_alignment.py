@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.bundle.core_matching import CoreFit, CoreMatcher, PairModel, tiles
+from napari_elsplus.processing.calibration.bundle.core_matching import AlignmentModel, CoreFit, CoreMatcher, tiles
 from napari_elsplus.processing.images.resampling import resampled
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Alignment:
     ----------
     residual_to_confocal : numpy.ndarray
         Maps (row, col, 1) in the right view to (row, col) in the left, shape (2, 3).
-    model : PairModel
+    model : AlignmentModel
         The simplest motion that the evidence asks for.
     evidence : dict
         Bayesian information criterion of each model above the best one's.
@@ -58,7 +58,7 @@ class Alignment:
     """
 
     residual_to_confocal: Floats
-    model: PairModel
+    model: AlignmentModel
     evidence: dict[str, float]
     uncertainty_px: float
     gain: float
@@ -66,7 +66,7 @@ class Alignment:
     correlation: float
 
 
-def align_pair(
+def align_views(
     image: NDArray[np.generic], left: Disc, right: Disc, saturated: NDArray[np.bool_] | None = None
 ) -> Alignment:
     """Lay the right view onto the left by their cores, and compare their brightness.
@@ -91,10 +91,10 @@ def align_pair(
     """
     frame = np.asarray(image, np.float32)
     matcher = CoreMatcher(frame, left, right)
-    affine = matcher.fit(matcher.start(), PairModel.AFFINE)
-    criterion = {model: _criterion(affine, model) for model in PairModel}
-    model = min(PairModel, key=lambda candidate: criterion[candidate])
-    fit = affine if model is PairModel.AFFINE else matcher.fit(affine.motion, model)
+    affine = matcher.fit(matcher.start(), AlignmentModel.AFFINE)
+    criterion = {model: _criterion(affine, model) for model in AlignmentModel}
+    model = min(AlignmentModel, key=lambda candidate: criterion[candidate])
+    fit = affine if model is AlignmentModel.AFFINE else matcher.fit(affine.motion, model)
     if not fit.correlation > LEAST_CORRELATION:
         raise MeasurementError(
             f"the two views do not show the same cores (correlation {fit.correlation:.2f})",
@@ -104,7 +104,7 @@ def align_pair(
     return Alignment(
         residual_to_confocal=_right_to_left(fit.motion, left, right),
         model=model,
-        evidence={other.value: criterion[other] - criterion[model] for other in PairModel},
+        evidence={other.value: criterion[other] - criterion[model] for other in AlignmentModel},
         uncertainty_px=float(np.hypot(fit.uncertainty_px, SAMPLING_PX)),
         gain=gain,
         gain_uncertainty=gain_uncertainty,
@@ -112,12 +112,12 @@ def align_pair(
     )
 
 
-def _criterion(affine: CoreFit, model: PairModel) -> float:
+def _criterion(affine: CoreFit, model: AlignmentModel) -> float:
     """Bayesian information criterion: how far the affine fit is from the model, in its own uncertainty, and parameters.
 
     The Wald statistic stands in for the likelihood's loss, since its covariance also holds for lumpy residuals.
     """
-    must_vanish = model.constraints @ (affine.parameters - PairModel.AFFINE.identity)
+    must_vanish = model.constraints @ (affine.parameters - AlignmentModel.AFFINE.identity)
     influence = affine.influence @ model.constraints.T
     wald = float(must_vanish @ np.linalg.pinv(influence.T @ influence) @ must_vanish) if len(must_vanish) else 0.0
     return wald + model.parameters * float(np.log(len(influence)))

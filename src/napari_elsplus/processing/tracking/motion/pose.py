@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 
 
-class State(StrEnum):
+class TrackingState(StrEnum):
     """How much is known of a frame's position."""
 
     TRACKED = "tracked"
@@ -35,7 +35,7 @@ class Pose(NamedTuple):
         Correlation of the overlap with the frame that this one was linked to.
     sigma : float
         Larger axis of the position's uncertainty relative to that frame, one standard deviation.
-    state : State
+    state : TrackingState
         Tracked, predicted or lost.
     angle : float
         Of the probe against the segment's first frame, radians, from rows towards columns; zero until asked for.
@@ -49,6 +49,6 @@ class Pose(NamedTuple):
     velocity: Velocity
     score: float
     sigma: float
-    state: State
+    state: TrackingState
     angle: float = 0.0
     scale: float = 1.0

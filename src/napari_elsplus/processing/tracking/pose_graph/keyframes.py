@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.pose import Pose
-    from napari_elsplus.processing.tracking.registration.pair_registration import Link
+    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
 
 _DRIFT: Final = 0.001
 """Part of the path by which links may be off in one direction; rows per frame wrong by 3 % make it so much."""
@@ -48,7 +48,7 @@ class Node(NamedTuple):
     upright: tuple[int, Pose] | None = None
 
 
-class Trail:
+class KeyframeSelector:
     """Finds nodes, a quarter of a bundle diameter apart; costs next to nothing for the frames between them.
 
     Parameters
@@ -62,12 +62,12 @@ class Trail:
         self._shutter = grid.shutter
         self._stretch = LINK_STRETCH_PX / grid.shutter.rows_per_frame
         self._before: tuple[int, Pose] | None = None
-        self._newest: tuple[int, int, Link] | None = None
-        self._node: tuple[int, int, Link] | None = None
+        self._newest: tuple[int, int, PairRegistration] | None = None
+        self._node: tuple[int, int, PairRegistration] | None = None
         self._gone = 0.0
-        self._since: list[Link] = []
+        self._since: list[PairRegistration] = []
 
-    def add(self, frame: int, pose: Pose, link: tuple[int, int, Link] | None) -> Node | None:
+    def add(self, frame: int, pose: Pose, link: tuple[int, int, PairRegistration] | None) -> Node | None:
         """Take in a tracked frame; return it as a node if it is one, or the very first, once that is known to be one.
 
         Parameters

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from napari_elsplus.processing.tracking.registration.motion_models import Rung, turned_by
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,9 +66,9 @@ class Place(NamedTuple):
     scale: float = 1.0
 
 
-def least_squares(edges: Sequence[Edge], fixed: int, rung: Rung) -> dict[int, Place]:
+def least_squares(edges: Sequence[Edge], fixed: int, rung: MotionModel) -> dict[int, Place]:
     """Where frames lie by what is modelled: :func:`least_squares_positions`, or with angles and scales."""
-    if rung is Rung.TRANSLATION:
+    if rung is MotionModel.TRANSLATION:
         return {frame: Place(*where) for frame, where in least_squares_positions(edges, fixed).items()}
     return least_squares_places(edges, fixed)
 

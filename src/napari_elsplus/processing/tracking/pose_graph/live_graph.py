@@ -15,15 +15,15 @@ import numpy as np
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction, Corrections
 from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares
 from napari_elsplus.processing.tracking.pose_graph.loop_closure import AWAY, LINKS_PER_KEY, REACH, Bridge, LoopCloser
-from napari_elsplus.processing.tracking.pose_graph.marginalisation import linked_anew, those_that_stay
-from napari_elsplus.processing.tracking.registration.motion_models import Rung, turned_by
+from napari_elsplus.processing.tracking.pose_graph.marginalisation import linked_anew, retained_nodes
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
-    from napari_elsplus.processing.tracking.registration.pair_registration import Registrar, View
+    from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
 
 RECALLED: Final = 6
 """Nodes of other segments with which a node is compared: the newest of them, and as many others in turn."""
@@ -59,12 +59,12 @@ class LiveGraph:
         Links that closed a loop, or joined segments, so far.
     """
 
-    def __init__(self, registrar: Registrar, view: Callable[[int], View | None]) -> None:
+    def __init__(self, registrar: Registrar, view: Callable[[int], PreparedFrame | None]) -> None:
         self._registrar, self._view = registrar, view
         self._diameter = registrar.grid.diameter
         self.nodes: list[Node] = []
         self.places: list[Pose] = []
-        self._rung = Rung.TRANSLATION
+        self._rung = MotionModel.TRANSLATION
         self._closer: LoopCloser | None = None
         self._closer_knows = 0
         self._where = np.zeros((256, 3))
@@ -81,14 +81,14 @@ class LiveGraph:
         self._many = MOST_NODES
         self.closed = 0
 
-    def add(self, node: Node, rung: Rung = Rung.TRANSLATION, *, everywhere: bool = True) -> bool:
+    def add(self, node: Node, rung: MotionModel = MotionModel.TRANSLATION, *, everywhere: bool = True) -> bool:
         """Take in a node; whether it showed a place again, so that :meth:`solve` has something to say.
 
         Parameters
         ----------
         node : Node
             Compared with others if its view is at hand.
-        rung : Rung
+        rung : MotionModel
             What is modelled beside translations.
         everywhere : bool
             Whether it is also looked for in other segments, which takes the longest.
@@ -131,7 +131,7 @@ class LiveGraph:
         most : int, optional
             How many, the newest first; all by default.
         """
-        if self._rung is Rung.TRANSLATION or not self._untold:
+        if self._rung is MotionModel.TRANSLATION or not self._untold:
             return False
         asked = 0
         for edges in (self._chain, self._loops):
@@ -208,7 +208,7 @@ class LiveGraph:
         segment = np.array([node.pose.segment for node in self.nodes])
         free = np.array([not kept(node) and node.upright is None for node in self.nodes])
         stays = there.copy()
-        stays[there] = those_that_stay(self._where[:count, 2][there], segment[there], free[there], 2 * MOST_NODES // 3)
+        stays[there] = retained_nodes(self._where[:count, 2][there], segment[there], free[there], 2 * MOST_NODES // 3)
         chain, loops = linked_anew(self._chain, self._loops, stays)
         number, left = (np.cumsum(stays) - 1).tolist(), np.flatnonzero(stays).tolist()
         self._chain, self._loops = (
@@ -234,7 +234,7 @@ class LiveGraph:
 
     def _told(self, edge: Edge) -> Edge:
         """Return a link with what is thought of its angle, where it was not asked for."""
-        if self._rung is Rung.TRANSLATION or edge.turn_sigma < _UNTOLD:
+        if self._rung is MotionModel.TRANSLATION or edge.turn_sigma < _UNTOLD:
             return edge
         turn = self._turn_between(edge.earlier, edge.later)
         return edge._replace(turn=turn, turn_sigma=float(np.clip(abs(turn), *_GUESSED_SIGMAS)))
@@ -313,7 +313,7 @@ class LiveGraph:
             self._closer = closer = LoopCloser(self._registrar, self._prepared, self.places, self._rung)
         return closer
 
-    def _prepared(self, number: int) -> View:
+    def _prepared(self, number: int) -> PreparedFrame:
         view = self._view(number)
         assert view is not None, f"node {number} is not kept any more"
         return view

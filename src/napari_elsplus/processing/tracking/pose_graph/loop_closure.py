@@ -11,18 +11,22 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.tracking.motion.pose import State
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge
-from napari_elsplus.processing.tracking.registration.low_texture import SecondLook
-from napari_elsplus.processing.tracking.registration.motion_models import Rung, turned_by
+from napari_elsplus.processing.tracking.registration.low_texture import LowTextureFallback
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 from napari_elsplus.processing.tracking.tracker import FALL_OF_CORRELATION
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from napari_elsplus.processing.tracking.motion.pose import Pose
-    from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+    from napari_elsplus.processing.tracking.registration.pair_registration import (
+        PairRegistration,
+        PreparedFrame,
+        Registrar,
+    )
 
 KEY_SPACING: Final = 0.25
 """Distance between key frames, in bundle diameters."""
@@ -41,13 +45,13 @@ _AGREEMENT_PX: Final = 3.0
 _AGREEMENT_RAD: Final = 0.02
 
 
-def key_frames(poses: Sequence[Pose], spacing_px: float) -> list[int]:
+def select_keyframes(poses: Sequence[Pose], spacing_px: float) -> list[int]:
     """Tracked frames of one segment, about so far apart along the path."""
     keys: list[int] = []
     gone = 0.0
     last: tuple[float, float] | None = None
     for index, pose in enumerate(poses):
-        if pose.state is not State.TRACKED:
+        if pose.state is not TrackingState.TRACKED:
             continue
         gone += 0.0 if last is None else hypot(pose.row - last[0], pose.col - last[1])
         last = pose.row, pose.col
@@ -68,31 +72,31 @@ class LoopCloser:
         Returns the prepared view of a frame by its index.
     poses : sequence of Pose
         What the tracker made of every frame.
-    rung : Rung
+    rung : MotionModel
         What is modelled beside translations.
     """
 
     def __init__(
         self,
         registrar: Registrar,
-        view: Callable[[int], View],
+        view: Callable[[int], PreparedFrame],
         poses: Sequence[Pose],
-        rung: Rung = Rung.TRANSLATION,
+        rung: MotionModel = MotionModel.TRANSLATION,
     ) -> None:
         self.rung = rung
         self._scratch = registrar.view()
         self._registrar = registrar
-        self._second = SecondLook(registrar)
+        self._second = LowTextureFallback(registrar)
         self._view = view
         self._poses = poses
-        scores = [pose.score for pose in poses if pose.state is State.TRACKED and np.isfinite(pose.score)]
+        scores = [pose.score for pose in poses if pose.state is TrackingState.TRACKED and np.isfinite(pose.score)]
         self._enough = (float(np.median(scores)) if scores else 1.0) - FALL_OF_CORRELATION
 
     def close(self, segment: int) -> list[Edge]:
         """Links between key frames of one segment that lie beside each other but far apart along the path."""
         diameter = self._registrar.grid.diameter
-        poses = [p if p.segment == segment else p._replace(state=State.LOST) for p in self._poses]
-        keys = key_frames(poses, KEY_SPACING * diameter)
+        poses = [p if p.segment == segment else p._replace(state=TrackingState.LOST) for p in self._poses]
+        keys = select_keyframes(poses, KEY_SPACING * diameter)
         edges = []
         for n, later in enumerate(keys):
             here = poses[later]
@@ -114,7 +118,9 @@ class LoopCloser:
         """Links between two segments; none unless two pairs of frames agree on how these lie."""
         spacing = KEY_SPACING * self._registrar.grid.diameter
         before, after = (
-            key_frames([p if p.segment == s else p._replace(state=State.LOST) for p in self._poses], spacing)
+            select_keyframes(
+                [p if p.segment == s else p._replace(state=TrackingState.LOST) for p in self._poses], spacing
+            )
             for s in (earlier_segment, later_segment)
         )
         bridge = Bridge()
@@ -129,7 +135,7 @@ class LoopCloser:
     def offset(self, edge: Edge) -> tuple[float, float, float]:
         """Where the later segment's origin lies in the earlier segment, and how it is turned there."""
         a, b = self._poses[edge.earlier], self._poses[edge.later]
-        if self.rung is Rung.TRANSLATION:
+        if self.rung is MotionModel.TRANSLATION:
             return a.row + edge.displacement[0] - b.row, a.col + edge.displacement[1] - b.col, 0.0
         angle, scale = a.angle + edge.turn, a.scale * edge.zoom
         row, col = turned_by(angle, scale) @ edge.displacement
@@ -137,10 +143,10 @@ class LoopCloser:
         return a.row + float(row - down), a.col + float(col - across), angle - b.angle
 
     def revisit(self, earlier: int, later: int, path_px: float) -> Edge | None:
-        """Link two frames of a segment, that much path apart, where they are thought to lie; None if they are not."""
+        """Register two frames of a segment, `path_px` apart along it, at their tracked places; None if rejected."""
         a, b = self._poses[earlier], self._poses[later]
         expected = Displacement(b.row - a.row, b.col - a.col)
-        if self.rung is not Rung.TRANSLATION:
+        if self.rung is not MotionModel.TRANSLATION:
             expected = Displacement(*(turned_by(-b.angle, 1 / b.scale) @ expected).tolist())
             edge = self._edge(earlier, later, self._turned(a, b, earlier, later, expected, b.angle - a.angle, None))
         else:
@@ -154,7 +160,7 @@ class LoopCloser:
         return edge if miss < _AGREEMENT_PX + _DRIFT * path_px else None
 
     def again(self, edge: Edge, turn: float) -> Edge | None:
-        """Link two frames once more that were linked while no rotation was asked for; None if that says nothing.
+        """Register two frames once more that were linked while no rotation was asked for; None if that says nothing.
 
         Parameters
         ----------
@@ -175,8 +181,8 @@ class LoopCloser:
         """Compare two frames over all shifts; `before` and `after` are the frames around the gap, turned alike."""
         a, b = self._poses[earlier], self._poses[later]
         reach = REACH * self._registrar.grid.diameter
-        link: Link | None
-        if self.rung is not Rung.TRANSLATION:
+        link: PairRegistration | None
+        if self.rung is not MotionModel.TRANSLATION:
             turn = b.angle - self._poses[after].angle + self._poses[before].angle - a.angle
             link = self._turned(a, b, earlier, later, Displacement(0.0, 0.0), turn, reach)
         else:
@@ -186,13 +192,13 @@ class LoopCloser:
 
     def _turned(
         self, a: Pose, b: Pose, earlier: int, later: int, expected: Displacement, turn: float, reach: float | None
-    ) -> Link | None:
+    ) -> PairRegistration | None:
         return self._registrar.turned_link(
             self._view(earlier), self._view(later), (*expected, turn, b.scale / a.scale), (a.velocity, b.velocity),
             self._spread, self.rung, self._scratch, reach,
         )  # fmt: skip
 
-    def _edge(self, earlier: int, later: int, link: Link | None) -> Edge | None:
+    def _edge(self, earlier: int, later: int, link: PairRegistration | None) -> Edge | None:
         if link is not None:
             velocities = self._poses[earlier].velocity, self._poses[later].velocity
             views = self._view(earlier), self._view(later)
@@ -230,7 +236,7 @@ def _agree(one: tuple[float, float, float], other: tuple[float, float, float]) -
     return near and abs(one[2] - other[2]) < _AGREEMENT_RAD
 
 
-def edge_covariance(link: Link, stretch_sigma: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def edge_covariance(link: PairRegistration, stretch_sigma: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """Covariance of a displacement: the shift's own, what the later frame's velocity adds, and a floor."""
     shift = link.warp.b**2 * stretch_sigma**2
     return link.covariance + (shift + 1e-4) * np.eye(2)

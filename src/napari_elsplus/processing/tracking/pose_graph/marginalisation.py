@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge
 
 
-def those_that_stay(
+def retained_nodes(
     path: NDArray[np.float64], segment: NDArray[np.int64], free: NDArray[np.bool_], most: int
 ) -> NDArray[np.bool_]:
     """Choose nodes to be let go, so that those that stay lie evenly along the path; ends of segments stay.
@@ -41,7 +41,7 @@ def those_that_stay(
     Examples
     --------
     >>> path = np.array([0.0, 1, 2, 3, 4, 9, 14])
-    >>> those_that_stay(path, np.zeros(7, np.int64), np.ones(7, bool), 4).tolist()
+    >>> retained_nodes(path, np.zeros(7, np.int64), np.ones(7, bool), 4).tolist()
     [True, False, False, False, True, True, True]
     """
     stays = np.ones(len(path), bool)

@@ -6,28 +6,32 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.tracking.motion.pose import Pose, State
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, Place, least_squares, least_squares_places
 from napari_elsplus.processing.tracking.pose_graph.loop_closure import LINK_STRETCH_PX, LoopCloser, edge_covariance
-from napari_elsplus.processing.tracking.pose_graph.rotation_review import hindsight, turned_links
-from napari_elsplus.processing.tracking.registration.motion_models import Rung
+from napari_elsplus.processing.tracking.pose_graph.rotation_review import review_rotation, turned_links
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter
-    from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+    from napari_elsplus.processing.tracking.registration.pair_registration import (
+        PairRegistration,
+        PreparedFrame,
+        Registrar,
+    )
 
 _NOWHERE: Final = Velocity(np.nan, np.nan)
 
 
 def refine(
     poses: Sequence[Pose],
-    links: Sequence[tuple[int, int, Displacement, Link]],
+    links: Sequence[tuple[int, int, Displacement, PairRegistration]],
     registrar: Registrar,
-    view: Callable[[int], View],
-    rung: Rung = Rung.TRANSLATION,
+    view: Callable[[int], PreparedFrame],
+    rung: MotionModel = MotionModel.TRANSLATION,
 ) -> list[Pose]:
     """Close loops, join segments and solve for all positions at once.
 
@@ -41,7 +45,7 @@ def refine(
         Of the same grid.
     view : callable
         Returns the prepared view of a frame by its index.
-    rung : Rung
+    rung : MotionModel
         What the frames asked for while they came. All links are asked once more, and if the probe turned, those from
         before that was noticed are corrected.
 
@@ -52,18 +56,18 @@ def refine(
         between tracked ones, and those after the last of a segment are lost.
     """
     settled = with_origins(settle(poses, links), links, registrar.grid.shutter)
-    tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is State.TRACKED}
+    tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is TrackingState.TRACKED}
     stretch = LINK_STRETCH_PX / registrar.grid.shutter.rows_per_frame
-    if rung is Rung.TRANSLATION:
-        rung = hindsight(links, registrar, view)
-    if rung is not Rung.TRANSLATION:
+    if rung is MotionModel.TRANSLATION:
+        rung = review_rotation(links, registrar, view)
+    if rung is not MotionModel.TRANSLATION:
         links = turned_links(links, settled, registrar, view, rung)
     edges = [
         Edge(a, b, (moved.row, moved.col), edge_covariance(link, stretch), link.turn, link.zoom, link.turn_sigma)
         for a, b, moved, link in links
         if tracked.get(a, -1) == tracked.get(b, -2)
     ]
-    if rung is not Rung.TRANSLATION:
+    if rung is not MotionModel.TRANSLATION:
         settled = _relaid(settled, edges, tracked)
     closer = LoopCloser(registrar, view, settled, rung)
     segments = sorted(set(tracked.values()))
@@ -95,25 +99,25 @@ def _relaid(poses: Sequence[Pose], edges: Sequence[Edge], tracked: dict[int, int
     return result
 
 
-def settle(poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, Link]]) -> list[Pose]:
+def settle(poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, PairRegistration]]) -> list[Pose]:
     """Call lost what has no place among the others, now that it is known what came after.
 
     That is what was predicted and never linked to a later frame of its segment; and a first frame to which nothing was
     linked, where anything was to another: the probe was lifted then, or elsewhere.
     """
-    last = {pose.segment: k for k, pose in enumerate(poses) if pose.state is State.TRACKED}
+    last = {pose.segment: k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED}
     linked = {frame for earlier, later, *_ in links for frame in (earlier, later)}
     return [
-        pose._replace(row=np.nan, col=np.nan, velocity=_NOWHERE, state=State.LOST)
-        if (pose.state is State.PREDICTED and k > last.get(pose.segment, -1))
-        or (pose.state is State.TRACKED and linked and k not in linked)
+        pose._replace(row=np.nan, col=np.nan, velocity=_NOWHERE, state=TrackingState.LOST)
+        if (pose.state is TrackingState.PREDICTED and k > last.get(pose.segment, -1))
+        or (pose.state is TrackingState.TRACKED and linked and k not in linked)
         else pose
         for k, pose in enumerate(poses)
     ]
 
 
 def with_origins(
-    poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, Link]], shutter: RollingShutter
+    poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, PairRegistration]], shutter: RollingShutter
 ) -> list[Pose]:
     """Give the frames from which segments started the velocity, and the place, that their first link tells.
 
@@ -123,22 +127,22 @@ def with_origins(
     result = list(poses)
     for earlier, later, _, link in links:
         first, after = result[earlier], result[later]
-        begins = first.state is State.TRACKED and np.isnan(first.score)
-        alone = earlier == 0 or result[earlier - 1].state is State.LOST
-        if later != earlier + 1 or after.state is not State.TRACKED:
+        begins = first.state is TrackingState.TRACKED and np.isnan(first.score)
+        alone = earlier == 0 or result[earlier - 1].state is TrackingState.LOST
+        if later != earlier + 1 or after.state is not TrackingState.TRACKED:
             continue
-        if begins or (first.state is State.LOST and alone):
+        if begins or (first.state is TrackingState.LOST and alone):
             before, _ = shutter.velocities(link.warp)
-            result[earlier] = Pose(after.segment, 0.0, 0.0, before, np.nan, np.nan, State.TRACKED)
+            result[earlier] = Pose(after.segment, 0.0, 0.0, before, np.nan, np.nan, TrackingState.TRACKED)
     return result
 
 
 def interpolate(poses: Sequence[Pose]) -> list[Pose]:
     """Put predicted frames onto the line between the tracked frames around them."""
     result = list(poses)
-    known = np.array([k for k, pose in enumerate(poses) if pose.state is State.TRACKED])
+    known = np.array([k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED])
     for k, pose in enumerate(poses):
-        if pose.state is not State.PREDICTED:
+        if pose.state is not TrackingState.PREDICTED:
             continue
         n = int(np.searchsorted(known, k))
         a, b = int(known[n - 1]), int(known[n])

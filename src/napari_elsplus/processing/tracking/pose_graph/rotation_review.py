@@ -11,16 +11,20 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.tracking.registration.model_selection import asked_for
-from napari_elsplus.processing.tracking.registration.motion_models import Rung, angle_of, composed, scale_of
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, angle_of, composed, scale_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
-    from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+    from napari_elsplus.processing.tracking.registration.pair_registration import (
+        PairRegistration,
+        PreparedFrame,
+        Registrar,
+    )
 
-    Found = tuple[int, int, Displacement, Link]
+    Found = tuple[int, int, Displacement, PairRegistration]
 
 LARGE_TURN: Final = 0.004
 """Angle, in radians, from which a link is made anew instead of being corrected by a linear step."""
@@ -28,7 +32,7 @@ _MOST_ASKED: Final = 600
 _LOOSE: Final = (0.01, 0.01)
 
 
-def hindsight(links: Sequence[Found], registrar: Registrar, view: Callable[[int], View]) -> Rung:
+def review_rotation(links: Sequence[Found], registrar: Registrar, view: Callable[[int], PreparedFrame]) -> MotionModel:
     """Return what all links together ask for.
 
     Parameters
@@ -50,7 +54,11 @@ def hindsight(links: Sequence[Found], registrar: Registrar, view: Callable[[int]
 
 
 def turned_links(
-    links: Sequence[Found], poses: list[Pose], registrar: Registrar, view: Callable[[int], View], rung: Rung
+    links: Sequence[Found],
+    poses: list[Pose],
+    registrar: Registrar,
+    view: Callable[[int], PreparedFrame],
+    rung: MotionModel,
 ) -> list[Found]:
     """Tell links that were made without it how far they are turned; correct their later frames' velocities."""
     scratch = registrar.view()
@@ -58,7 +66,12 @@ def turned_links(
 
 
 def _turned(
-    found: Found, poses: list[Pose], registrar: Registrar, view: Callable[[int], View], rung: Rung, scratch: View
+    found: Found,
+    poses: list[Pose],
+    registrar: Registrar,
+    view: Callable[[int], PreparedFrame],
+    rung: MotionModel,
+    scratch: PreparedFrame,
 ) -> Found:
     earlier, later, moved, link = found
     if np.isfinite(link.turn_sigma):

@@ -20,7 +20,7 @@ from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, 
 from napari_elsplus.processing.tracking.motion.warp_prior import warp_prior
 from napari_elsplus.processing.tracking.registration.local_evidence import look_again, look_at_half
 from napari_elsplus.processing.tracking.registration.local_noise import blocks
-from napari_elsplus.processing.tracking.registration.pair_registration import Link, Registrar, View
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
 from napari_elsplus.processing.tracking.registration.pyramid_descent import LEVELS, fill_coarser
 from napari_elsplus.processing.tracking.registration.shift_search import prior, support
 
@@ -45,7 +45,7 @@ _LEAST_CORRELATION: Final = 0.3
 """Of a candidate of the search, at half resolution."""
 
 
-def unlit(link: Link) -> Link:
+def unlit(link: PairRegistration) -> PairRegistration:
     """Judge a doubtful link between frames in which nothing fine is to be seen: soft light has to say more.
 
     What is left of out-of-focus light in an empty view agrees at shifts that are wrong.
@@ -53,7 +53,7 @@ def unlit(link: Link) -> Link:
     return link._replace(again=link.evidence / LEAST_OF_SOFT_LIGHT)
 
 
-class SecondLook:
+class LowTextureFallback:
     """Looks again at frames on one grid; keeps what depends on the grid alone.
 
     Parameters
@@ -74,24 +74,26 @@ class SecondLook:
         self._used = lit_pixels(*spans[1])
         self._weight = np.maximum(_blurred(self._lit[1]), 1e-3)
 
-    def link(self, earlier: View, later: View, known: WarpPrior) -> Link | None:
+    def link(self, earlier: PreparedFrame, later: PreparedFrame, known: WarpPrior) -> PairRegistration | None:
         """Refine the expected warp; None where there is nothing fine to be seen.
 
         Parameters
         ----------
-        earlier, later : View
+        earlier, later : PreparedFrame
             Prepared frames.
         known : WarpPrior
             Where to start, and what is known of it.
         """
         return self._refined(earlier, later, known, np.array(known.expected), LEVELS - 1)
 
-    def search(self, earlier: View, later: View, known: WarpPrior, reach_px: float) -> Link | None:
+    def search(
+        self, earlier: PreparedFrame, later: PreparedFrame, known: WarpPrior, reach_px: float
+    ) -> PairRegistration | None:
         """Find the warp among all shifts; None where there is nothing fine to be seen.
 
         Parameters
         ----------
-        earlier, later : View
+        earlier, later : PreparedFrame
             Prepared frames.
         known : WarpPrior
             What is known of the warp.
@@ -118,22 +120,22 @@ class SecondLook:
         return None if best is None else self._refined(earlier, later, known, best[1], 1)
 
     def confirmed(
-        self, link: Link, earlier: View, later: View, velocities: tuple[Velocity, Velocity], spread_px: float,
-        scratch: View, trust_px: float | None = None,
-    ) -> Link:  # fmt: skip
+        self, link: PairRegistration, earlier: PreparedFrame, later: PreparedFrame,
+        velocities: tuple[Velocity, Velocity], spread_px: float, scratch: PreparedFrame, trust_px: float | None = None,
+    ) -> PairRegistration:  # fmt: skip
         """Look again, where a doubtful link leads, at frames one of which may be turned; return it with what is seen.
 
         Parameters
         ----------
-        link : Link
+        link : PairRegistration
             Returned as it is where it leaves no doubt.
-        earlier, later : View
+        earlier, later : PreparedFrame
             Prepared frames.
         velocities : tuple of Velocity
             Theirs.
         spread_px : float
             What these are trusted to.
-        scratch : View
+        scratch : PreparedFrame
             Is filled with the earlier frame, turned.
         trust_px : float, optional
             How well the earlier one is known, if the frames are successive.
@@ -156,8 +158,8 @@ class SecondLook:
         return link._replace(again=again.again if alike else 0.0)
 
     def _refined(
-        self, earlier: View, later: View, known: WarpPrior, warp: NDArray[np.float64], coarsest: int
-    ) -> Link | None:
+        self, earlier: PreparedFrame, later: PreparedFrame, known: WarpPrior, warp: NDArray[np.float64], coarsest: int
+    ) -> PairRegistration | None:
         bare, information = (self._bare(earlier), self._bare(later)), np.empty((4, 4))
         if not all(bare):
             return None
@@ -170,9 +172,9 @@ class SecondLook:
         found, overlap = Warp(*warp.tolist()), count / self._pixels[0]
         if known.misfit(found) > _MOST_MISFIT:
             certainty = min(certainty, 0.0)
-        return Link(found, information, correlation, overlap, again=certainty)
+        return PairRegistration(found, information, correlation, overlap, again=certainty)
 
-    def _bare(self, view: View) -> tuple[NDArray[np.float32], ...]:
+    def _bare(self, view: PreparedFrame) -> tuple[NDArray[np.float32], ...]:
         """Return a view's levels without what is smooth in them, made once for each frame; empty if that is most."""
         if view.bare is None:
             fine, coarse = self._lit

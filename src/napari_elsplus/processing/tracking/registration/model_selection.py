@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.registration.motion_models import Remainder, Rung
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, Remainder
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,7 +37,7 @@ _FEWEST_STEADY: Final = 16
 """Links that tell how they scatter."""
 
 
-def asked_for(found: Sequence[Remainder]) -> Rung:
+def asked_for(found: Sequence[Remainder]) -> MotionModel:
     """Return what the sum of links asks for, at its largest: a probe may turn to and fro.
 
     How much a sum may be off is learnt from how the links scatter about their mean, and from how alike the errors of
@@ -52,22 +52,26 @@ def asked_for(found: Sequence[Remainder]) -> Rung:
     'TRANSLATION'
     """
     if not found:
-        return Rung.TRANSLATION
+        return MotionModel.TRANSLATION
     steps = np.array([_answers(one) for one in found])
     return _rung(steps, np.array([one.sigma for one in found]), sum(one.values for one in found))
 
 
 def _answers(one: Remainder) -> tuple[float, float, float]:
     """Rotation and scale if both are asked for, and rotation alone."""
-    return float(one.step[Rung.SIMILARITY, 4]), float(one.step[Rung.SIMILARITY, 5]), float(one.step[Rung.RIGID, 4])
+    return (
+        float(one.step[MotionModel.SIMILARITY, 4]),
+        float(one.step[MotionModel.SIMILARITY, 5]),
+        float(one.step[MotionModel.RIGID, 4]),
+    )
 
 
-def _rung(steps: NDArray[np.float64], sigmas: NDArray[np.float64], values: float) -> Rung:
+def _rung(steps: NDArray[np.float64], sigmas: NDArray[np.float64], values: float) -> MotionModel:
     needed = _MARGIN * log(values)
     turned, grown = told(steps, sigmas)
     if grown > _MARGIN_OF_SCALE * needed:
-        return Rung.SIMILARITY
-    return Rung.RIGID if turned > needed else Rung.TRANSLATION
+        return MotionModel.SIMILARITY
+    return MotionModel.RIGID if turned > needed else MotionModel.TRANSLATION
 
 
 @lean_kernel
@@ -154,17 +158,17 @@ def largest_sum(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> floa
     return largest
 
 
-class Climb:
+class ModelSelection:
     """Gathers from link to link what rotation and scale would explain, and climbs when the evidence asks for it.
 
     Attributes
     ----------
-    rung : Rung
+    rung : MotionModel
         What is to be modelled from now on.
 
     Examples
     --------
-    >>> climb = Climb()
+    >>> climb = ModelSelection()
     >>> nothing = np.zeros((3, 6))
     >>> climb.weigh(Remainder(nothing, np.array([3e-4, 3e-4]), 1500.0)).name
     'TRANSLATION'
@@ -174,12 +178,12 @@ class Climb:
     """
 
     def __init__(self) -> None:
-        self.rung = Rung.TRANSLATION
+        self.rung = MotionModel.TRANSLATION
         self._steps, self._sigmas = np.empty((_REMEMBERED, 3)), np.empty((_REMEMBERED, 2))
         self._values = np.empty(_REMEMBERED)
         self._links = 0
 
-    def weigh(self, found: Remainder, *, keep: bool = True) -> Rung:
+    def weigh(self, found: Remainder, *, keep: bool = True) -> MotionModel:
         """Weigh a link with those before; return the rung that is asked for. It is remembered if it is to be kept."""
         if self._links == _REMEMBERED:
             for kept in (self._steps, self._sigmas, self._values):

@@ -31,7 +31,7 @@ _UNKNOWNS: Final = 8
 """a, b, s, d of the warp; rows from columns and columns from columns; gain and offset."""
 
 
-class Rung(IntEnum):
+class MotionModel(IntEnum):
     """What is modelled beside the rolling shutter's warp."""
 
     TRANSLATION = 0
@@ -42,7 +42,7 @@ class Rung(IntEnum):
     """The probe turns, and what it shows changes in scale."""
 
 
-_FREE: Final = np.array([[n not in range(4 + rung, 6) for n in range(_UNKNOWNS)] for rung in Rung], np.float64)
+_FREE: Final = np.array([[n not in range(4 + rung, 6) for n in range(_UNKNOWNS)] for rung in MotionModel], np.float64)
 _FREE_PAIRS: Final = _FREE[:, :, None] * _FREE[:, None, :]
 _HELD_AT_ZERO: Final = (1 - _FREE[:, :, None]) * np.eye(_UNKNOWNS)
 """Which unknowns each rung models, and what makes the equations of the others read: zero."""
@@ -189,7 +189,7 @@ def remainder(
     except np.linalg.LinAlgError:
         return None
     step = (inverse @ (right * _FREE)[..., None])[:, :6, 0]
-    covariance = inverse[Rung.SIMILARITY] * noise
+    covariance = inverse[MotionModel.SIMILARITY] * noise
     step[:, [1, 3]] *= px
     sigma = np.sqrt(np.maximum(covariance.diagonal()[4:6], 0))
     return Remainder(step, sigma, count / correlated_px)

@@ -46,7 +46,7 @@ _SMALL_TURN: Final = 0.004
 
 
 @dataclass(slots=True)
-class View:
+class PreparedFrame:
     """A tracking image at full, half and quarter resolution, and its spectra once they are asked for.
 
     The arrays belong to the view and are filled anew by :meth:`Registrar.prepare`.
@@ -63,7 +63,7 @@ class View:
         return self.levels[0]
 
 
-class Link(NamedTuple):
+class PairRegistration(NamedTuple):
     """How one frame lies on another.
 
     Parameters
@@ -154,23 +154,25 @@ class Registrar:
         self.work = Workspace.of(grid.side)
         self._everywhere = ShiftSearch(*self._spans[-1], 2.0 ** (LEVELS - 1))
 
-    def view(self) -> View:
+    def view(self) -> PreparedFrame:
         """Return an empty view, to be filled again and again."""
         side = self.grid.side
-        return View(tuple(np.zeros((side >> level, side >> level), np.float32) for level in range(LEVELS)))
+        return PreparedFrame(tuple(np.zeros((side >> level, side >> level), np.float32) for level in range(LEVELS)))
 
-    def prepare(self, view: View) -> View:
+    def prepare(self, view: PreparedFrame) -> PreparedFrame:
         """Fill the coarser levels from the image at full resolution."""
         view.spectra = view.bare = None
         fill_coarser(view.levels)
         return view
 
-    def link(self, earlier: View, later: View, expected: Warp, spread: tuple[float, float]) -> Link:
+    def link(
+        self, earlier: PreparedFrame, later: PreparedFrame, expected: Warp, spread: tuple[float, float]
+    ) -> PairRegistration:
         """Refine the expected warp and judge the result.
 
         Parameters
         ----------
-        earlier, later : View
+        earlier, later : PreparedFrame
             Prepared frames.
         expected : Warp
             Where to start.
@@ -183,12 +185,12 @@ class Registrar:
             warp, information, self.work,
         )  # fmt: skip
         overlap = overlap_of_discs(hypot(warp[1], warp[3]) / (FIELD * self.grid.diameter))
-        return Link(Warp(*warp.tolist()), information, correlation, overlap, evidence)
+        return PairRegistration(Warp(*warp.tolist()), information, correlation, overlap, evidence)
 
     def remainder(
         self,
-        earlier: View,
-        later: View,
+        earlier: PreparedFrame,
+        later: PreparedFrame,
         warp: Warp,
         spread: tuple[float, float],
         turn: tuple[float, float] = (0.0, inf),
@@ -203,18 +205,20 @@ class Registrar:
             earlier.levels[1], later.levels[1], first, last, self._centre, warp, 2.0, stiffness, CORRELATED_PX / 4, turn
         )
 
-    def turned(self, view: View, velocity: Velocity, turn: float, zoom: float, out: View) -> View:
+    def turned(
+        self, view: PreparedFrame, velocity: Velocity, turn: float, zoom: float, out: PreparedFrame
+    ) -> PreparedFrame:
         """Fill a view with another, freed of its motion, and turned and scaled to match a later one.
 
         Parameters
         ----------
-        view : View
+        view : PreparedFrame
             The earlier frame.
         velocity : Velocity
             Its own.
         turn, zoom : float
             Angle (radians) and scale of the later frame over this one's.
-        out : View
+        out : PreparedFrame
             What is filled, and returned.
         """
         unsheared = ladder.unsheared(velocity, self.grid.shutter.rows_per_frame)
@@ -224,21 +228,21 @@ class Registrar:
 
     def turned_link(
         self,
-        earlier: View,
-        later: View,
+        earlier: PreparedFrame,
+        later: PreparedFrame,
         expected: tuple[float, float, float, float],
         velocities: tuple[Velocity, Velocity],
         spread: tuple[float, float],
-        rung: ladder.Rung,
-        scratch: View,
+        rung: ladder.MotionModel,
+        scratch: PreparedFrame,
         reach_px: float | None = None,
         turn_spread: float = inf,
-    ) -> Link | None:
+    ) -> PairRegistration | None:
         """Refine a warp between frames one of which may be turned against the other.
 
         Parameters
         ----------
-        earlier, later : View
+        earlier, later : PreparedFrame
             Prepared frames.
         expected : tuple of float
             Displacement (row, col) in the later frame's orientation, and its turn and zoom against the earlier one.
@@ -248,7 +252,7 @@ class Registrar:
             As in :meth:`link`.
         rung : Rung
             What is modelled.
-        scratch : View
+        scratch : PreparedFrame
             Is filled with the earlier frame, turned.
         reach_px : float, optional
             All shifts are searched, with a prior of that scale; from what is expected alone by default.
@@ -258,13 +262,13 @@ class Registrar:
 
         Returns
         -------
-        Link or None
+        PairRegistration or None
             Its warp is the one that frames of the same orientation would have had. None where nothing was found.
         """
         shutter, before = self.grid.shutter, velocities[0]
         row, col, turn, zoom = expected
         start = shutter.warp(_AT_REST, velocities[1], Displacement(row, col))
-        link: Link | None = None
+        link: PairRegistration | None = None
         sigma = inf
         for _ in range(_TURNS):
             upright = self.turned(earlier, before, turn, zoom, scratch)
@@ -286,13 +290,13 @@ class Registrar:
         return link._replace(warp=warp, turn=turn, zoom=zoom, turn_sigma=sigma)
 
     def search(
-        self, earlier: View, later: View, expected: Warp, spread: tuple[float, float], reach_px: float
-    ) -> Link | None:
+        self, earlier: PreparedFrame, later: PreparedFrame, expected: Warp, spread: tuple[float, float], reach_px: float
+    ) -> PairRegistration | None:
         """Find the warp among all shifts; None where no shift is supported at all.
 
         Parameters
         ----------
-        earlier, later : View
+        earlier, later : PreparedFrame
             Prepared frames.
         expected : Warp
             What the motion so far suggests; a heavy-tailed prior of scale `reach_px` is centred on it.
@@ -320,11 +324,13 @@ class Registrar:
         against = min((float(evidence_between(ncc, other)) for other in others), default=np.inf)
         return link._replace(evidence=min(link.evidence, against))
 
-    def candidates(self, earlier: View, later: View, expected: Warp, reach_px: float) -> NDArray[np.float64]:
+    def candidates(
+        self, earlier: PreparedFrame, later: PreparedFrame, expected: Warp, reach_px: float
+    ) -> NDArray[np.float64]:
         """Return the few shifts (b, d) that are most likely among all, best first."""
         return self._everywhere.peaks(self._spectra(earlier), self._spectra(later), expected, reach_px)
 
-    def _spectra(self, view: View) -> NDArray[np.complex64]:
+    def _spectra(self, view: PreparedFrame) -> NDArray[np.complex64]:
         if view.spectra is None:
             view.spectra = self._everywhere.spectra(view.levels[-1])
         return view.spectra

@@ -11,10 +11,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.registration.pair_registration import Registrar, View
+    from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
 
 
-class RecentViews:
+class RecentFrames:
     """The views that were asked for last; used by one thread.
 
     Parameters
@@ -27,16 +27,16 @@ class RecentViews:
 
     def __init__(self, registrar: Registrar, most: int) -> None:
         self._registrar, self._most = registrar, most
-        self._views: OrderedDict[int, View] = OrderedDict()
+        self._views: OrderedDict[int, PreparedFrame] = OrderedDict()
 
-    def get(self, index: int) -> View | None:
+    def get(self, index: int) -> PreparedFrame | None:
         """Return a frame's view if it is held."""
         if index not in self._views:
             return None
         self._views.move_to_end(index)
         return self._views[index]
 
-    def add(self, index: int, fill: Callable[[NDArray[np.float32]], object]) -> View:
+    def add(self, index: int, fill: Callable[[NDArray[np.float32]], object]) -> PreparedFrame:
         """Prepare and hold the view of a frame, whose image `fill` writes into an array."""
         view = self._views.popitem(last=False)[1] if len(self._views) >= self._most else self._registrar.view()
         fill(view.image)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
-    from napari_elsplus.processing.tracking.registration.pair_registration import Link
+    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
 
 _ROUNDS: Final = 6
 _TRUSTED: Final = 0.03
@@ -34,7 +34,7 @@ class RowsPerFrame(NamedTuple):
 
 
 def estimate_rows_per_frame(
-    links: Sequence[tuple[int, int, Displacement, Link]], assumed: RollingShutter
+    links: Sequence[tuple[int, int, Displacement, PairRegistration]], assumed: RollingShutter
 ) -> RowsPerFrame | None:
     """Estimate the rows per frame from the links of a track.
 
