@@ -62,7 +62,7 @@ def record(
     shape: tuple[int, int] = (236, 480),
     left: tuple[float, float] = (117.3, 116.6),
     right: tuple[float, float] = (109.1, 355.2),
-    rows_per_frame: float = 250.0,
+    line_periods_per_frame: float = 250.0,
     photons: float = 900.0,
     haze: float = 0.5,
     haze_left_over: float = 0.06,
@@ -87,14 +87,14 @@ def record(
     for k in range(len(frames)):
         mean = np.full(shape[0] * shape[1], 4.0)
         for place, matrix, in_focus, brightness in zip(places, spread, (1.0, 0.0), (1.0, gain), strict=True):
-            moved = starts[k] + (place[:, :1] / rows_per_frame) * (starts[k + 1] - starts[k])
+            moved = starts[k] + (place[:, :1] / line_periods_per_frame) * (starts[k + 1] - starts[k])
             at = (cores + moved).astype(np.float32)
             kept = 1.0 if in_focus else 1.0 - haze_left_over
             light = haze * kept * _sample(defocused, at) + in_focus * _sample(scene, at)
             mean += matrix @ (150 * brightness * transmission * light)
         noisy = rng.poisson(mean * photons / 150) * (150 / photons)
         frames[k] = np.clip(np.round(noisy + rng.normal(0, 0.3, noisy.shape)), 0, 255).reshape(shape)
-    middle = left[0] / rows_per_frame
+    middle = left[0] / line_periods_per_frame
     to_confocal = np.column_stack([rotation.T, np.array(left) - rotation.T @ right])
     content = {
         "bundle": {
@@ -104,7 +104,7 @@ def record(
             "residual_to_confocal": to_confocal.tolist(),
             "residual_gain": gain,
         },
-        "optics": {"um_per_px": 2.3, "line_period_s": 7.648e-6, "rows_per_frame": rows_per_frame},
+        "optics": {"um_per_px": 2.3, "line_period_s": 7.648e-6, "rows_per_frame": line_periods_per_frame},
         "frame": {"shape": shape},
     }
     calibration = Calibration.parse(content).model_copy(update={"background": np.full(shape, 4.0, np.float32)})

@@ -51,8 +51,8 @@ class SimulatedRig:
 
     def periods_at_middle(self, frames: int) -> NDArray[np.float64]:
         """When the bundle's middle row is read in each frame, (T,), in frame periods."""
-        rows_per_frame = self.instrument.optics.rows_per_frame
-        return np.arange(frames, dtype=np.float64) + self.instrument.left_centre[0] / rows_per_frame
+        line_periods_per_frame = self.instrument.optics.line_periods_per_frame
+        return np.arange(frames, dtype=np.float64) + self.instrument.left_centre[0] / line_periods_per_frame
 
     def positions_px(self, path: Trajectory, frames: int) -> NDArray[np.float64]:
         """Where the probe was, in camera pixels (T, 2), when the bundle's middle row was read."""
@@ -97,7 +97,9 @@ def dim(electrons_of_white: float) -> SimulatedRig:
 def without_timing(calibration: Calibration) -> Calibration:
     """Return the calibration without rows per frame: frames are then taken as if all rows were read at once."""
     assert calibration.optics is not None
-    return calibration.model_copy(update={"optics": calibration.optics.model_copy(update={"rows_per_frame": None})})
+    return calibration.model_copy(
+        update={"optics": calibration.optics.model_copy(update={"line_periods_per_frame": None})}
+    )
 
 
 @dataclass(frozen=True)

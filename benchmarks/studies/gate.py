@@ -210,7 +210,7 @@ def _looks(
     spread_px: float,
 ) -> Iterator[tuple[PairRegistration, PairRegistration]]:
     """Register two frames both ways; each time the link at first sight, and the one in the end."""
-    spread = (spread_px / registrar.grid.shutter.rows_per_frame,) * 2
+    spread = (spread_px / registrar.grid.shutter.line_periods_per_frame,) * 2
     link = registrar.link(*pair, known.expected, spread)
     yield link, link if link.evidence >= DOUBT else second.link(*pair, known) or unlit(link)
     found = registrar.search(*pair, known.expected, spread, 2 * SMOOTH_PX)
@@ -220,7 +220,7 @@ def _looks(
 
 def _velocities(rig: SimulatedRig, path: Trajectory, frames: int, grid: Grid) -> NDArray[np.float64]:
     """Velocity of the probe while each frame's disc is read, pixels of the grid per frame."""
-    reach = 0.5 * grid.diameter / grid.shutter.rows_per_frame
+    reach = 0.5 * grid.diameter / grid.shutter.line_periods_per_frame
     within = np.linspace(-reach, reach, 15)
     periods = np.maximum(np.arange(frames)[:, None] + grid.shutter.middle + within, 0)
     times_s = np.asarray(periods.ravel() * rig.instrument.optics.frame_period_s, np.float64)

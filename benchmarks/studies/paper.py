@@ -50,7 +50,7 @@ def calibrate_simulated(instrument: Instrument, steps: int = scenes.SWEEP_STEPS)
         background=list(scenes.dark_tube(instrument, seed=4)),
         bundle_um=instrument.bundle.diameter_um,
         line_period_s=optics.line_period_s,
-        rows_per_frame=optics.rows_per_frame,
+        line_periods_per_frame=optics.line_periods_per_frame,
     )
     return Calibrated(findings, calibration_errors(findings.calibration, instrument))
 

@@ -45,7 +45,7 @@ class PacedCamera:
         return self.shape
 
     @property
-    def rows_per_frame(self) -> float:
+    def line_periods_per_frame(self) -> float:
         return 1 / (self.rate_hz * self.line_period_s)
 
     def configure(self, region: Region, *, slit_rows: int, frame_rate_hz: float, gain_db: float = 0.0) -> None:

@@ -46,7 +46,7 @@ def ideal(rig, sectioner) -> np.ndarray:
 
 
 def timing(rig: Rig) -> ScanTiming:
-    return ScanTiming(rig.camera.line_period_s, rig.camera.rows_per_frame, 3, rig.strobe)
+    return ScanTiming(rig.camera.line_period_s, rig.camera.line_periods_per_frame, 3, rig.strobe)
 
 
 def scanned(rig: Rig, sectioner: Sectioner, waveform: Waveform) -> np.ndarray:

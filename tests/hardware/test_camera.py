@@ -68,7 +68,7 @@ def test_what_is_set_is_what_the_sensor_does(cameras) -> None:
         camera.configure(Region(262, 16, 524, 640), slit_rows=5, frame_rate_hz=200, gain_db=6)
         assert camera.frame_shape == (524, 640)
         assert camera.line_period_s == pytest.approx(1 / 130_751)  # the camera tells whole rows per second
-        assert camera.rows_per_frame == pytest.approx(130_751 / 200, rel=1e-6)
+        assert camera.line_periods_per_frame == pytest.approx(130_751 / 200, rel=1e-6)
         camera.start()
         frames(camera, 2)
         shot = bench.bench.shots[-1]

@@ -36,7 +36,7 @@ DRIVE = """
 
     preset = PRESETS["240hz"]
     with open_rig("simulated", Simulation(scene=empty(), own_process=True)) as rig, Guardian(rig.park):
-        timing = ScanTiming(preset.optics.line_period_s, preset.optics.rows_per_frame, 3)
+        timing = ScanTiming(preset.optics.line_period_s, preset.optics.line_periods_per_frame, 3)
         rig.scanner.scan(els_waveform(rig.bench.optics.calibration(preset), timing, rig.limits))
         rig.bench.card.strobe(StrobeTrain(time.perf_counter(), preset.optics.frame_period_s))
         print(json.dumps(rig.bench.card.place), flush=True)

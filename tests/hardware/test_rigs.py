@@ -73,7 +73,7 @@ def test_in_real_time_a_closed_path_is_played_again_and_every_round_is_the_same(
     simulation = Simulation(scene=fibres(), trajectory=Circle(200, period_s=0.1))
     with open_rig(simulation=simulation) as rig:
         rig.camera.configure(SMALL, slit_rows=3, frame_rate_hz=240)
-        timing = ScanTiming(rig.camera.line_period_s, rig.camera.rows_per_frame, 3, rig.strobe)
+        timing = ScanTiming(rig.camera.line_period_s, rig.camera.line_periods_per_frame, 3, rig.strobe)
         rig.scanner.scan(els_waveform(rig.bench.optics.calibration(preset), timing, rig.limits))
         rig.camera.start()
         seen: dict[int, np.ndarray] = {}
@@ -90,7 +90,7 @@ def test_in_real_time_a_closed_path_is_played_again_and_every_round_is_the_same(
 def test_where_the_strobes_wire_breaks_the_mirror_parks_while_the_camera_goes_on() -> None:
     with open_rig(simulation=Simulation(scene=empty())) as rig:
         rig.camera.configure(SMALL, slit_rows=3, frame_rate_hz=240)
-        timing = ScanTiming(rig.camera.line_period_s, rig.camera.rows_per_frame, 3, rig.strobe)
+        timing = ScanTiming(rig.camera.line_period_s, rig.camera.line_periods_per_frame, 3, rig.strobe)
         rig.scanner.scan(els_waveform(rig.bench.optics.calibration(PRESETS["240hz"]), timing, rig.limits))
         rig.camera.start()
         frame = np.empty(rig.camera.frame_shape, np.uint8)

@@ -16,7 +16,7 @@ def test_presets_run_at_their_names_and_hold_two_bundles() -> None:
         mode = PRESETS[name]
         assert mode.optics.frame_rate_hz == pytest.approx(rate_hz)
         assert 2 * mode.optics.rows(620) < mode.frame_shape[1]
-        assert mode.frame_shape[0] < mode.optics.rows_per_frame
+        assert mode.frame_shape[0] < mode.optics.line_periods_per_frame
 
 
 def test_slower_frames_keep_the_line_period() -> None:

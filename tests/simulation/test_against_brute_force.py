@@ -18,7 +18,7 @@ from napari_elsplus.simulation.specimen.scenes import Plane, Scene
 from napari_elsplus.simulation.specimen.textures import Fibres, Mottle, Nuclei, Texture, Uniform
 
 SMALL = Instrument(
-    Preset("small", (200, 420), (0, 0), "10x", Optics(1.0, rows_per_frame=210.0)),
+    Preset("small", (200, 420), (0, 0), "10x", Optics(1.0, line_periods_per_frame=210.0)),
     slit_rows=3,
     offset_rows=-8,
     bundle=Bundle(diameter_um=150.0, jitter=0.0),

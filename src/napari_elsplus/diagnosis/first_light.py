@@ -123,7 +123,7 @@ def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
         If camera or card fail, or no strobe comes.
     """
     frames = _configure(rig, preset_name, seconds)
-    period_s = rig.camera.rows_per_frame * rig.camera.line_period_s
+    period_s = rig.camera.line_periods_per_frame * rig.camera.line_period_s
     samples = int((period_s - REARM_S) * SAMPLE_RATE_HZ)
     samples = min(samples, rig.limits.card_samples)
     rig.scanner.scan(Waveform(np.full(samples, rig.park.volts), 1, SAMPLE_RATE_HZ, period_s))

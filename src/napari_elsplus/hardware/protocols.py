@@ -87,7 +87,7 @@ class Camera(Protocol):
         """Seconds from the readout of one row to that of the next."""
 
     @property
-    def rows_per_frame(self) -> float:
+    def line_periods_per_frame(self) -> float:
         """Line periods from one frame to the next, idle time included."""
 
     @property

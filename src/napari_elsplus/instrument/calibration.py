@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from napari_elsplus.errors import CalibrationError
 
@@ -128,7 +128,11 @@ class OpticsSection(Section):
 
     um_per_px: Positive | None = None
     line_period_s: Positive | None = None
-    rows_per_frame: Positive | None = None
+    line_periods_per_frame: Positive | None = Field(
+        default=None,
+        validation_alias=AliasChoices("rows_per_frame", "line_periods_per_frame"),
+        serialization_alias="rows_per_frame",  # the file's key
+    )
 
 
 class QualitySection(Section):
@@ -213,13 +217,13 @@ class Calibration(Section):
     def frame_period_s(self) -> float | None:
         """Seconds from one frame to the next, where the timing is known."""
         optics = self.optics
-        if optics is None or optics.line_period_s is None or optics.rows_per_frame is None:
+        if optics is None or optics.line_period_s is None or optics.line_periods_per_frame is None:
             return None
-        return optics.line_period_s * optics.rows_per_frame
+        return optics.line_period_s * optics.line_periods_per_frame
 
     def content(self) -> dict[str, Any]:
         """Everything but the arrays, ready for JSON; absent sections are left out, unknown keys are kept."""
-        return self.model_dump(mode="json", exclude_none=True)
+        return self.model_dump(mode="json", by_alias=True, exclude_none=True)
 
     def require(self, *sections: str) -> None:
         """Make sure that sections were measured.

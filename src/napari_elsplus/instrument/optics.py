@@ -35,7 +35,7 @@ class Optics:
         Micrometres at the bundle's face for one camera pixel.
     line_period_s : float
         Seconds from the readout of one row to that of the next.
-    rows_per_frame : float
+    line_periods_per_frame : float
         Line periods from one frame to the next, idle time included; not a whole number in general.
 
     Raises
@@ -45,7 +45,7 @@ class Optics:
 
     Examples
     --------
-    >>> optics = Optics(um_per_px=0.9608, line_period_s=7.648e-6, rows_per_frame=1089.6)
+    >>> optics = Optics(um_per_px=0.9608, line_period_s=7.648e-6, line_periods_per_frame=1089.6)
     >>> round(optics.frame_rate_hz, 1)
     120.0
     >>> round(optics.rows(29.0), 1), round(optics.um(3), 2)
@@ -54,7 +54,7 @@ class Optics:
 
     um_per_px: float
     line_period_s: float = 1 / LINE_RATE_HZ
-    rows_per_frame: float = 1089.6
+    line_periods_per_frame: float = 1089.6
 
     def __post_init__(self) -> None:
         for name in self.__slots__:
@@ -65,7 +65,7 @@ class Optics:
     @property
     def frame_period_s(self) -> float:
         """Seconds from one frame to the next."""
-        return self.rows_per_frame * self.line_period_s
+        return self.line_periods_per_frame * self.line_period_s
 
     @property
     def frame_rate_hz(self) -> float:
@@ -116,10 +116,10 @@ class Preset:
 
 PRESETS: Final = {
     "120hz": Preset(
-        "120hz", SENSOR_SHAPE, (0, 0), "10x", Optics(PIXEL_PITCH_UM / 3.778, rows_per_frame=LINE_RATE_HZ / 120)
+        "120hz", SENSOR_SHAPE, (0, 0), "10x", Optics(PIXEL_PITCH_UM / 3.778, line_periods_per_frame=LINE_RATE_HZ / 120)
     ),
     "240hz": Preset(
-        "240hz", (524, 1328), (262, 0), "4x", Optics(CORE_PITCH_UM / 2.4, rows_per_frame=LINE_RATE_HZ / 240)
+        "240hz", (524, 1328), (262, 0), "4x", Optics(CORE_PITCH_UM / 2.4, line_periods_per_frame=LINE_RATE_HZ / 240)
     ),
 }
 """The paper's two modes: all rows through the 10x objective; half of them through the 4x, 2.4 pixels per core."""

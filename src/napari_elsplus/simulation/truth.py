@@ -83,7 +83,9 @@ def true_calibration(instrument: Instrument, background: NDArray[np.float32] | N
             residual_gain_uncertainty=0.0,
         ),
         optics=OpticsSection(
-            um_per_px=optics.um_per_px, line_period_s=optics.line_period_s, rows_per_frame=optics.rows_per_frame
+            um_per_px=optics.um_per_px,
+            line_period_s=optics.line_period_s,
+            line_periods_per_frame=optics.line_periods_per_frame,
         ),
         background=background,
     )
@@ -108,7 +110,7 @@ def geometry(instrument: Instrument) -> dict[str, Any]:
         "volt_0": instrument.volts_at_row_zero,
         "um_per_px": instrument.optics.um_per_px,
         "line_period_s": instrument.optics.line_period_s,
-        "rows_per_frame": instrument.optics.rows_per_frame,
+        "rows_per_frame": instrument.optics.line_periods_per_frame,
     }
 
 
@@ -127,5 +129,5 @@ def motion(instrument: Instrument, trajectory: Trajectory, frames: int) -> dict[
         return found
 
     starts = np.arange(frames + 1, dtype=np.float64)
-    middle = instrument.left_centre[0] / optics.rows_per_frame
+    middle = instrument.left_centre[0] / optics.line_periods_per_frame
     return {"frames": frames, "positions": at(starts), "positions_mid": at(starts[:-1] + middle)}

@@ -159,7 +159,7 @@ def _calibrate(stage: _Stage) -> Calibration:
         background=list(bench.dark_tube(instrument, seed=_SEED)),
         um_per_px=instrument.optics.um_per_px,
         line_period_s=instrument.optics.line_period_s,
-        rows_per_frame=instrument.optics.rows_per_frame,
+        line_periods_per_frame=instrument.optics.line_periods_per_frame,
         watch=lambda numbers: stage.watch(numbers, "fitting the line"),
     )
     write_calibration(stage.folder / "calibration.json", findings.calibration, force=stage.force)

@@ -36,14 +36,14 @@ def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) 
         What was found, in words; empty if they were known.
     """
     known = calibration.optics
-    if known is not None and known.rows_per_frame is not None:
+    if known is not None and known.line_periods_per_frame is not None:
         return calibration, ""
     shape = raw_pair(0)[0].shape
     assumed = _with_rows(calibration, float(shape[0]))
     tracking = RegistrationTracking(assumed, (shape[0], shape[1]), Mode(mode))
     for index in range(min(len(raw_pair), _LOOKED_AT)):
         tracking.track(*raw_pair(index))
-    found = tracking.rows_per_frame()
+    found = tracking.line_periods_per_frame()
     if found is None:
         return (
             calibration,
@@ -55,5 +55,5 @@ def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) 
 
 
 def _with_rows(calibration: Calibration, rows: float) -> Calibration:
-    optics = (calibration.optics or OpticsSection()).model_copy(update={"rows_per_frame": rows})
+    optics = (calibration.optics or OpticsSection()).model_copy(update={"line_periods_per_frame": rows})
     return calibration.model_copy(update={"optics": optics})

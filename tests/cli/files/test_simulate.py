@@ -35,7 +35,11 @@ def test_a_recording_opens_with_its_calibration_and_truth(elsplus: Elsplus, tmp_
         assert known.background is not None
         els = np.array(images(recording, known, Mode.ELS)[0])
     assert known.optics is not None
-    assert known.optics.rows_per_frame == pytest.approx(truth["rows_per_frame"]) == pytest.approx(1089.588, rel=1e-5)
+    assert (
+        known.optics.line_periods_per_frame
+        == pytest.approx(truth["rows_per_frame"])
+        == pytest.approx(1089.588, rel=1e-5)
+    )
     steps = np.diff(truth["positions_mid"], axis=0) * truth["um_per_px"]
     assert np.hypot(*steps.T) == pytest.approx([2000 / 120] * 2)
     assert len(truth["positions"]) == 4

@@ -107,10 +107,10 @@ def test_240_hz_with_an_offset_of_77_um_is_refused_and_says_which_offset_would_f
 
 def test_the_time_to_fly_back_is_what_physics_says(calibration) -> None:
     """rows_per_frame - (diameter + |offset| + slit): 3.1 ms at 120 Hz and 29 um, 0.43 ms at 240 Hz."""
-    for rows_per_frame, um_per_px, free_ms in ((1089.588, 3.63 / 3.778, 3.1), (544.794, 3.2 / 2.4, 0.43)):
+    for line_periods_per_frame, um_per_px, free_ms in ((1089.588, 3.63 / 3.778, 3.1), (544.794, 3.2 / 2.4, 0.43)):
         span = 620 / um_per_px + 29 / um_per_px + 3
-        assert (rows_per_frame - span) * LINE_PERIOD_S * 1e3 == pytest.approx(free_ms, abs=0.06)
-        assert flyback_rows(calibration().galvo, span, GalvoLimits(), HZ240) < rows_per_frame - span
+        assert (line_periods_per_frame - span) * LINE_PERIOD_S * 1e3 == pytest.approx(free_ms, abs=0.06)
+        assert flyback_rows(calibration().galvo, span, GalvoLimits(), HZ240) < line_periods_per_frame - span
 
 
 def test_slew_and_acceleration_of_every_accepted_scan_keep_the_limits(calibration) -> None:
@@ -153,16 +153,16 @@ def test_an_unmeasured_galvo_is_named(calibration) -> None:
 @settings(max_examples=60, deadline=None)
 @given(
     offset=st.floats(-200, 200), diameter=st.floats(50, 900), centre=st.floats(0, 1048), lag_s=st.floats(-1e-3, 1e-3),
-    slope=st.floats(-0.01, 0.01).filter(lambda a: abs(a) > 1e-5), rows_per_frame=st.floats(540, 20000),
+    slope=st.floats(-0.01, 0.01).filter(lambda a: abs(a) > 1e-5), line_periods_per_frame=st.floats(540, 20000),
     slit=st.integers(1, 40),
 )  # fmt: skip
 def test_whatever_is_asked_is_refused_or_safe(
-    offset, diameter, centre, slope, lag_s, rows_per_frame, slit, calibration
+    offset, diameter, centre, slope, lag_s, line_periods_per_frame, slit, calibration
 ) -> None:
     limits = GalvoLimits(natural_hz=1000)
     try:
         known = calibration(offset, diameter, centre, slope, lag_s)
-        waveform = els_waveform(known, ScanTiming(LINE_PERIOD_S, rows_per_frame, slit), limits)
+        waveform = els_waveform(known, ScanTiming(LINE_PERIOD_S, line_periods_per_frame, slit), limits)
     except (InputError, CalibrationError):
         return
     assert np.isfinite(waveform.volts).all()

@@ -25,7 +25,7 @@ def seen(row: float, col: float, velocity: Velocity = Velocity(0.0, 0.0)) -> np.
     """What a probe at (row, col) that moves while its rows are read makes of the wave."""
     y, x = (np.arange(GRID.side) - c for c in GRID.centre)
     y = y[:, None]
-    r = GRID.shutter.rows_per_frame
+    r = GRID.shutter.line_periods_per_frame
     return wave(row + y + velocity.row * y / r, col + x + velocity.col * y / r).astype(np.float32)
 
 
@@ -174,7 +174,7 @@ def test_front_end_allocates_nothing() -> None:
 
 def test_turned_frames_are_laid_upright() -> None:
     velocity, angle, scale = Velocity(20.0, -12.0), np.deg2rad(9.0), 1.03
-    r, (y, x) = GRID.shutter.rows_per_frame, (np.arange(GRID.side) - c for c in GRID.centre)
+    r, (y, x) = GRID.shutter.line_periods_per_frame, (np.arange(GRID.side) - c for c in GRID.centre)
     y, x = np.meshgrid(y, x, indexing="ij")
     y, x = y * (1 + velocity.row / r), x + velocity.col * y / r
     rows = scale * (np.cos(angle) * y - np.sin(angle) * x)

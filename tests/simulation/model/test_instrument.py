@@ -126,7 +126,7 @@ def test_positions_are_camera_pixels_when_the_middle_row_is_read() -> None:
     told = motion(instrument, path, 3)
     per_frame_px = 10 / instrument.optics.um_per_px
     assert np.array(told["positions"])[:, 0] == pytest.approx(per_frame_px * np.arange(4))
-    late = instrument.left_centre[0] / instrument.optics.rows_per_frame
+    late = instrument.left_centre[0] / instrument.optics.line_periods_per_frame
     assert np.array(told["positions_mid"])[:, 0] == pytest.approx(per_frame_px * (np.arange(3) + late))
 
 
@@ -135,5 +135,5 @@ def test_rows_are_read_at_their_own_time() -> None:
     instrument = Instrument.of("240hz")
     renderer = Renderer(instrument, scene("uniform"), Straight(4000.0, direction_deg=90))
     positions = renderer.row_positions_um(2)
-    periods = 2 + np.arange(524) / instrument.optics.rows_per_frame
+    periods = 2 + np.arange(524) / instrument.optics.line_periods_per_frame
     assert positions[:, 0] == pytest.approx(4000 * periods * instrument.optics.frame_period_s)

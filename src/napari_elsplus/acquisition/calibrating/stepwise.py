@@ -27,7 +27,7 @@ def setup(engine: Engine) -> Setup:
         engine.setup.frame,
         engine.setup.acquired_with,
         engine.setup.line_period_s,
-        engine.setup.rows_per_frame,
+        engine.setup.line_periods_per_frame,
         chosen.optics.um_per_px,
     )
 

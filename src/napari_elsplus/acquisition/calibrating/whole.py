@@ -104,7 +104,7 @@ def _calibrate(
         bundle=lit,
         bundle_um=bundle_um,
         line_period_s=engine.setup.line_period_s,
-        rows_per_frame=engine.setup.rows_per_frame,
+        line_periods_per_frame=engine.setup.line_periods_per_frame,
         watch=watch("fit"),
     )
     calibration = findings.calibration

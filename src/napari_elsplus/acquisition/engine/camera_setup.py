@@ -90,14 +90,14 @@ class CameraSetup:
         return self.camera.line_period_s
 
     @property
-    def rows_per_frame(self) -> float:
+    def line_periods_per_frame(self) -> float:
         """Line periods from one frame to the next, idle time included."""
-        return self.camera.rows_per_frame
+        return self.camera.line_periods_per_frame
 
     @property
     def frame_rate_hz(self) -> float:
         """Frames per second, as the camera keeps them."""
-        return 1 / (self.rows_per_frame * self.line_period_s)
+        return 1 / (self.line_periods_per_frame * self.line_period_s)
 
     @property
     def bytes_per_s(self) -> float:
@@ -119,7 +119,7 @@ class CameraSetup:
 
     def timing(self, strobe: StrobePhase) -> ScanTiming:
         """Say when which row is exposed."""
-        return ScanTiming(self.line_period_s, self.rows_per_frame, self.settings.slit_rows, strobe)
+        return ScanTiming(self.line_period_s, self.line_periods_per_frame, self.settings.slit_rows, strobe)
 
     def described(self) -> dict[str, Any]:
         """Return the settings as a recording keeps them."""
@@ -127,7 +127,7 @@ class CameraSetup:
             **self.acquired_with.model_dump(),
             "preset": self.settings.preset,
             "line_period_s": self.line_period_s,
-            "rows_per_frame": self.rows_per_frame,
+            "rows_per_frame": self.line_periods_per_frame,
         }
 
     def stale(self, calibration: Calibration | None) -> dict[str, str]:

@@ -92,7 +92,7 @@ class CameraWorker(Thread):
     def _read(self) -> None:
         camera, stream, tally = self._camera, self._stream, self._tally
         started_s = heard_s = time.perf_counter()
-        frame_period_s = camera.rows_per_frame * camera.line_period_s
+        frame_period_s = camera.line_periods_per_frame * camera.line_period_s
         settled = False
         before: dict[str, int] = {}
         expected: int | None = None

@@ -73,7 +73,7 @@ def command(
                 um_per_px=um_per_px,
                 bundle_um=bundle_um,
                 line_period_s=line_period_s,
-                rows_per_frame=rows_per_frame,
+                line_periods_per_frame=rows_per_frame,
                 watch=lambda numbers: progress(numbers, describe="sweep"),
             )
     write_calibration(output, findings.calibration, force=force)

@@ -44,8 +44,9 @@ class ScanPath:
         self.speed = 1 / timing.line_period_s
         self.free_s = timing.frame_period_s - (end_s - begin_s)
         if self.free_s <= 0:
+            exposed_rows = (end_s - begin_s) * self.speed
             raise InputError(
-                f"{(end_s - begin_s) * self.speed:.0f} rows are exposed in a frame of {timing.rows_per_frame:.1f}",
+                f"{exposed_rows:.0f} rows are exposed in a frame of {timing.line_periods_per_frame:.1f} line periods",
                 "nothing is left for the flyback: choose a lower frame rate",
             )
 

@@ -26,7 +26,7 @@ class ScanTiming:
 
     Parameters
     ----------
-    line_period_s, rows_per_frame : float
+    line_period_s, line_periods_per_frame : float
         As the camera reports them.
     slit_rows : int
         Exposure in line periods.
@@ -35,14 +35,14 @@ class ScanTiming:
     """
 
     line_period_s: float
-    rows_per_frame: float
+    line_periods_per_frame: float
     slit_rows: int
     strobe: StrobePhase = StrobePhase.EXPOSURE
 
     @property
     def frame_period_s(self) -> float:
         """Seconds from strobe to strobe."""
-        return self.rows_per_frame * self.line_period_s
+        return self.line_periods_per_frame * self.line_period_s
 
     @property
     def row_zero_s(self) -> float:

@@ -2,9 +2,9 @@
 
 Row r is read at t0 + r T and exposed over the E = N T before, so the slit's centre is at row(t) = (t - t0 + E/2) / T;
 the line has to be there from the first exposed row of either image to the last. What is left of the frame period is
-the mirror's time to fly back: ``rows_per_frame - (diameter + |offset_rows| + slit_rows)`` line periods. The drive runs
-ahead of the mirror by its lag; where the mirror's resonance is known, the drive also carries what that resonance takes
-away, so that the line is on the slit from the first row on.
+the galvo's time to fly back: ``line_periods_per_frame - (diameter + |offset_rows| + slit_rows)`` line periods. The drive
+runs ahead of the galvo by its lag; where the galvo's resonance is known, the drive also carries what that resonance
+takes away, so that the line is on the slit from the first row on.
 """
 
 from __future__ import annotations
@@ -270,7 +270,7 @@ def _refuse_without_time(
     galvo: GalvoSection, span: float, offset: float, timing: ScanTiming, limits: GalvoLimits
 ) -> None:
     exposed = span + timing.slit_rows
-    free, needed = timing.rows_per_frame - exposed, flyback_rows(galvo, exposed, limits, timing)
+    free, needed = timing.line_periods_per_frame - exposed, flyback_rows(galvo, exposed, limits, timing)
     if free >= needed:
         return
     wrong = (
@@ -281,7 +281,7 @@ def _refuse_without_time(
     within = [
         candidate
         for candidate in range(ceil(abs(offset)))
-        if timing.rows_per_frame - (exposed - abs(offset) + candidate)
+        if timing.line_periods_per_frame - (exposed - abs(offset) + candidate)
         >= flyback_rows(galvo, exposed - abs(offset) + candidate, limits, timing)
     ]
     choice = f"an offset of at most {within[-1]} rows (it is {abs(offset):.1f})" if within else "no offset"

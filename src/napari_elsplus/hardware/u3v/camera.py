@@ -95,7 +95,7 @@ class U3vCamera:
         return self._features.line_period_s
 
     @property
-    def rows_per_frame(self) -> float:
+    def line_periods_per_frame(self) -> float:
         """Line periods from one frame to the next, idle time included."""
         self._configured()
         return 1 / (self._rate_hz * self.line_period_s)

@@ -184,6 +184,6 @@ def preset_of(shot: Shot) -> Preset:
     optics = replace(
         known.optics,
         line_period_s=shot.line_period_s,
-        rows_per_frame=shot.frame_period_s / shot.line_period_s,
+        line_periods_per_frame=shot.frame_period_s / shot.line_period_s,
     )
     return replace(known, optics=optics)

@@ -86,7 +86,7 @@ def measure(
     um_per_px: float | None = None,
     bundle_um: float | None = None,
     line_period_s: float | None = None,
-    rows_per_frame: float | None = None,
+    line_periods_per_frame: float | None = None,
     watch: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> Findings:
     """Make a calibration of any subset of its inputs.
@@ -100,7 +100,7 @@ def measure(
         A voltage per frame of `sweep`.
     um_per_px, bundle_um : float, optional
         Scale, or the bundle's diameter from which it follows.
-    line_period_s, rows_per_frame : float, optional
+    line_period_s, line_periods_per_frame : float, optional
         Timing.
     watch : callable, optional
         Wraps the numbers of the sweep's frames, to show how far it is.
@@ -145,7 +145,7 @@ def measure(
         offset=None if offset is None else offset_section(offset),
         galvo=None if galvo is None else galvo_section(galvo, pair, um_per_px),
         bundle=None if pair is None else bundle_section(pair),
-        optics=_optics_section(um_per_px, line_period_s, rows_per_frame),
+        optics=_optics_section(um_per_px, line_period_s, line_periods_per_frame),
         background=mean,
     )
     if pair is not None and bundle is not None:
@@ -211,9 +211,9 @@ def bundle_section(pair: BundlePair) -> BundleSection:
 
 
 def _optics_section(
-    um_per_px: float | None, line_period_s: float | None, rows_per_frame: float | None
+    um_per_px: float | None, line_period_s: float | None, line_periods_per_frame: float | None
 ) -> OpticsSection | None:
-    numbers = {"um_per_px": um_per_px, "line_period_s": line_period_s, "rows_per_frame": rows_per_frame}
+    numbers = {"um_per_px": um_per_px, "line_period_s": line_period_s, "rows_per_frame": line_periods_per_frame}
     known = {name: value for name, value in numbers.items() if value is not None}
     for name, value in known.items():
         if not (np.isfinite(value) and value > 0):

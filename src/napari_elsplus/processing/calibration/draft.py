@@ -62,7 +62,7 @@ class Setup:
         Their shape, and where on the sensor they begin.
     acquired_with : AcquiredWith
         The rig's settings; empty for frames from a file.
-    line_period_s, rows_per_frame : float, optional
+    line_period_s, line_periods_per_frame : float, optional
         Timing.
     um_per_px : float, optional
         Scale that the objective should have; the bundle's image tells better.
@@ -71,7 +71,7 @@ class Setup:
     frame: FrameSection
     acquired_with: AcquiredWith = field(default_factory=AcquiredWith)
     line_period_s: float | None = None
-    rows_per_frame: float | None = None
+    line_periods_per_frame: float | None = None
     um_per_px: float | None = None
 
 
@@ -243,7 +243,7 @@ class Draft:
         update: dict[str, Any] = {"frame": setup.frame}
         if setup.acquired_with != AcquiredWith():
             update["acquired_with"] = setup.acquired_with
-        timing = {"line_period_s": setup.line_period_s, "rows_per_frame": setup.rows_per_frame}
+        timing = {"line_period_s": setup.line_period_s, "line_periods_per_frame": setup.line_periods_per_frame}
         given = {name: value for name, value in timing.items() if value is not None}
         if given:
             update["optics"] = (known.optics or OpticsSection()).model_copy(update=given)

@@ -195,7 +195,7 @@ class Mosaic(TiledCanvas):
 
     def _form(self, velocity: Velocity, angle: float, scale: float) -> tuple[float, float]:
         """Stretch and shear that are undone row by row; a turned frame is freed of its own before."""
-        r = self.grid.shutter.rows_per_frame
+        r = self.grid.shutter.line_periods_per_frame
         upright_before = angle != 0 or scale != 1
         return (1.0, 0.0) if upright_before else (1 + velocity.row / r, velocity.col / r)
 
@@ -204,7 +204,7 @@ class Mosaic(TiledCanvas):
     ) -> tuple[NDArray[np.float32], float, float]:
         """Turn a frame upright where it is turned; return it with its stretch and shear."""
         if angle != 0 or scale != 1:
-            matrix = turned_by(angle, scale) @ unsheared(velocity, self.grid.shutter.rows_per_frame)
+            matrix = turned_by(angle, scale) @ unsheared(velocity, self.grid.shutter.line_periods_per_frame)
             image = upright(image, self._turned, self.grid.centre, matrix)
         return (image, *self._form(velocity, angle, scale))
 

@@ -11,7 +11,10 @@ from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.pose_graph.refinement import refine
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 from napari_elsplus.processing.tracking.registration.prepared_frames import RecentFrames
-from napari_elsplus.processing.tracking.registration.shutter_timing import RowsPerFrame, estimate_rows_per_frame
+from napari_elsplus.processing.tracking.registration.shutter_timing import (
+    LinePeriodsPerFrame,
+    estimate_line_periods_per_frame,
+)
 from napari_elsplus.processing.tracking.template_tracking import TemplateTracker
 from napari_elsplus.processing.tracking.tracker import Tracker
 
@@ -103,10 +106,10 @@ class RegistrationTracking:
         """Return a frame's image, which is good until the next call."""
         return self._front_end.image(raw, self._image, raw_residual)
 
-    def rows_per_frame(self) -> RowsPerFrame | None:
+    def line_periods_per_frame(self) -> LinePeriodsPerFrame | None:
         """Return what the motion so far tells of the timing, in camera rows."""
-        found = estimate_rows_per_frame(self._tracker.links, self.grid.shutter)
-        return None if found is None else RowsPerFrame(found.rows * self.scale, found.sigma * self.scale)
+        found = estimate_line_periods_per_frame(self._tracker.links, self.grid.shutter)
+        return None if found is None else LinePeriodsPerFrame(found.rows * self.scale, found.sigma * self.scale)
 
     def forget_links(self) -> None:
         """Let go of what only :meth:`refine` needs."""

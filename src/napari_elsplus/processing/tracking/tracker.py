@@ -228,7 +228,7 @@ class Tracker:
     @property
     def _spread(self) -> tuple[float, float]:
         """Standard deviations of stretch and shear about what the motion so far suggests."""
-        return (self._motion.spread / self.grid.shutter.rows_per_frame + 1e-9,) * 2
+        return (self._motion.spread / self.grid.shutter.line_periods_per_frame + 1e-9,) * 2
 
     def _link(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> PairRegistration | None:
         """Register two frames, first where it is expected ahead, else anywhere; None if the frames do not say where."""
@@ -357,12 +357,12 @@ class Tracker:
         if self.rung is not MotionModel.TRANSLATION:
             gone = Displacement(*(turned_by(-last.angle, 1 / last.scale) @ gone).tolist())
         along = Velocity((moved.row - gone.row) / gap, (moved.col - gone.col) / gap)
-        if not isfinite(shutter.rows_per_frame):
+        if not isfinite(shutter.line_periods_per_frame):
             return along, inf
         sheared = shutter.later_velocity(link.warp, earlier.velocity)
         stretch, shear = stretch_and_shear_variance(link.information)
         surprise = (gap * motion.surprise / 2) ** 2
-        unsure = [shutter.rows_per_frame**2 * variance + _VELOCITY_SIGMA**2 for variance in (stretch, shear)]
+        unsure = [shutter.line_periods_per_frame**2 * variance + _VELOCITY_SIGMA**2 for variance in (stretch, shear)]
         parts = [surprise / (surprise + variance) for variance in unsure]
         velocity = Velocity(*(v + part * (w - v) for v, w, part in zip(along, sheared, parts, strict=True)))
         return velocity, max(part * variance for part, variance in zip(parts, unsure, strict=True)) ** 0.5

@@ -93,7 +93,7 @@ class Renderer:
         Parameters
         ----------
         frame_index : int
-            Frame k spans the frame periods k to k + 1; its row r is read at k + r / rows_per_frame.
+            Frame k spans the frame periods k to k + 1; its row r is read at k + r / line_periods_per_frame.
         out : numpy.ndarray, optional
             (rows, cols) uint8, C-contiguous; made anew if not given.
         line_rows : numpy.ndarray, optional
@@ -169,7 +169,7 @@ class Renderer:
 
     def _row_times_s(self, frame_index: int) -> NDArray[np.float64]:
         optics = self.instrument.optics
-        periods = frame_index + np.arange(self.frame_shape[0]) / optics.rows_per_frame
+        periods = frame_index + np.arange(self.frame_shape[0]) / optics.line_periods_per_frame
         return np.asarray(periods * optics.frame_period_s, np.float64)
 
     def in_focus(self) -> Renderer:

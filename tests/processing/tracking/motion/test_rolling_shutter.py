@@ -48,5 +48,5 @@ def test_without_a_rolling_shutter_the_displacement_is_minus_the_shift() -> None
 
 
 def test_impossible_timing_is_refused() -> None:
-    with pytest.raises(InputError, match=r"rows_per_frame is 0\.0"):
+    with pytest.raises(InputError, match=r"line_periods_per_frame is 0\.0"):
         RollingShutter(0.0)

@@ -88,7 +88,7 @@ def test_motion_of_the_earlier_frame_is_undone_before_it_is_turned() -> None:
     """The link's warp is the one that frames of one orientation would have had: it tells both velocities."""
     registrar, a, b = pair(turned_by(np.deg2rad(5.0)), (0.0, 0.0))
     velocity = Velocity(9.0, -6.0)
-    r = GRID.shutter.rows_per_frame
+    r = GRID.shutter.line_periods_per_frame
     sheared = np.array([[1 + velocity.row / r, 0.0], [velocity.col / r, 1.0]])
     upright(a.image.copy(), a.image, GRID.centre, np.linalg.inv(sheared))
     registrar.prepare(a)

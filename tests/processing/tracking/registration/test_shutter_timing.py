@@ -7,7 +7,7 @@ import pytest
 
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
-from napari_elsplus.processing.tracking.registration.shutter_timing import estimate_rows_per_frame
+from napari_elsplus.processing.tracking.registration.shutter_timing import estimate_line_periods_per_frame
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
 from recordings import record, smooth_path, texture
@@ -30,7 +30,7 @@ def links(velocities: np.ndarray, noise: float = 3e-4, seed: int = 0) -> list:
 @pytest.mark.parametrize("assumed", [200.0, 272.4, 400.0])
 def test_accelerations_tell_the_rows_per_frame_whatever_was_assumed(assumed: float) -> None:
     t = np.arange(80) * 0.12
-    found = estimate_rows_per_frame(
+    found = estimate_line_periods_per_frame(
         links(np.stack([25 * np.sin(t), 20 * np.cos(1.3 * t)], 1)), RollingShutter(assumed, 0.48)
     )
     assert found is not None
@@ -40,27 +40,27 @@ def test_accelerations_tell_the_rows_per_frame_whatever_was_assumed(assumed: flo
 
 def test_even_motion_and_short_tracks_tell_nothing() -> None:
     even = np.tile([20.0, 10.0], (80, 1))
-    assert estimate_rows_per_frame(links(even), TRUE) is None
-    assert estimate_rows_per_frame(links(even[:5]), TRUE) is None
+    assert estimate_line_periods_per_frame(links(even), TRUE) is None
+    assert estimate_line_periods_per_frame(links(even[:5]), TRUE) is None
 
 
 def test_links_whose_stretch_the_timing_told_tell_nothing_of_it() -> None:
     t = np.arange(80) * 0.12
     found = links(np.stack([25 * np.sin(t), 20 * np.cos(1.3 * t)], 1))
-    assert estimate_rows_per_frame(found, TRUE) is not None
+    assert estimate_line_periods_per_frame(found, TRUE) is not None
     again = [(a, b, moved, link._replace(again=3.0)) for a, b, moved, link in found]
-    assert estimate_rows_per_frame(again, TRUE) is None
+    assert estimate_line_periods_per_frame(again, TRUE) is None
 
 
 def untimed(speed: float) -> tuple[float | None, str]:
     """Rows per frame (250) that a recording gives back whose calibration does not know them, and what is said."""
     truth = record(texture(1200, 8, 3.0), smooth_path(50, speed, 1200, 3))
     assert truth.calibration.optics is not None
-    unknown = truth.calibration.optics.model_copy(update={"rows_per_frame": None})
+    unknown = truth.calibration.optics.model_copy(update={"line_periods_per_frame": None})
     calibration = truth.calibration.model_copy(update={"optics": unknown})
     found, said = with_timing(calibration, RawPairs(truth.frames, "els"), "els")
     assert found.optics is not None
-    return found.optics.rows_per_frame, said
+    return found.optics.line_periods_per_frame, said
 
 
 def test_a_fast_recording_gives_back_its_rows_per_frame() -> None:

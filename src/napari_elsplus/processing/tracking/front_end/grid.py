@@ -41,7 +41,7 @@ class Grid:
     diameter : float
         Diameter of the lit disc in grid pixels.
     shutter : RollingShutter
-        Timing of the grid's rows; without `rows_per_frame` in the calibration an infinitely fast one.
+        Timing of the grid's rows; without `line_periods_per_frame` in the calibration an infinitely fast one.
     """
 
     side: int
@@ -63,7 +63,7 @@ class Grid:
         centre = tuple(
             (c - o - (binning - 1) / 2) / binning for c, o in zip(bundle.confocal_centre, origin, strict=True)
         )
-        rows = calibration.optics.rows_per_frame if calibration.optics is not None else None
+        rows = calibration.optics.line_periods_per_frame if calibration.optics is not None else None
         shutter = (
             RollingShutter(np.inf) if rows is None else RollingShutter(rows / binning, bundle.confocal_centre[0] / rows)
         )

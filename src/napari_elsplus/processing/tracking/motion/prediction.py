@@ -86,7 +86,7 @@ class Motion:
         What remains grows with the change of the acceleration from frame to frame; where no acceleration is known yet,
         with what the velocity gained from the frame `before`.
         """
-        if not (successive and isfinite(self._shutter.rows_per_frame)):
+        if not (successive and isfinite(self._shutter.line_periods_per_frame)):
             return 0.0
         row, col = velocity.row - before.row, velocity.col - before.col
         if self.known:

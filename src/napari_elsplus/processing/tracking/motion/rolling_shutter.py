@@ -47,7 +47,7 @@ class RollingShutter:
 
     Parameters
     ----------
-    rows_per_frame : float
+    line_periods_per_frame : float
         Rows of the grid per frame period, idle time included. Infinite for a global shutter, or where it is unknown:
         the warp between two frames is then a translation.
     middle : float
@@ -67,12 +67,12 @@ class RollingShutter:
     (30.0, 12.0)
     """
 
-    rows_per_frame: float
+    line_periods_per_frame: float
     middle: float = 0.5
 
     def __post_init__(self) -> None:
-        if not self.rows_per_frame > 0:
-            raise InputError(f"rows_per_frame is {self.rows_per_frame}", "it must be positive")
+        if not self.line_periods_per_frame > 0:
+            raise InputError(f"rows_per_frame is {self.line_periods_per_frame}", "it must be positive")
 
     def step(self, before: Velocity, after: Velocity) -> Displacement:
         """Displacement between the middle rows of successive frames, each of which moves evenly."""
@@ -81,7 +81,7 @@ class RollingShutter:
 
     def warp(self, before: Velocity, after: Velocity, displacement: Displacement) -> Warp:
         """Warp from one frame to another that are any number of frames apart."""
-        r = self.rows_per_frame
+        r = self.line_periods_per_frame
         stretch = 1 + after.row / r
         a = (1 + before.row / r) / stretch
         b = -displacement.row / stretch
@@ -92,7 +92,7 @@ class RollingShutter:
 
         The four parameters are just enough, because the displacement is the mean of the velocities.
         """
-        r, m = self.rows_per_frame, self.middle
+        r, m = self.line_periods_per_frame, self.middle
         if not isfinite(r):
             return (steady := Velocity(-warp.b, -warp.d)), steady
         stretch = 1 / ((1 - m) * warp.a + m + warp.b / r)
@@ -104,15 +104,15 @@ class RollingShutter:
 
     def later_velocity(self, warp: Warp, before: Velocity) -> Velocity:
         """Velocity during the later of two frames, from stretch, shear and the earlier one's; any number apart."""
-        r = self.rows_per_frame
+        r = self.line_periods_per_frame
         return Velocity(r * ((1 + before.row / r) / warp.a - 1), (before.col - warp.s * r) / warp.a)
 
     def displacement(self, warp: Warp, after: Velocity) -> Displacement:
         """Displacement of the probe over any number of frames, from the warp and the later frame's velocity."""
-        r = self.rows_per_frame
+        r = self.line_periods_per_frame
         return Displacement(-warp.b * (1 + after.row / r), -warp.d - after.col / r * warp.b)
 
     def steady(self, warp: Warp, frames_apart: int = 1) -> Velocity:
         """Velocity of a steady motion that explains a shift between frames that lie so many frame periods apart."""
-        periods = frames_apart + warp.b / self.rows_per_frame
+        periods = frames_apart + warp.b / self.line_periods_per_frame
         return Velocity(-warp.b / periods, -warp.d / periods)

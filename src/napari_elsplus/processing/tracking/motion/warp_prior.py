@@ -94,7 +94,7 @@ def warp_prior(
     """
     before, after = velocities
     expected = shutter.warp(before, after, displacement)
-    rows = shutter.rows_per_frame
+    rows = shutter.line_periods_per_frame
     stiffness = (spread_px / rows + _LEAST_SPREAD) ** -2
     if trust_px is None or not (isfinite(rows) and isfinite(trust_px)):
         return WarpPrior(expected, stiffness)
@@ -115,13 +115,13 @@ def velocity_sigma(information: NDArray[np.float64], shutter: RollingShutter) ->
     shutter : RollingShutter
         Timing of the rows.
     """
-    if not isfinite(shutter.rows_per_frame):  # all rows at once: nothing is warped
+    if not isfinite(shutter.line_periods_per_frame):  # all rows at once: nothing is warped
         return inf
     try:
         covariance = np.linalg.inv(information)
     except np.linalg.LinAlgError:
         return inf
-    part = (1 - shutter.middle) * shutter.rows_per_frame
+    part = (1 - shutter.middle) * shutter.line_periods_per_frame
     axes = (covariance[k : k + 2, k : k + 2] for k in (0, 2))
     largest = max(part * part * c[0, 0] + 2 * part * c[0, 1] + c[1, 1] for c in axes)
     return float(np.sqrt(largest)) if largest >= 0 else inf

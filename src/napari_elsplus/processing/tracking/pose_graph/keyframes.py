@@ -60,7 +60,7 @@ class KeyframeSelector:
     def __init__(self, grid: Grid) -> None:
         self._spacing_px = KEY_SPACING * grid.diameter
         self._shutter = grid.shutter
-        self._stretch = LINK_STRETCH_PX / grid.shutter.rows_per_frame
+        self._stretch = LINK_STRETCH_PX / grid.shutter.line_periods_per_frame
         self._before: tuple[int, Pose] | None = None
         self._newest: tuple[int, int, PairRegistration] | None = None
         self._node: tuple[int, int, PairRegistration] | None = None

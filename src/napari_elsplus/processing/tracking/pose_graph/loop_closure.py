@@ -214,7 +214,7 @@ class LoopCloser:
 
     @property
     def _spread(self) -> tuple[float, float]:
-        return (_VELOCITY_SIGMA / self._registrar.grid.shutter.rows_per_frame + 1e-9,) * 2
+        return (_VELOCITY_SIGMA / self._registrar.grid.shutter.line_periods_per_frame + 1e-9,) * 2
 
 
 class Bridge:

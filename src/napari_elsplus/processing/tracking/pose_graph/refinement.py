@@ -57,7 +57,7 @@ def refine(
     """
     settled = with_origins(settle(poses, links), links, registrar.grid.shutter)
     tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is TrackingState.TRACKED}
-    stretch = LINK_STRETCH_PX / registrar.grid.shutter.rows_per_frame
+    stretch = LINK_STRETCH_PX / registrar.grid.shutter.line_periods_per_frame
     if rung is MotionModel.TRANSLATION:
         rung = review_rotation(links, registrar, view)
     if rung is not MotionModel.TRANSLATION:

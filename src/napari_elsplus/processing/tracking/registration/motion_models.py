@@ -95,9 +95,9 @@ def upright(
     return out
 
 
-def unsheared(velocity: Velocity, rows_per_frame: float) -> Matrix:
+def unsheared(velocity: Velocity, line_periods_per_frame: float) -> Matrix:
     """Return the matrix that frees a frame of the stretch and shear that its motion gave it."""
-    return np.array([[1 + velocity.row / rows_per_frame, 0.0], [velocity.col / rows_per_frame, 1.0]])
+    return np.array([[1 + velocity.row / line_periods_per_frame, 0.0], [velocity.col / line_periods_per_frame, 1.0]])
 
 
 def composed(warp: Warp, step: Matrix) -> tuple[Warp, Matrix]:

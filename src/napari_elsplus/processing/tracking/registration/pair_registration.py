@@ -221,7 +221,7 @@ class Registrar:
         out : PreparedFrame
             What is filled, and returned.
         """
-        unsheared = ladder.unsheared(velocity, self.grid.shutter.rows_per_frame)
+        unsheared = ladder.unsheared(velocity, self.grid.shutter.line_periods_per_frame)
         matrix = ladder.turned_by(-turn, 1 / zoom) @ unsheared
         ladder.upright(view.image, out.image, self.grid.centre, matrix)
         return self.prepare(out)
@@ -285,7 +285,7 @@ class Registrar:
             if abs(more) < _SMALL_TURN:
                 break
         assert link is not None
-        stretch, shear = 1 + before.row / shutter.rows_per_frame, before.col / shutter.rows_per_frame
+        stretch, shear = 1 + before.row / shutter.line_periods_per_frame, before.col / shutter.line_periods_per_frame
         warp = Warp(start.a * stretch, start.b, start.s * stretch + shear, start.d)
         return link._replace(warp=warp, turn=turn, zoom=zoom, turn_sigma=sigma)
 

@@ -26,16 +26,16 @@ _TRUSTED: Final = 0.03
 _FEWEST: Final = 10
 
 
-class RowsPerFrame(NamedTuple):
+class LinePeriodsPerFrame(NamedTuple):
     """Rows per frame period and one standard deviation of it, in rows of the grid."""
 
     rows: float
     sigma: float
 
 
-def estimate_rows_per_frame(
+def estimate_line_periods_per_frame(
     links: Sequence[tuple[int, int, Displacement, PairRegistration]], assumed: RollingShutter
-) -> RowsPerFrame | None:
+) -> LinePeriodsPerFrame | None:
     """Estimate the rows per frame from the links of a track.
 
     Parameters
@@ -48,7 +48,7 @@ def estimate_rows_per_frame(
 
     Returns
     -------
-    RowsPerFrame or None
+    LinePeriodsPerFrame or None
         None if the motion was too even, or too slow, to say it within 3 %.
     """
     # where frames were looked at again, stretch and shear were told by the timing that is to be found
@@ -57,7 +57,7 @@ def estimate_rows_per_frame(
     runs = [k for k in warps if k - 1 in warps and k + 1 in warps]
     if len(runs) < _FEWEST:
         return None
-    inverse, sigma = 1 / assumed.rows_per_frame, np.inf
+    inverse, sigma = 1 / assumed.line_periods_per_frame, np.inf
     for _ in range(_ROUNDS):
         shutter = RollingShutter(1 / inverse, assumed.middle)
         gained, bent = _gains(warps, runs, shutter)
@@ -70,7 +70,7 @@ def estimate_rows_per_frame(
         sigma = scale / float(np.sqrt((gained * gained).sum()))
         if not inverse > sigma / _TRUSTED:
             return None
-    return RowsPerFrame(1 / inverse, sigma / inverse**2)
+    return LinePeriodsPerFrame(1 / inverse, sigma / inverse**2)
 
 
 def _gains(
@@ -79,7 +79,7 @@ def _gains(
     """Velocity gained from frame to frame, rows then columns, and how much more bent the later frame is."""
     after = {k: shutter.velocities(warp)[1] for k, warp in warps.items()}
     step = {k: shutter.displacement(warp, after[k]) for k, warp in warps.items()}
-    r = shutter.rows_per_frame
+    r = shutter.line_periods_per_frame
     rows = [((step[k + 1].row - step[k - 1].row) / 2, (1 - warps[k].a) * (1 + after[k].row / r)) for k in runs]
     cols = [((step[k + 1].col - step[k - 1].col) / 2, (1 - warps[k].a) * after[k].col / r - warps[k].s) for k in runs]
     both = np.array(rows + cols)
