@@ -78,7 +78,7 @@ def log(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def command(log: Path) -> tuple[str, ...]:
-    return (sys.executable, str(Path(__file__).with_name("engine_process.py")), str(log))
+    return (sys.executable, str(Path(__file__).parents[1] / "engine_process.py"), str(log))
 
 
 @pytest.fixture

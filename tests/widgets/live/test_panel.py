@@ -26,7 +26,7 @@ from napari_elsplus.widgets.live.layers import LiveLayers
 from processes import exists
 
 PLUGIN = "napari-elsplus"
-HERE = Path(__file__).parents[1] / "acquisition"
+HERE = Path(__file__).parents[2] / "acquisition"
 BLOCKED_FRAMES = 300
 """More than the engine keeps in memory, so that none is lost only if it does not wait for the window."""
 

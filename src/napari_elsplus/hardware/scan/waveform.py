@@ -2,9 +2,9 @@
 
 Row r is read at t0 + r T and exposed over the E = N T before, so the slit's centre is at row(t) = (t - t0 + E/2) / T;
 the line has to be there from the first exposed row of either image to the last. What is left of the frame period is
-the galvo's time to fly back: ``line_periods_per_frame - (diameter + |offset_rows| + slit_rows)`` line periods. The drive
-runs ahead of the galvo by its lag; where the galvo's resonance is known, the drive also carries what that resonance
-takes away, so that the line is on the slit from the first row on.
+the galvo's time to fly back: ``line_periods_per_frame - (diameter + |offset_rows| + slit_rows)`` line periods. The
+drive runs ahead of the galvo by its lag; where the galvo's resonance is known, the drive also carries what that
+resonance takes away, so that the line is on the slit from the first row on.
 """
 
 from __future__ import annotations
