@@ -158,7 +158,7 @@ class LivePanel(EnginePanel):
     def _start(self, client: EngineClient) -> None:
         self._faults_told.clear()
         self._arranged = None
-        self.put_in_force(client, lambda: self._calibrate_and_start(client))
+        self.activate_calibration(client, lambda: self._calibrate_and_start(client))
 
     def _calibrate_and_start(self, client: EngineClient) -> None:
         if client.calibration is None and self.connection.rig == SIMULATED:

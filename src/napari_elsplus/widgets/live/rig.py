@@ -199,7 +199,7 @@ class RigPanel(EnginePanel):
             choice.changed.connect(self.apply)
 
     def _connected(self, client: EngineClient) -> None:
-        self.put_in_force(client)
+        self.activate_calibration(client)
 
     def _remember(self) -> None:
         settings = self.settings

@@ -38,7 +38,7 @@ class EnginePanel(Panel):
     def refresh(self) -> None:
         """Show how things are; called when an answer has come, and now and then."""
 
-    def put_in_force(self, client: EngineClient, then: Callable[[], None] = lambda: None) -> None:
+    def activate_calibration(self, client: EngineClient, then: Callable[[], None] = lambda: None) -> None:
         """Let a rig that has none work by the calibration that is known, and go on, whether it can use it or not.
 
         Parameters
