@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
+import pickle
+import zipfile
 from contextlib import suppress
 
 import numpy as np
@@ -12,7 +16,7 @@ from hypothesis import strategies as st
 
 from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.io import beside, calibration_beside, read_calibration, write_calibration
+from napari_elsplus.io import beside, calibration_beside, open_recording, read_calibration, write_calibration
 from napari_elsplus.io.calibrations import parse_calibration
 
 FULL = {
@@ -107,6 +111,61 @@ def text(path):
 
 def complex_numbers(path):
     np.savez(path, flat=np.zeros((3, 3), complex))
+
+
+def forged_header(shape, descr="<f8", fortran_order=False):
+    """Return a writer of a .npz whose array's header declares more than the archive holds."""
+
+    def write(path):
+        member = io.BytesIO()
+        np.lib.format.write_array_header_1_0(member, {"descr": descr, "fortran_order": fortran_order, "shape": shape})
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("background.npy", member.getvalue() + bytes(800))
+
+    return write
+
+
+class Payload:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, folder):
+        self.folder = str(folder)
+
+    def __reduce__(self):
+        return os.mkdir, (self.folder,)
+
+
+def test_untrusted_arrays_are_never_unpickled(tmp_path):
+    (tmp_path / "c.json").write_text(json.dumps(FULL))
+    hostile = np.array([Payload(tmp_path / "executed")], object)
+    np.savez(tmp_path / "c.npz", background=hostile, flat=hostile, unknown=hostile)
+    np.save(tmp_path / "a.npy", hostile)
+    (tmp_path / "b.npy").write_bytes(pickle.dumps(hostile))
+    for name in ("c.json", "a.npy", "b.npy"):
+        with pytest.raises(ElsPlusError):
+            (read_calibration if name == "c.json" else open_recording)(tmp_path / name)
+    assert not (tmp_path / "executed").exists()
+
+
+FORGED = {
+    "3.6 TiB": forged_header((704_000, 704_000)),
+    "more than 64 bits": forged_header((1 << 40, 1 << 40)),
+    "one more value than there is": forged_header((1, 101)),
+    "fewer values than there are": forged_header((1, 99)),
+    "negative": forged_header((-10, -10)),
+    "wide strings": forged_header((1, 1), "<U1000000000"),
+}
+
+
+@pytest.mark.parametrize("write", FORGED.values(), ids=FORGED)
+def test_forged_array_headers_are_refused_before_memory_is_allocated(tmp_path, write, monkeypatch):
+    monkeypatch.setattr(np.lib.format, "read_array", lambda *_, **__: pytest.fail("memory was allocated"))
+    content = {name: part for name, part in FULL.items() if name != "frame"}
+    (tmp_path / "c.json").write_text(json.dumps(content))
+    write(tmp_path / "c.npz")
+    with pytest.raises(CalibrationError, match=r"c\.npz") as caught:
+        read_calibration(tmp_path / "c.json")
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("write", [pickled, other_shape, with_nan, text, complex_numbers])

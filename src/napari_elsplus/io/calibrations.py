@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 LARGEST_JSON: Final = 4 << 20
 LARGEST_ARRAYS: Final = 1 << 30
 ARRAYS: Final = ("background", "flat")
+_HEADER_READERS: Final = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
 
 
 def read_calibration(path: str | os.PathLike[str]) -> Calibration:
@@ -178,7 +182,10 @@ def _read_arrays(path: Path, calibration: Calibration) -> dict[str, NDArray[np.f
             unpacked = sum(member.file_size for member in file.zip.infolist())
             if unpacked > LARGEST_ARRAYS:
                 raise CalibrationError(f"{path.name} unpacks to {unpacked} bytes", "calibrate again")
-            arrays = {name: _checked(path, name, file[name]) for name in ARRAYS if name in file}
+            present = [name for name in ARRAYS if name in file]
+            for name in present:
+                _refuse_forged_header(file.zip, f"{name}.npy")
+            arrays = {name: _checked(path, name, file[name]) for name in present}
     except (OSError, ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile) as error:
         raise CalibrationError(f"{path.name} cannot be read ({error!s:.80})", "calibrate again") from None
     frame, background = calibration.frame, arrays.get("background")
@@ -188,6 +195,18 @@ def _read_arrays(path: Path, calibration: Calibration) -> dict[str, NDArray[np.f
             "it belongs to another calibration: calibrate again",
         )
     return arrays
+
+
+def _refuse_forged_header(archive: zipfile.ZipFile, member: str) -> None:
+    """Raise ValueError if an array's header declares other than the archive holds: numpy allocates what it declares."""
+    with archive.open(member) as file:
+        version = np.lib.format.read_magic(file)
+        if version not in _HEADER_READERS:
+            raise ValueError(f"{member} has version {version}")
+        shape, _, dtype = _HEADER_READERS[version](file)
+        held = archive.getinfo(member).file_size - file.tell()
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != held:
+        raise ValueError(f"{member} declares {shape} of {dtype}, and holds {held} bytes")
 
 
 def _checked(path: Path, name: str, array: NDArray[Any]) -> NDArray[np.float32]:
