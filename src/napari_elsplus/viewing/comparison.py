@@ -12,6 +12,7 @@ from skimage.measure import profile_line
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
 from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.elsa import FRAMES_PER_IMAGE, elsa_frames
 from napari_elsplus.processing.images.sectioning import Mode, disc
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
 from napari_elsplus.viewing.stack import files_for_script, um_per_px_of
@@ -277,10 +278,11 @@ class _Successive:
         self._raw = raw
 
     def __len__(self) -> int:
-        return 2 * len(self._raw)
+        return FRAMES_PER_IMAGE * len(self._raw)
 
     def __getitem__(self, index: int, /) -> NDArray[np.generic]:
-        frame, after = divmod(index, 2)
+        frame = index // FRAMES_PER_IMAGE
+        after = index - elsa_frames(frame)[0]
         if after and frame == len(self._raw) - 1:
             return self._raw[frame - 1]
         return self._raw[frame + after]

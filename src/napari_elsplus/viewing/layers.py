@@ -128,12 +128,11 @@ def image_layers(stack: Stack, calibration: Calibration, source: Path | None = N
     origin_px = images_origin_px(calibration)
     layers: list[Layer] = []
     for mode, title in TITLES.items():
-        if mode is Mode.ELSA and (len(stack.planes) < 2 or stack.depth_um is not None):
+        if mode is Mode.ELSA and (len(stack.planes) < mode.frames_per_image or stack.depth_um is not None):
             continue
         images = image_planes(stack.planes, calibration, mode)
         words = attributes(stack, title, calibration, origin_px=origin_px)
-        if mode is Mode.ELSA:  # made of two frames each
-            words["scale"] = (2 * words["scale"][0], *words["scale"][1:])
+        words["scale"] = (mode.frames_per_image * words["scale"][0], *words["scale"][1:])
         words["visible"] = mode is Mode.ELS
         words["interpolation2d"] = SMOOTH
         words["contrast_limits"] = _white(images)

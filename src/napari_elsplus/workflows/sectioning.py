@@ -30,7 +30,7 @@ class RawPairs:
     frames : Frames
         Raw frames.
     mode : Mode or str
-        ELSA takes the residual from the following frame, and every second frame only; the others take both from one.
+        Image type, which determines the pairs: :meth:`Mode.source_frames`.
 
     Raises
     ------
@@ -40,23 +40,25 @@ class RawPairs:
 
     def __init__(self, frames: Frames, mode: Mode | str) -> None:
         self._frames = frames
-        self._step = 2 if Mode(mode) is Mode.ELSA else 1
+        self._mode = Mode(mode)
         if len(self) == 0:
+            needed = self._mode.frames_per_image
             raise InputError(
-                f"{Mode(mode).value} needs {self._step} frames, the recording has {len(frames)}", "record more frames"
+                f"{self._mode.value} needs {needed} frames, the recording has {len(frames)}", "record more frames"
             )
 
     def __len__(self) -> int:
-        return len(self._frames) // self._step
+        return len(self._frames) // self._mode.frames_per_image
 
     def frame(self, index: int) -> int:
         """Index of the confocal view's frame in the recording."""
-        return self._step * index
+        return self._mode.source_frames(index)[0]
 
     def __call__(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the frames of the confocal and of the residual view."""
-        raw = self._frames[self.frame(index)]
-        return raw, raw if self._step == 1 else self._frames[self.frame(index) + 1]
+        confocal, residual = self._mode.source_frames(index)
+        raw = self._frames[confocal]
+        return raw, raw if residual == confocal else self._frames[residual]
 
 
 class Images:

@@ -11,6 +11,7 @@ import numpy as np
 from napari_elsplus.acquisition.streaming.ring import Layout
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.elsa import elsa_pair
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.workflows.sectioning import finishing
 
@@ -102,8 +103,8 @@ class LiveImages:
 
     Notes
     -----
-    ELSA is made of alternating frames: the confocal image of an even frame minus the residual image of the odd one that
-    follows it. Where one of the two is missing, the last ELSA image stands.
+    ELSA is made of alternating frames, paired as in :mod:`napari_elsplus.processing.images.elsa`. Where one of the two
+    is missing, the last ELSA image stands.
     """
 
     def __init__(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: LiveView) -> None:
@@ -121,8 +122,8 @@ class LiveImages:
         square = (sectioner.side, sectioner.side)
         self._now = {mode: np.zeros(square, np.float32) for mode in Mode}
         self._mean = self._now if view.average == 1 else {mode: np.zeros(square, np.float32) for mode in Mode}
-        self._even_ls = np.zeros(square, np.float32)
-        self._even_number = -2
+        self._confocal = np.zeros(square, np.float32)
+        self._confocal_number: int | None = None
         self._first = True
         self._finished = np.zeros(square, np.float32)
         self._warm_up(frame_shape)
@@ -140,11 +141,12 @@ class LiveImages:
         self._sectioner.ls(raw, now[Mode.LS])
         self._sectioner.residual(raw, now[Mode.RESIDUAL])
         np.subtract(now[Mode.LS], now[Mode.RESIDUAL], out=now[Mode.ELS])
-        if frame_number % 2 == 0:
-            np.copyto(self._even_ls, now[Mode.LS])
-            self._even_number = frame_number
-        elif self._even_number == frame_number - 1:
-            np.subtract(self._even_ls, now[Mode.RESIDUAL], out=now[Mode.ELSA])
+        confocal, _ = elsa_pair(frame_number)
+        if frame_number == confocal:
+            np.copyto(self._confocal, now[Mode.LS])
+            self._confocal_number = confocal
+        elif self._confocal_number == confocal:
+            np.subtract(self._confocal, now[Mode.RESIDUAL], out=now[Mode.ELSA])
         if self._mean is not now:
             for mode in Mode:
                 if self._first:
@@ -171,7 +173,7 @@ class LiveImages:
         for number in range(2):
             self.add(blank, number)
             self.fill(blank, slot)
-        self._first, self._even_number = True, -2
+        self._first, self._confocal_number = True, None
 
 
 def focus(image: NDArray[np.generic]) -> float:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from napari_elsplus.acquisition.engine.live_images import LiveImages, Measures
 from napari_elsplus.errors import DeviceError, ElsPlusError
+from napari_elsplus.processing.images.elsa import elsa_pair
 
 if TYPE_CHECKING:
     import numpy as np
@@ -184,19 +185,19 @@ class ProcessingWorker(Thread):
     def _section(self, images: LiveImages, raw: NDArray[np.uint8], frame_number: int, *, each: bool) -> bool:
         """Section a frame, and say whether it shall be shown.
 
-        Where a tracker gives every frame its result, only those are sectioned that are shown: an even frame and the odd
-        one after it, as ELSA needs them.
+        Where a tracker gives every frame its result, only those are sectioned that are shown: the confocal and the
+        residual frame of one ELSA image.
         """
         last = self._stream.ended
         due = time.perf_counter() >= self._due_s
-        odd = frame_number % 2 == 1
+        confocal, residual = elsa_pair(frame_number)
         if each or images.averages or last:
             images.add(raw, frame_number)
             return due or last
-        if due and not odd:
+        if due and frame_number == confocal:
             images.add(raw, frame_number)
             self._begun = frame_number
-        elif odd and self._begun == frame_number - 1:
+        elif frame_number == residual and self._begun == confocal:
             images.add(raw, frame_number)
             return True
         return False

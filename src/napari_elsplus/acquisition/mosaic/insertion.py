@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from napari_elsplus.processing.images.elsa import elsa_pair
 from napari_elsplus.processing.mosaicing.keyframe_store import KeyframeStore
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, around_all, tile_rectangle
@@ -230,9 +231,9 @@ class LiveInsertion:
 
 
 class AlternatingInsertion(LiveInsertion):
-    """ELSA's mosaics: the confocal view of every second frame, less the residual of the one after it."""
+    """Insertion of ELSA images: confocal view of a pair's first frame minus residual view of its second."""
 
-    _even: TrackedFrame | None = None
+    _confocal: TrackedFrame | None = None
     _raw: NDArray[np.uint8] | None = None
 
     def add(
@@ -243,14 +244,15 @@ class AlternatingInsertion(LiveInsertion):
         *,
         keep: bool = False,
     ) -> None:
-        """Lay down, with each odd frame, the even one before it."""
-        even, self._even = self._even, None
-        if found.number % 2 == 0:
+        """Insert the image of a pair once its residual frame has come, at the pose of its confocal frame."""
+        before, self._confocal = self._confocal, None
+        confocal, residual = elsa_pair(found.number)
+        if found.number == confocal:
             if found.place.state is TrackingState.TRACKED:
                 if self._raw is None:
                     self._raw = np.empty_like(raw)
                 np.copyto(self._raw, raw)
-                self._even = found
-        elif even is not None and found.number == even.number + 1:
+                self._confocal = found
+        elif before is not None and found.number == residual and before.number == confocal:
             assert self._raw is not None
-            self._lay(even, self.pipeline.image(self._raw, raw))
+            self._lay(before, self.pipeline.image(self._raw, raw))

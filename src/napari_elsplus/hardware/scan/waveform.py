@@ -17,6 +17,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.scan.path import LEAD_IN_S, TURN_S, ScanPath
+from napari_elsplus.processing.images.elsa import FRAMES_PER_IMAGE, elsa_frames
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -177,7 +178,9 @@ def elsa_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLim
     assert calibration.bundle is not None
     assert calibration.offset is not None
     rows = exposed_rows(calibration.bundle, residual=False)
-    return ramp_waveform(calibration.galvo, rows, timing, limits, shifts_rows=(0.0, calibration.offset.rows))
+    shifts_rows = [0.0] * FRAMES_PER_IMAGE
+    shifts_rows[elsa_frames(0)[1]] = calibration.offset.rows
+    return ramp_waveform(calibration.galvo, rows, timing, limits, tuple(shifts_rows))
 
 
 def ramp_waveform(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
+from napari_elsplus.processing.images.elsa import FRAMES_PER_IMAGE, elsa_frames
 from napari_elsplus.processing.images.resampling import Resampler
 
 if TYPE_CHECKING:
@@ -33,6 +34,15 @@ class Mode(StrEnum):
     """Confocal minus residual of one frame: ELS+."""
     ELSA = "elsa"
     """Confocal of one frame minus residual of the next: sequential ELS, for comparison."""
+
+    @property
+    def frames_per_image(self) -> int:
+        """Raw frames from which one image is made, in non-overlapping groups: 2 for ELSA, otherwise 1."""
+        return FRAMES_PER_IMAGE if self is Mode.ELSA else 1
+
+    def source_frames(self, index: int) -> tuple[int, int]:
+        """Return the numbers of the raw frames of the confocal and of the residual view of the image with an index."""
+        return elsa_frames(index) if self is Mode.ELSA else (index, index)
 
 
 class Frames(Protocol):
@@ -149,16 +159,17 @@ class Sectioner:
     def image(
         self, frames: Frames, index: int, mode: Mode, out: NDArray[np.float32] | None = None
     ) -> NDArray[np.float32]:
-        """Return image `index` of a mode; ELSA's is made of raw frames 2 index and 2 index + 1."""
+        """Return the image of a mode with an index, made from the raw frames that :meth:`Mode.source_frames` names."""
+        confocal, residual = mode.source_frames(index)
         match mode:
             case Mode.LS:
-                return self.ls(frames[index], out)
+                return self.ls(frames[confocal], out)
             case Mode.RESIDUAL:
-                return self.residual(frames[index], out)
+                return self.residual(frames[residual], out)
             case Mode.ELS:
-                return self.els(frames[index], out)
+                return self.els(frames[confocal], out)
             case Mode.ELSA:
-                return self.elsa(frames[2 * index], frames[2 * index + 1], out)
+                return self.elsa(frames[confocal], frames[residual], out)
 
     def _given(self, out: NDArray[np.float32] | None) -> NDArray[np.float32]:
         return np.empty((self.side, self.side), np.float32) if out is None else out

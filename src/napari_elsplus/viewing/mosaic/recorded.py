@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.io import TrackTable
+from napari_elsplus.processing.images.elsa import elsa_pair
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
@@ -165,11 +166,12 @@ class StackMosaics:
     def _follow(self, followers: Mapping[Mode, Pipeline], pose: Pose, frame: int) -> None:
         if pose.state is not TrackingState.TRACKED:
             return
+        confocal, residual = elsa_pair(frame)
         for mode, follower in followers.items():
             if mode is not Mode.ELSA:
                 follower.lay(pose, self._frames[frame])
-            elif frame % 2 == 0 and frame + 1 < len(self._frames):
-                follower.lay(pose, self._frames[frame], self._frames[frame + 1])
+            elif frame == confocal and residual < len(self._frames):
+                follower.lay(pose, self._frames[confocal], self._frames[residual])
 
     def _pipeline(self, mode: Mode) -> Pipeline:
         rows, cols = self._frames[0].shape

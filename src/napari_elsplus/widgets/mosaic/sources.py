@@ -55,7 +55,7 @@ class MosaicSource:
 
     def steps(self, plan: MosaicPlan) -> int:
         """How many steps a progress bar has to show."""
-        pairs = len(self.frames) // (2 if plan.tracked is Mode.ELSA else 1)
+        pairs = len(self.frames) // plan.tracked.frames_per_image
         return (3 if len(plan.modes) > 1 else 2) * pairs
 
 
