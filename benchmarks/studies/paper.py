@@ -12,7 +12,7 @@ from benchmarks.rigs.simulated import SimulatedRig, measured
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast
 from napari_elsplus.processing.calibration.calibrate import Findings, measure
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
-from napari_elsplus.processing.mosaicing.picture import picture
+from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.simulation import calibration_scenes as scenes
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.specimen.scenes import scene
@@ -111,7 +111,7 @@ def mosaic(frames: MovingFrames, mode: Mode, method: Method = Method.ELSPLUS, *,
     if not live:
         pipeline.finish(lambda k: (frames.raw[k], frames.raw[k]))
     mosaics = list(pipeline.mosaics.values())
-    return Mosaicked(picture(mosaics), track_errors(pipeline.rows, frames.true_px), len(mosaics))
+    return Mosaicked(montage(mosaics), track_errors(pipeline.rows, frames.true_px), len(mosaics))
 
 
 @dataclass(frozen=True)

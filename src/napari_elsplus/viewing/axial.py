@@ -144,7 +144,7 @@ def measure_scan(
         raise InputError(
             f"the depths of {stack.file_name} are unknown", "put NAME.depths.csv beside it: a depth per frame"
         )
-    profiles = axial_profiles(stack.planes, calibration, watch=watch)
+    profiles = axial_profiles(stack.planes, calibration, progress=watch)
     return Scan(stack.name, axial_response(stack.depth_um, *profiles), *slit_um(calibration))
 
 

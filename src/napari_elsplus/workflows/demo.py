@@ -25,7 +25,7 @@ from napari_elsplus.io import (
 )
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.processing.mosaicing.picture import picture
+from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.simulation import calibration_scenes as bench
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
@@ -200,7 +200,7 @@ def _process(
                 pipeline.track(recording[k], k, k * optics.frame_period_s)
             pipeline.finish(RawPairs(recording, mode))
             tracks[mode] = track_errors(pipeline.rows, true_px)
-            mosaics[mode] = picture(list(pipeline.mosaics.values()))
+            mosaics[mode] = montage(list(pipeline.mosaics.values()))
             target = stage.folder / f"mosaic_{mode.value}.ome.tif"
             write_mosaic(target, mosaics[mode], pipeline.um_per_px, calibration=calibration, force=stage.force)
     write_track(stage.folder / "track.csv", pipeline.rows, force=stage.force)

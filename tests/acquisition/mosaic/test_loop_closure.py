@@ -90,7 +90,7 @@ def errors(rows: Sequence[TrackPoint], frames: Sequence[int] | None = None) -> N
 
 def alike(one: Mosaic, other: Mosaic) -> float:
     """Correlation of two mosaics where both were drawn on."""
-    extent = one.extent.within(other.extent)
+    extent = one.extent.intersection(other.extent)
     (a, drawn), (b, there) = one.read(extent), other.read(extent)
     both = (drawn > 0.5) & (there > 0.5)
     return float(np.corrcoef(a[both], b[both])[0, 1])

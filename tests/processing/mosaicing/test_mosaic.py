@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.mosaicing.picture import picture
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, HeapTiles, Rectangle
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import Grid
@@ -120,7 +120,7 @@ def test_only_what_was_touched_is_dirty() -> None:
     mosaic.insert(seen(400.0, 0.0), 400.0, 0.0)
     second = mosaic.take_dirty()
     assert second is not None
-    assert second.within(first).shape[0] == 0
+    assert second.intersection(first).shape[0] == 0
     mosaic.clear()
     assert mosaic.read()[0].size == 0
 
@@ -160,7 +160,7 @@ def test_segments_are_shown_below_one_another() -> None:
     small.insert(seen(0.0, 0.0), 0.0, 0.0)
     for col in (0.0, 80.0):
         large.insert(seen(0.0, col), 0.0, col)
-    image = picture([small, large])
+    image = montage([small, large])
     assert image.shape == (2 * large.read()[0].shape[0] + 16, large.read()[0].shape[1])
     assert (image[: large.read()[0].shape[0]] == large.read()[0]).all()
 

@@ -37,7 +37,7 @@ def test_every_level_shows_the_mosaic_while_it_grows() -> None:
             assert np.array_equal(_any(whole != 0, step), coarsest != 0)
         for number, mosaic in mosaics.items():
             if mosaic.extent is not None:
-                at = mosaic.extent.moved(*image.sheet.place(number))
+                at = mosaic.extent.translated(*image.sheet.origin(number))
                 np.testing.assert_array_equal(np.asarray(image.levels[0])[at.slices(image.frame)], mosaic.read()[0])
     assert max(image.levels[-1].shape) <= COARSEST_PX
     assert not image.update(mosaics).pixels

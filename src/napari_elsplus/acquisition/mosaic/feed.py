@@ -9,7 +9,7 @@ import numpy as np
 from napari_elsplus.acquisition.mosaic.board_tables import CHANGES, FREE, MOST_TILES, TILE, Tables
 from napari_elsplus.acquisition.streaming import shared_memory as shared
 from napari_elsplus.io import TrackTable
-from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, around_all, tile_rectangle
+from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, bounding_rectangle, tile_rectangle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +27,7 @@ class TileCopy(TiledCanvas):
             for key in part.tiles():
                 if key in tiles:
                     at = tile_rectangle(*key)
-                    there = part.within(at).slices(at)
+                    there = part.intersection(at).slices(at)
                     target, source = self._store.tile(*key), tiles[key]
                     target.value[there], target.weight[there] = source.value[there], source.weight[there]
             self._touched(part)
@@ -122,13 +122,13 @@ class MosaicFeed:
             parts = {
                 key: whole
                 for key, tiles in self._tiles.items()
-                if (whole := around_all(filter(None, map(_drawn, tiles, tiles.values())))) is not None
+                if (whole := bounding_rectangle(filter(None, map(_drawn, tiles, tiles.values())))) is not None
             }
         for (image, segment), part in parts.items():
             mirrors = self.canvases.setdefault(image, {})
             mirror = mirrors.get(segment) or TileCopy(blended=self._blended)
             if not only_new and mirror.extent is not None:
-                part = part.around(mirror.extent)
+                part = part.union(mirror.extent)
             mirror.copy(part, self._tiles.get((image, segment), {}))
             mirrors[segment] = mirror
 
@@ -150,7 +150,7 @@ class MosaicFeed:
         for number in numbers:
             image, segment, *edges = self._tables.changes[number % CHANGES].tolist()
             key, part = (image, segment), Rectangle(*edges)
-            parts[key] = part if key not in parts else parts[key].around(part)
+            parts[key] = part if key not in parts else parts[key].union(part)
         return parts
 
     def _copy_rows(self, count: int, relocations: int, *, all_rows: bool) -> bool:

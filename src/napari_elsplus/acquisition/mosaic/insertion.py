@@ -9,7 +9,7 @@ import numpy as np
 from napari_elsplus.processing.images.elsa import elsa_pair
 from napari_elsplus.processing.mosaicing.keyframe_store import KeyframeStore
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
-from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, around_all, tile_rectangle
+from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, bounding_rectangle, tile_rectangle
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 
 if TYPE_CHECKING:
@@ -110,12 +110,12 @@ class LiveInsertion:
         assert mosaic is not None, "a frame that was not tracked has no place"
         self._newest = found, image
         self._tell(found.place.segment, mosaic)
-        if self._keeps and self.kept.keep(found.frame, found.pose, image, mosaic.exposure, always=keep):
+        if self._keeps and self.kept.add(found.frame, found.pose, image, mosaic.exposure, always=keep):
             self._laid[found.frame] = found.place
 
     def thin(self, corrections: Corrections, lock: AbstractContextManager[Any]) -> bool:
         """Let go of kept frames where there are too many; whether any went."""
-        if not self.kept.crowded:
+        if not self.kept.needs_thinning:
             return False
         gone = self.kept.thin(lambda one: corrections.of(one.frame, one.pose), lock)
         with lock:
@@ -168,7 +168,7 @@ class LiveInsertion:
         """Forget a mosaic, and the kept frames of those of the tracker's segments that lie in it."""
         self._forgotten += 1
         self.pipeline.mosaics.pop(group, None)
-        self.kept.forget(segments)
+        self.kept.discard(segments)
         left = {one.frame for one in self.kept.frames}
         self._laid = {index: place for index, place in self._laid.items() if index in left}
 
@@ -189,7 +189,7 @@ class LiveInsertion:
         return [int(k) for k in np.flatnonzero(off)]
 
     def _reach(self, place: Pose) -> Rectangle:
-        return self._brush.reach(place.row, place.col, place.velocity, place.angle, place.scale)
+        return self._brush.extent_of(place.row, place.col, place.velocity, place.angle, place.scale)
 
     def _drawn(self, where: Where, frames: Iterable[tuple[Keyframe, Pose]]) -> tuple[Tile, list[Rectangle]]:
         """Draw a tile anew, beside the one that is looked at."""
@@ -201,10 +201,10 @@ class LiveInsertion:
 
     def _draw(self, where: Where, tile: Tile, image: NDArray[np.float32], place: Pose) -> list[Rectangle]:
         segment, key = where
-        part = self._reach(place).within(tile_rectangle(*key))
+        part = self._reach(place).intersection(tile_rectangle(*key))
         if place.segment != segment or 0 in part.shape:
             return []
-        self._brush.draw(tile, key, image, place.row, place.col, place.velocity, place.angle, place.scale)
+        self._brush.render_into(tile, key, image, place.row, place.col, place.velocity, place.angle, place.scale)
         return [part]
 
     def _exchange(self, where: Where, tile: Tile, drawn: list[Rectangle], known: int, corrections: Corrections) -> None:
@@ -218,7 +218,7 @@ class LiveInsertion:
         if self._newest is not None and mosaic.insertion is Insertion.DEAD_LEAF:
             found, image = self._newest
             drawn += self._draw(where, tile, image, corrections.of(found.frame, found.pose))
-        mosaic.replace(key, tile, around_all(drawn))
+        mosaic.replace_tile(key, tile, bounding_rectangle(drawn))
         self._tell(segment, mosaic)
 
     def _tell(self, segment: int, mosaic: Mosaic) -> None:

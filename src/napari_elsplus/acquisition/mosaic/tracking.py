@@ -212,7 +212,7 @@ class LiveTrack:
     @property
     def crowded(self) -> bool:
         """Whether more frames are kept than there is room for."""
-        return any(laying.kept.crowded for laying in self._layings.values())
+        return any(laying.kept.needs_thinning for laying in self._layings.values())
 
     def thin(self, corrections: Corrections) -> Sequence[Keyframe]:
         """Let go of kept frames where there are too many; return those of the tracked image that are left."""
@@ -255,7 +255,7 @@ class LiveTrack:
             tracked = mode is self._plan.tracked
             laying.add(found, raw, image if tracked else None, keep=tracked and node is not None)
             if tracked and node is not None and self._closing is not None:
-                self._hand_over(Seen(node, laying.kept.newest(node.frame), self.pipeline.rung))
+                self._hand_over(Seen(node, laying.kept.recent(node.frame), self.pipeline.rung))
 
     def _hand_over(self, seen: Seen) -> None:
         assert self._closing is not None

@@ -48,7 +48,7 @@ def command(
         depth_um = read_depths_um(depths or _depths_beside(scan))
         if len(depth_um) != len(recording):
             raise InputError(f"{len(depth_um)} depths for {len(recording)} frames", "give a line per frame")
-        profiles = axial_profiles(recording, known, watch=lambda k: progress(k, describe="depths"))
+        profiles = axial_profiles(recording, known, progress=lambda k: progress(k, describe="depths"))
     response = axial_response(depth_um, *profiles)
     with replacing(output, force=force) as path:
         path.write_text(json.dumps(response.content(), indent=1, allow_nan=False) + "\n", encoding="utf-8")

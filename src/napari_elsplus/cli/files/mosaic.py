@@ -10,8 +10,8 @@ import numpy as np
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress, refuse_outputs
 from napari_elsplus.io import open_recording, read_calibration, write_mosaic, write_track
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.processing.mosaicing.picture import picture
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
@@ -58,7 +58,7 @@ def command(
                 confocal, residual = pairs(index)
                 two_threads.add(confocal, frame, np.nan if times is None else float(times[frame]), residual)
         pipeline.finish(pairs, lambda frames: progress(frames, describe="Mosaic"))
-    image = picture(list(pipeline.mosaics.values()))
+    image = montage(list(pipeline.mosaics.values()))
     notes = {"method": method, "mode": mode}
     write_mosaic(output, image, pipeline.um_per_px, calibration=record, metadata=notes, force=force)
     if track is not None:

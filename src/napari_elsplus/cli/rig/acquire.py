@@ -20,7 +20,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.io import beside, read_calibration, replacing, write_mosaic, write_track
-from napari_elsplus.processing.mosaicing.picture import picture
+from napari_elsplus.processing.mosaicing.montage import montage
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -115,7 +115,7 @@ def _write(pipeline: Pipeline, engine: Engine, mosaic: Path | None, track: Path 
     if track is not None:
         write_track(track, pipeline.rows, force=force)
     if mosaic is not None:
-        image = picture(list(pipeline.mosaics.values()))
+        image = montage(list(pipeline.mosaics.values()))
         write_mosaic(mosaic, image, pipeline.um_per_px, calibration=calibration, force=force)
 
 

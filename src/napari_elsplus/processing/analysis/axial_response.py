@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 SQUARE_UM: Final = 240.0
 """Side of the square that is averaged, as in the paper."""
 HALF, TENTH = 0.5, 0.1
-_FEWEST_DEPTHS = 3
+_MIN_DEPTHS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class SystematicUncertainty(NamedTuple):
     gain: float = 0.0
 
 
-_NO_DOUBTS = SystematicUncertainty()
+_NO_SYSTEMATIC = SystematicUncertainty()
 
 
 class AxialProfiles(NamedTuple):
@@ -121,14 +121,14 @@ class AxialProfiles(NamedTuple):
 
     ls: Curve
     residual: Curve
-    doubts: SystematicUncertainty
+    systematic: SystematicUncertainty
 
 
 def axial_profiles(
     frames: Frames,
     calibration: Calibration,
     *,
-    watch: Callable[[Iterable[int]], Iterable[int]] = lambda numbers: numbers,
+    progress: Callable[[Iterable[int]], Iterable[int]] = lambda numbers: numbers,
 ) -> AxialProfiles:
     """Mean LS and residual signal of the central square in each frame, grey levels.
 
@@ -138,13 +138,13 @@ def axial_profiles(
         Raw frames (rows, cols).
     calibration : Calibration
         Needs the bundle pair and the scale.
-    watch : callable
+    progress : callable
         Wraps the frame numbers, say with a progress bar.
 
     Returns
     -------
     AxialProfiles
-        The doubts are the calibration's in the gain, and what rounding to whole grey levels may add to a mean.
+        The systematic are the calibration's in the gain, and what rounding to whole grey levels may add to a mean.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def axial_profiles(
     inside = slice(round(middle - half), round(middle + half) + 1)
     ls, residual = np.empty((2, len(frames)))
     image = np.empty((sectioner.side, sectioner.side), np.float32)
-    for k in watch(range(len(frames))):
+    for k in progress(range(len(frames))):
         frame = frames[k]
         ls[k] = sectioner.ls(frame, image)[inside, inside].mean()
         residual[k] = sectioner.residual(frame, image)[inside, inside].mean()
@@ -198,7 +198,7 @@ def _zero_dn(frames: Frames, ls: Curve, background: NDArray[np.float32] | None, 
 
 
 def axial_response(
-    depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike, doubts: SystematicUncertainty = _NO_DOUBTS
+    depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike, systematic: SystematicUncertainty = _NO_SYSTEMATIC
 ) -> AxialResponse:
     """Drop-off distances and kept signal from signals against depth.
 
@@ -211,7 +211,7 @@ def axial_response(
         Depth of each frame, in any order, not necessarily even nor from zero.
     ls, residual : array_like
         Signals (T,), the background subtracted.
-    doubts : SystematicUncertainty
+    systematic : SystematicUncertainty
         What is uncertain in all depths alike; it widens the distances' uncertainties.
 
     Returns
@@ -238,9 +238,9 @@ def axial_response(
     els_mean = ls_mean - residual_mean
     contact = _peak(ls_mean)
     beyond = slice(contact, None)
-    ls_fall = _Fall(depth[beyond], ls_mean[beyond], doubts.ls_zero_dn, 0 * depth[beyond])
-    els_zero_dn = float(np.hypot(doubts.ls_zero_dn, doubts.residual_zero_dn))
-    els_fall = _Fall(depth[beyond], els_mean[beyond], els_zero_dn, doubts.gain * residual_mean[beyond])
+    ls_fall = _Fall(depth[beyond], ls_mean[beyond], systematic.ls_zero_dn, 0 * depth[beyond])
+    els_zero_dn = float(np.hypot(systematic.ls_zero_dn, systematic.residual_zero_dn))
+    els_fall = _Fall(depth[beyond], els_mean[beyond], els_zero_dn, systematic.gain * residual_mean[beyond])
     if not (ls_fall.contact > 3 * ls_fall.noise and ls_fall.contact > 0):
         raise MeasurementError(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
@@ -263,7 +263,7 @@ def axial_response(
         els_10db=els_fall.drop(TENTH),
         signal_kept=float(kept),
         signal_kept_uncertainty=float(
-            np.linalg.norm([els_fall.noise, kept * ls_fall.noise, doubts.gain * residual_mean[contact]])
+            np.linalg.norm([els_fall.noise, kept * ls_fall.noise, systematic.gain * residual_mean[contact]])
             / ls_fall.contact
         ),
     )
@@ -308,8 +308,8 @@ def _by_depth(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple
     if not all(np.isfinite(values).all() for values in (depth, *signals)):
         raise InputError("a depth or signal is NaN or infinite", "leave that frame out")
     unique, place = np.unique(depth, return_inverse=True)
-    if len(unique) < _FEWEST_DEPTHS:
-        raise InputError(f"the scan has {len(unique)} different depths", f"give at least {_FEWEST_DEPTHS}")
+    if len(unique) < _MIN_DEPTHS:
+        raise InputError(f"the scan has {len(unique)} different depths", f"give at least {_MIN_DEPTHS}")
     count = np.bincount(place)
     ls_mean, residual_mean = (np.bincount(place, signal) / count for signal in signals)
     return unique, ls_mean, residual_mean
@@ -327,7 +327,7 @@ def _peak(signal: Curve) -> int:
 
 def _noise(depth: Curve, signal: Curve) -> float:
     """Estimate the noise on a smooth curve from its points' departure from their neighbours' lines."""
-    if len(depth) < _FEWEST_DEPTHS:
+    if len(depth) < _MIN_DEPTHS:
         return 0.0
     ahead = (depth[1:-1] - depth[:-2]) / (depth[2:] - depth[:-2])
     departure = signal[1:-1] - (1 - ahead) * signal[:-2] - ahead * signal[2:]

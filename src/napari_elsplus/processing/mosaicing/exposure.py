@@ -15,9 +15,9 @@ from napari_elsplus.processing.compiled import kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-LEAST_OVERLAP: Final = 0.1
+MIN_OVERLAP: Final = 0.1
 """Part of a frame's weight that must fall on what is there."""
-LIMITS: Final = (0.5, 2.0)
+GAIN_LIMITS: Final = (0.5, 2.0)
 _FOLLOWED: Final = 0.9
 """Part of the logarithm that is compensated: what is left keeps errors from adding up without bound."""
 ROW_STEP: Final = 2
@@ -32,7 +32,7 @@ class Overlap(NamedTuple):
     weight: float
 
 
-def exposure(overlap: Overlap, whole_weight: float) -> float:
+def exposure_gain(overlap: Overlap, whole_weight: float) -> float:
     """Return the factor that brings a frame to the brightness of what it overlaps.
 
     Parameters
@@ -44,14 +44,14 @@ def exposure(overlap: Overlap, whole_weight: float) -> float:
 
     Examples
     --------
-    >>> round(exposure(Overlap(canvas=100.0, frame=80.0, weight=1.0), 2.0), 3)
+    >>> round(exposure_gain(Overlap(canvas=100.0, frame=80.0, weight=1.0), 2.0), 3)
     1.222
-    >>> exposure(Overlap(canvas=100.0, frame=80.0, weight=0.1), 2.0)  # too little to tell
+    >>> exposure_gain(Overlap(canvas=100.0, frame=80.0, weight=0.1), 2.0)  # too little to tell
     1.0
     """
-    if overlap.weight < LEAST_OVERLAP * whole_weight or not (overlap.canvas > 0 and overlap.frame > 0):
+    if overlap.weight < MIN_OVERLAP * whole_weight or not (overlap.canvas > 0 and overlap.frame > 0):
         return 1.0
-    return float(np.clip(overlap.canvas / overlap.frame, *LIMITS) ** _FOLLOWED)
+    return float(np.clip(overlap.canvas / overlap.frame, *GAIN_LIMITS) ** _FOLLOWED)
 
 
 @kernel

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.tracking.motion.pose import Pose
 
-FIRST_SPACING: Final = 0.05
+MIN_SPACING: Final = 0.05
 """Path between frames that are kept, in bundle diameters, to begin with."""
-LAST_SPACING: Final = 0.4
+MAX_SPACING: Final = 0.4
 """The same when memory is short; with larger ones the discs would no longer cover what they passed over."""
 _APART: Final = 0.75
 """Part of the spacing within which a newer frame takes the place of an older one."""
@@ -60,7 +60,7 @@ class KeyframeStore:
     ----------
     diameter_px : float
         Of the bundle, pixels of the tracking grid.
-    most : int
+    capacity : int
         Frames that memory has room for.
 
     Attributes
@@ -75,9 +75,9 @@ class KeyframeStore:
     --------
     >>> from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
     >>> from napari_elsplus.processing.tracking.motion.pose import Pose, State
-    >>> kept, image = KeyframeStore(100.0, most=20), np.ones((4, 4), np.float32)
+    >>> kept, image = KeyframeStore(100.0, capacity=20), np.ones((4, 4), np.float32)
     >>> for frame in range(40):
-    ...     _ = kept.keep(frame, Pose(0, 0.0, 3.0 * frame, Velocity(0.0, 3.0), 1.0, 0.1, State.TRACKED), image)
+    ...     _ = kept.add(frame, Pose(0, 0.0, 3.0 * frame, Velocity(0.0, 3.0), 1.0, 0.1, State.TRACKED), image)
     >>> len(kept.frames)
     20
     >>> kept.thin(lambda one: one.pose)
@@ -86,20 +86,20 @@ class KeyframeStore:
     (10, 38)
     """
 
-    def __init__(self, diameter_px: float, most: int) -> None:
-        self._diameter_px, self._most, self._due = diameter_px, most, _FEW
-        self.spacing = FIRST_SPACING
+    def __init__(self, diameter_px: float, capacity: int) -> None:
+        self._diameter_px, self._capacity, self._due = diameter_px, capacity, _FEW
+        self.spacing = MIN_SPACING
         self.frames: list[Keyframe] = []
         self.full = False
         self._before: Pose | None = None
         self._gone = 0.0
 
     @property
-    def crowded(self) -> bool:
+    def needs_thinning(self) -> bool:
         """Whether it is time to thin them out: there is no more room, or they have doubled since the last time."""
-        return len(self.frames) >= min(self._most, self._due) and not self.full
+        return len(self.frames) >= min(self._capacity, self._due) and not self.full
 
-    def keep(
+    def add(
         self, frame: int, pose: Pose, image: NDArray[np.float32], exposure: float = 1.0, *, always: bool = False
     ) -> bool:
         """Keep a frame if the probe has gone far enough since the last that was; whether it was kept.
@@ -128,7 +128,7 @@ class KeyframeStore:
         self.frames.append(Keyframe(frame, pose, np.rint(steps, out=steps).astype(np.int16)))
         return True
 
-    def newest(self, frame: int) -> Keyframe | None:
+    def recent(self, frame: int) -> Keyframe | None:
         """Return a frame, if it is one of the last two that were kept."""
         return next((one for one in self.frames[-2:] if one.frame == frame), None)
 
@@ -147,18 +147,18 @@ class KeyframeStore:
         left = list(range(len(frames)))
         while True:
             left = _newest_apart([places[k] for k in left], left, _APART * self.spacing * self._diameter_px)
-            if len(left) <= _FILLED * self._most:
+            if len(left) <= _FILLED * self._capacity:
                 break
-            if self.spacing >= LAST_SPACING:
+            if self.spacing >= MAX_SPACING:
                 self.full = True
                 break
-            self.spacing = min(2 * self.spacing, LAST_SPACING)
+            self.spacing = min(2 * self.spacing, MAX_SPACING)
         self._due = max(_FEW, 2 * len(left))
         with lock or nullcontext():
             self.frames[: len(frames)] = [frames[k] for k in left]
         return len(left) < len(frames)
 
-    def forget(self, segments: Container[int]) -> None:
+    def discard(self, segments: Container[int]) -> None:
         """Let go of the frames of some of the tracker's segments."""
         self.frames[:] = [one for one in self.frames if one.pose.segment not in segments]
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, exposure, overlap_sums
+from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, exposure_gain, overlap_sums
 from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, lit_pixels
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours
@@ -137,7 +137,7 @@ class Mosaic(TiledCanvas):
         Rectangle
             The part of the canvas that may have changed.
         """
-        touched = self.reach(row, col, velocity, angle, scale)
+        touched = self.extent_of(row, col, velocity, angle, scale)
         image, stretch, shear = self._seated(image, velocity, angle, scale)
         blend = self.insertion is Insertion.FEATHERED
         with self._lock:
@@ -154,7 +154,7 @@ class Mosaic(TiledCanvas):
             self._touched(touched)
         return touched
 
-    def reach(
+    def extent_of(
         self, row: float, col: float, velocity: Velocity = STILL, angle: float = 0.0, scale: float = 1.0
     ) -> Rectangle:
         """Return the part of the canvas that :meth:`insert` may change."""
@@ -163,7 +163,7 @@ class Mosaic(TiledCanvas):
         down, across = radius * stretch, radius * (1 + abs(shear))
         return Rectangle(floor(row - down), floor(col - across), ceil(row + down) + 1, ceil(col + across) + 1)
 
-    def draw(
+    def render_into(
         self,
         tile: Tile,
         key: tuple[int, int],
@@ -182,7 +182,7 @@ class Mosaic(TiledCanvas):
             *self.grid.centre, row, col, stretch, shear, self.insertion is Insertion.FEATHERED,
         )  # fmt: skip
 
-    def replace(self, key: tuple[int, int], tile: Tile, drawn: Rectangle | None) -> None:
+    def replace_tile(self, key: tuple[int, int], tile: Tile, drawn: Rectangle | None) -> None:
         """Put another tile's content, of which some part was drawn on, in the place of the canvas's own."""
         with self._lock:
             own = self._store.tile(*key)
@@ -190,8 +190,8 @@ class Mosaic(TiledCanvas):
             if drawn is not None:
                 self._touched(drawn)
             if self.extent is not None:
-                changed = tile_rectangle(*key).within(self.extent)
-                self._dirty = changed if self._dirty is None else self._dirty.around(changed)
+                changed = tile_rectangle(*key).intersection(self.extent)
+                self._dirty = changed if self._dirty is None else self._dirty.union(changed)
 
     def _form(self, velocity: Velocity, angle: float, scale: float) -> tuple[float, float]:
         """Stretch and shear that are undone row by row; a turned frame is freed of its own before."""
@@ -219,7 +219,7 @@ class Mosaic(TiledCanvas):
                 tile.value, tile.weight, at.top, at.left, image, self._weights, *self._spans,
                 *self.grid.centre, row, col, stretch, shear,
             )  # fmt: skip
-        return exposure(Overlap(*sums.tolist()), self._whole_weight)
+        return exposure_gain(Overlap(*sums.tolist()), self._whole_weight)
 
 
 @lean_kernel

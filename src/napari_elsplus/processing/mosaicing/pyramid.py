@@ -59,7 +59,7 @@ class Pyramid:
         for key in part.tiles():
             if key in existing:
                 at, tile = tile_rectangle(*key), store.tile(*key)
-                shared = part.within(at)
+                shared = part.intersection(at)
                 here, there = shared.slices(part), shared.slices(at)
                 image[here], weight[here] = tile.value[there], tile.weight[there]
         return image, weight
@@ -70,7 +70,7 @@ class Pyramid:
         existing = set(store.keys())
         for key in part.tiles():
             at = tile_rectangle(*key)
-            block = part.within(at)
+            block = part.intersection(at)
             rows, cols = block.shape
             image, weight = self.read(
                 level - 1, Rectangle(2 * block.top, 2 * block.left, 2 * block.bottom, 2 * block.right)

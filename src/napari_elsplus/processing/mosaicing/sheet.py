@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.mosaicing.tiles import Canvas, Rectangle, around_all
+from napari_elsplus.processing.mosaicing.tiles import Canvas, Rectangle, bounding_rectangle
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 GAP_PX: Final = 16
 """Empty rows between the rooms of two segments."""
-ROOM_STEP_PX: Final = 64
+RESERVED_STEP_PX: Final = 64
 """The edges of a room are multiples of this: mostly the last segment grows, and nothing lies below it."""
 
 
@@ -27,7 +27,7 @@ class _Place(NamedTuple):
     """What the segment may fill before those below it have to move, in its own pixels."""
 
     def on_sheet(self, part: Rectangle) -> Rectangle:
-        return part.moved(self.row, self.col)
+        return part.translated(self.row, self.col)
 
 
 class Sheet:
@@ -46,7 +46,7 @@ class Sheet:
     ...     _ = mosaic.insert(np.ones((120, 120), np.float32), 0.0, 0.0)
     >>> sheet = Sheet()
     >>> _ = sheet.arrange({0: first, 1: second})
-    >>> sheet.place(0), sheet.place(1)
+    >>> sheet.origin(0), sheet.origin(1)
     ((0, 0), (144, 0))
     """
 
@@ -58,7 +58,7 @@ class Sheet:
     def of(cls, canvases: Mapping[int, Canvas], like: Sheet | None = None) -> Sheet:
         """Put canvases on a new sheet as :meth:`arrange` does, but leave what changed on them to others."""
         sheet = cls()
-        sheet._places = sheet._stacked(canvases) if like is None else like.places_for(canvases)
+        sheet._places = sheet._stacked(canvases) if like is None else like.placed_as(canvases)
         return sheet
 
     def arrange(self, canvases: Mapping[int, Canvas], like: Sheet | None = None) -> bool:
@@ -78,7 +78,7 @@ class Sheet:
         """
         dirty = {number: canvas.take_dirty() for number, canvas in canvases.items()}
         before = self._places
-        self._places = self._stacked(canvases) if like is None else like.places_for(canvases)
+        self._places = self._stacked(canvases) if like is None else like.placed_as(canvases)
         moved = False
         for number, place in self._places.items():
             known, part = before.get(number), dirty[number]
@@ -93,26 +93,26 @@ class Sheet:
                 self._soil(known.on_sheet(known.room))
         return moved
 
-    def place(self, number: int) -> tuple[int, int]:
+    def origin(self, number: int) -> tuple[int, int]:
         """Row and column of the sheet where a segment's (0, 0) lies; (0, 0) for one that is not there."""
         found = self._places.get(number)
         return (0, 0) if found is None else (found.row, found.col)
 
     @property
-    def places(self) -> dict[int, tuple[int, int]]:
+    def origins(self) -> dict[int, tuple[int, int]]:
         """Row and column of the sheet where each segment's (0, 0) lies."""
         return {number: (place.row, place.col) for number, place in self._places.items()}
 
     @property
     def extent(self) -> Rectangle | None:
         """What may be drawn on, the segments' rooms."""
-        return around_all(place.on_sheet(place.room) for place in self._places.values())
+        return bounding_rectangle(place.on_sheet(place.room) for place in self._places.values())
 
     @property
     def drawn(self) -> Rectangle | None:
         """What has been drawn on."""
         extents = ((place, place.canvas.extent) for place in self._places.values())
-        return around_all(place.on_sheet(extent) for place, extent in extents if extent is not None)
+        return bounding_rectangle(place.on_sheet(extent) for place, extent in extents if extent is not None)
 
     def take_dirty(self) -> Rectangle | None:
         """Return what changed up to the last arrangement, or None if that was taken already."""
@@ -124,10 +124,10 @@ class Sheet:
         part = part or self.extent or Rectangle(0, 0, 0, 0)
         image, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
         for place in self._places.values():
-            shared = part.within(place.on_sheet(place.room))
+            shared = part.intersection(place.on_sheet(place.room))
             if 0 not in shared.shape:
                 here = shared.slices(part)
-                image[here], weight[here] = place.canvas.read(shared.moved(-place.row, -place.col))
+                image[here], weight[here] = place.canvas.read(shared.translated(-place.row, -place.col))
         return image, weight
 
     def _stacked(self, canvases: Mapping[int, Canvas]) -> dict[int, _Place]:
@@ -140,7 +140,7 @@ class Sheet:
             if extent is None:
                 continue
             stays = known is not None and known.canvas is canvas
-            room = _room(extent.around(known.room) if known is not None and stays else extent)
+            room = _room(extent.union(known.room) if known is not None and stays else extent)
             if not places:
                 left, row, col = room.left, 0, 0
             else:
@@ -150,7 +150,7 @@ class Sheet:
             below = row + room.bottom + GAP_PX
         return places
 
-    def places_for(self, canvases: Mapping[int, Canvas]) -> dict[int, _Place]:
+    def placed_as(self, canvases: Mapping[int, Canvas]) -> dict[int, _Place]:
         """Return the places of other canvases, where this sheet has those of the same numbers."""
         return {
             number: self._places[number]._replace(canvas=canvas)
@@ -159,11 +159,11 @@ class Sheet:
         }
 
     def _soil(self, part: Rectangle) -> None:
-        self._dirty = part if self._dirty is None else self._dirty.around(part)
+        self._dirty = part if self._dirty is None else self._dirty.union(part)
 
 
 def _room(extent: Rectangle) -> Rectangle:
     """Round outwards, so that those below seldom move while a segment grows."""
-    top, left = (ROOM_STEP_PX * (first // ROOM_STEP_PX) for first in (extent.top, extent.left))
-    bottom, right = (-ROOM_STEP_PX * (-last // ROOM_STEP_PX) for last in (extent.bottom, extent.right))
+    top, left = (RESERVED_STEP_PX * (first // RESERVED_STEP_PX) for first in (extent.top, extent.left))
+    bottom, right = (-RESERVED_STEP_PX * (-last // RESERVED_STEP_PX) for last in (extent.bottom, extent.right))
     return Rectangle(top, left, bottom, right)

@@ -29,7 +29,7 @@ class Rectangle(NamedTuple):
         """Rows and columns."""
         return max(0, self.bottom - self.top), max(0, self.right - self.left)
 
-    def within(self, other: Rectangle) -> Rectangle:
+    def intersection(self, other: Rectangle) -> Rectangle:
         """Return the part that also lies in another rectangle; it may be empty."""
         return Rectangle(
             max(self.top, other.top),
@@ -38,7 +38,7 @@ class Rectangle(NamedTuple):
             min(self.right, other.right),
         )
 
-    def around(self, other: Rectangle) -> Rectangle:
+    def union(self, other: Rectangle) -> Rectangle:
         """Return the smallest rectangle that holds both."""
         return Rectangle(
             min(self.top, other.top),
@@ -47,7 +47,7 @@ class Rectangle(NamedTuple):
             max(self.right, other.right),
         )
 
-    def moved(self, rows: int, cols: int) -> Rectangle:
+    def translated(self, rows: int, cols: int) -> Rectangle:
         """Return the rectangle so many rows lower and columns further right."""
         return Rectangle(self.top + rows, self.left + cols, self.bottom + rows, self.right + cols)
 
@@ -193,7 +193,7 @@ class TiledCanvas:
                 if key not in existing:
                     continue
                 tile, at = self._store.tile(*key), tile_rectangle(*key)
-                shared = part.within(at)
+                shared = part.intersection(at)
                 here, there = shared.slices(part), shared.slices(at)
                 image[here], weight[here] = tile.value[there], tile.weight[there]
         if self._blended:
@@ -208,21 +208,21 @@ class TiledCanvas:
 
     def _touched(self, part: Rectangle) -> None:
         """Take note of what was drawn on; with the lock held."""
-        self.extent = part if self.extent is None else self.extent.around(part)
-        self._dirty = part if self._dirty is None else self._dirty.around(part)
+        self.extent = part if self.extent is None else self.extent.union(part)
+        self._dirty = part if self._dirty is None else self._dirty.union(part)
 
 
-def around_all(parts: Iterable[Rectangle]) -> Rectangle | None:
+def bounding_rectangle(parts: Iterable[Rectangle]) -> Rectangle | None:
     """Return the smallest rectangle that holds all of them; None if there is none.
 
     Examples
     --------
-    >>> around_all([Rectangle(0, 0, 2, 2), Rectangle(5, -1, 6, 1)])
+    >>> bounding_rectangle([Rectangle(0, 0, 2, 2), Rectangle(5, -1, 6, 1)])
     Rectangle(top=0, left=-1, bottom=6, right=2)
     """
     whole: Rectangle | None = None
     for part in parts:
-        whole = part if whole is None else whole.around(part)
+        whole = part if whole is None else whole.union(part)
     return whole
 
 

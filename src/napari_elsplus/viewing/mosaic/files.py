@@ -65,7 +65,7 @@ def save_mosaics(
         raise InputError("there is no mosaic to save", "make one first")
     um_per_px = mosaics.scale.um_per_px
     places = {
-        str(segment + 1): [row - part.top, col - part.left] for segment, (row, col) in layout.places.items()
+        str(segment + 1): [row - part.top, col - part.left] for segment, (row, col) in layout.origins.items()
     }  # fmt: skip
     for mode, one in names.items():
         image, weight = Sheet.of(mosaics.canvases[mode], layout).read(part)

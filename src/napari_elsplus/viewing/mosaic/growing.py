@@ -119,7 +119,7 @@ class GrowingImage:
     def _fill_coarsest(self, dirty: Rectangle) -> None:
         level = len(self.levels) - 1
         whole = _halved(self.frame, level)
-        part = dirty.within(whole)
+        part = dirty.intersection(whole)
         if 0 not in part.shape:
             self._coarsest[part.slices(whole)] = self._pyramid.read(level, part)[0]
 
@@ -181,7 +181,7 @@ class LevelView:
                 bounds.append((index % length, index % length + 1))
                 rest.append(0)
         (top, bottom), (left, right) = bounds
-        part = Rectangle(top, left, bottom, right).moved(self._part.top, self._part.left)
+        part = Rectangle(top, left, bottom, right).translated(self._part.top, self._part.left)
         return self._pyramid.read(self._level, part)[0][tuple(rest)]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:

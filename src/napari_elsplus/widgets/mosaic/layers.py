@@ -97,7 +97,7 @@ class MosaicLayers:
         if self._mosaics is None or self.drawing is None:
             return False
         lead = self._images[self._lead]
-        unmapped = looked_at(self.own) and self._maps.behind(lead.frame, lead.sheet.places)
+        unmapped = looked_at(self.own) and self._maps.behind(lead.frame, lead.sheet.origins)
         return self.drawing.behind > 0 or unmapped
 
     def update(self, *, whole: bool) -> bool:
@@ -131,7 +131,7 @@ class MosaicLayers:
         if not lead.levels:
             return False
         if looked_at(self.own):
-            self._maps.add(lead.frame, lead.sheet.places)
+            self._maps.add(lead.frame, lead.sheet.origins)
         reframed = any(change.frame for change in changes.values()) or (whole and self._is_covered)
         self._show_images(changes, reframed, whole)
         if reframed or whole:
@@ -174,7 +174,7 @@ class MosaicLayers:
         """Draw the track and the maps over the leading mode's mosaic."""
         assert self.drawing is not None
         lead, place = self._images[self._lead], self._place(self._lead)
-        draw_track(self.own, self.drawing.drawing(lead.sheet.place), place, max(lead.frame.shape))
+        draw_track(self.own, self.drawing.drawing(lead.sheet.origin), place, max(lead.frame.shape))
         counted = self._maps.whole if looked_at(self.own) else None
         if counted is not None or self.own.fresh(COVERAGE):
             draw_maps(self.own, counted or Coverage(lead.frame, mosaics.scale.radius_px), place)

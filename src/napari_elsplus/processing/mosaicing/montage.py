@@ -1,4 +1,4 @@
-"""One picture of the mosaics of all segments."""
+"""One montage of the mosaics of all segments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 
 
-def picture(mosaics: list[Mosaic], gap_px: int = 16) -> NDArray[np.float32]:
+def montage(mosaics: list[Mosaic], gap_px: int = 16) -> NDArray[np.float32]:
     """Put the mosaics of all segments below one another, the largest first.
 
     Parameters
