@@ -1,0 +1,151 @@
+"""The rig that the engine's process has open: its engine, its mosaic, and the procedure that runs."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from threading import Event
+from typing import TYPE_CHECKING
+
+from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.engine.live_mosaic import LiveMosaic
+from napari_elsplus.acquisition.engine.status import Progress, Status
+from napari_elsplus.acquisition.link.newest import Newest
+from napari_elsplus.acquisition.streaming.priority import settle_memory
+from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
+from napari_elsplus.errors import DeviceError, InputError, MeasurementError
+from napari_elsplus.hardware.guardian import Guardian
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from napari_elsplus.acquisition.calibrating.procedures import Watch
+    from napari_elsplus.acquisition.engine.rig import EngineRig
+    from napari_elsplus.acquisition.streaming.ring import Layout, Ring
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.calibration.calibrate import SlitOffset
+
+
+class Session:
+    """At most one open rig; commands are executed on it.
+
+    Parameters
+    ----------
+    open_rig : callable
+        Opens a rig by its name.
+
+    Attributes
+    ----------
+    offsets : Newest
+        Results of the procedure that follows the slit offset.
+    """
+
+    def __init__(self, open_rig: Callable[[str], EngineRig]) -> None:
+        self._open_rig = open_rig
+        self._opened: tuple[EngineRig, Engine, LiveMosaic] | None = None
+        self._guardian: Guardian | None = None
+        self._cancelled = Event()
+        self._progress: Progress | None = None
+        self.offsets: Newest[SlitOffset | MeasurementError] = Newest()
+
+    def open(self, rig: str) -> None:
+        """Open a rig; one that is open is closed first.
+
+        Raises
+        ------
+        DeviceError
+            If it cannot be opened.
+        """
+        self.close()
+        with ExitStack() as held:
+            opened = self._open_rig(rig)
+            held.callback(opened.close)
+            self._guardian = None if opened.park is None else Guardian(opened.park)
+            held.pop_all()
+        engine = Engine(opened, make_ring=_shared_ring, guardian=self._guardian)
+        self._opened = opened, engine, LiveMosaic(engine)
+        settle_memory()
+
+    def close(self) -> None:
+        """Close the rig."""
+        opened, self._opened = self._opened, None
+        guardian, self._guardian = self._guardian, None
+        self._cancelled.set()
+        if opened is not None:
+            _, engine, mosaic = opened
+            engine.close()
+            mosaic.clear()
+        if guardian is not None:
+            guardian.dismiss()
+
+    @property
+    def rig(self) -> EngineRig:
+        """The open rig; as `engine` and `mosaic` a DeviceError where there is none."""
+        return self._require()[0]
+
+    @property
+    def engine(self) -> Engine:
+        """The engine of the open rig."""
+        return self._require()[1]
+
+    @property
+    def mosaic(self) -> LiveMosaic:
+        """The live mosaic of the open rig."""
+        return self._require()[2]
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """The active calibration; None without a rig."""
+        return None if self._opened is None else self._opened[1].calibration
+
+    @property
+    def status(self) -> Status:
+        """How the engine, the mosaic and the procedure are."""
+        if self._opened is None:
+            return Status(progress=self._progress)
+        _, engine, mosaic = self._opened
+        return replace(engine.status(), progress=self._progress, track=mosaic.state)
+
+    # procedures
+
+    @property
+    def cancelled(self) -> bool:
+        """True if the procedure that runs was cancelled."""
+        return self._cancelled.is_set()
+
+    def cancel(self) -> None:
+        """Cancel the procedure that runs."""
+        self._cancelled.set()
+
+    @contextmanager
+    def procedure(self, name: str) -> Iterator[None]:
+        """Run a procedure of that name: its progress is in the status, and it can be cancelled."""
+        self._cancelled.clear()
+        self._progress = Progress(name.replace("_", " "), 0, 1)
+        try:
+            yield
+        finally:
+            self._progress = None
+
+    def watch(self, step: str) -> Watch:
+        """Return what wraps the numbers of a step's parts: it counts them in the status, and ends when cancelled."""
+
+        def counted(numbers: Iterable[int]) -> Iterator[int]:
+            every = list(numbers)
+            for done, number in enumerate(every):
+                if self._cancelled.is_set():
+                    raise InputError(f"the {step} was cancelled", "start it again when you like")
+                self._progress = Progress(step, done, len(every))
+                yield number
+
+        return counted
+
+    def _require(self) -> tuple[EngineRig, Engine, LiveMosaic]:
+        if self._opened is None:
+            raise DeviceError("no rig is open", "connect to a rig first")
+        return self._opened
+
+
+def _shared_ring(layout: Layout) -> tuple[str, Ring]:
+    ring = SharedRing.create(layout)
+    return ring.name, ring
