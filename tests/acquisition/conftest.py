@@ -143,7 +143,7 @@ class SmallRig:
     scanner: RememberingScanner = field(default_factory=RememberingScanner)
     limits: GalvoLimits = field(default_factory=GalvoLimits)
     strobe: StrobePhase = StrobePhase.EXPOSURE
-    park: ParkOrder | None = None
+    park_order: ParkOrder | None = None
     bench: None = None
 
     def close(self) -> None:

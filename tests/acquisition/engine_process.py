@@ -26,7 +26,7 @@ def open_rig(name: str) -> object:
     rig = small["SmallRig"]()
     if len(sys.argv) > 2:
         rig.scanner = DaqScanner(CardSettings(small["PARK_V"], address=sys.argv[2]), rig.limits)
-        rig.park = park_order(rig.scanner)
+        rig.park_order = park_order(rig.scanner)
         return rig
 
     def note(what: str) -> None:

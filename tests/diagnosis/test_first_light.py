@@ -46,7 +46,7 @@ def test_every_strobe_is_heard_and_the_mirror_never_leaves_its_parking_position(
     said = list(first_light.strobe(rig, "120hz", 1.0))
     assert "one ramp for every frame" in said[-1]
     for program in rig.bench.card.programs()[before:]:
-        assert {*program.samples, program.resting_v} == {rig.park.volts}
+        assert {*program.samples, program.resting_v} == {rig.scanner.park_v}
 
 
 def test_a_check_fails_in_one_line() -> None:

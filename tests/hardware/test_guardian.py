@@ -30,12 +30,13 @@ DRIVE = """
     from napari_elsplus.hardware.rigs import open_rig
     from napari_elsplus.hardware.virtual.bench import Simulation
     from napari_elsplus.hardware.virtual.timeline import StrobeTrain
-    from napari_elsplus.hardware.scan.waveform import ScanTiming, els_waveform
+    from napari_elsplus.hardware.scan.timing import ScanTiming
+    from napari_elsplus.hardware.scan.waveform import els_waveform
     from napari_elsplus.instrument.optics import PRESETS
     from napari_elsplus.simulation.specimen.scenes import empty
 
     preset = PRESETS["240hz"]
-    with open_rig("simulated", Simulation(scene=empty(), own_process=True)) as rig, Guardian(rig.park):
+    with open_rig("simulated", Simulation(scene=empty(), own_process=True)) as rig, Guardian(rig.park_order):
         timing = ScanTiming(preset.optics.line_period_s, preset.optics.line_periods_per_frame, 3)
         rig.scanner.scan(els_waveform(rig.bench.optics.calibration(preset), timing, rig.limits))
         rig.bench.card.strobe(StrobeTrain(time.perf_counter(), preset.optics.frame_period_s))

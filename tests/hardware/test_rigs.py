@@ -42,7 +42,7 @@ def test_the_simulated_rig_is_first_and_keeps_the_protocols() -> None:
         assert isinstance(rig.camera, Camera)
         assert isinstance(rig.scanner, Scanner)
         assert rig.strobe is StrobePhase.EXPOSURE
-        assert rig.bench.card.last_volts == rig.park.volts
+        assert rig.bench.card.last_volts == rig.scanner.park_v
 
 
 @pytest.mark.parametrize("preset", PRESETS.values(), ids=list(PRESETS))

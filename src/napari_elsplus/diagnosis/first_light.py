@@ -126,7 +126,7 @@ def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
     period_s = rig.camera.line_periods_per_frame * rig.camera.line_period_s
     samples = int((period_s - REARM_S) * SAMPLE_RATE_HZ)
     samples = min(samples, rig.limits.card_samples)
-    rig.scanner.scan(Waveform(np.full(samples, rig.park.volts), 1, SAMPLE_RATE_HZ, period_s))
+    rig.scanner.scan(Waveform(np.full(samples, rig.scanner.park_v), 1, SAMPLE_RATE_HZ, period_s))
     buffer = np.empty(rig.camera.frame_shape, np.uint8)
     rig.camera.start()
     leads = []

@@ -21,22 +21,22 @@ SIMULATED: Final = "simulated"
 
 @dataclass
 class Rig:
-    """An open rig. A context manager: leaving it parks the mirror and lets everything go.
+    """An open rig. A context manager: leaving it parks the galvo and closes the devices.
 
     Parameters
     ----------
     name : str
-        Under which it was opened.
+        Name under which it was opened.
     camera, scanner : Camera, Scanner
         The devices.
     limits : GalvoLimits
-        What the mirror may be asked for.
+        Voltage, slew and acceleration that the galvo may be driven with.
     strobe : StrobePhase
-        What the camera's strobe marks.
-    park : ParkOrder
-        What has to be done if this process dies.
+        Event that the camera's strobe marks.
+    park_order : ParkOrder, optional
+        Output and voltage by which another process parks the galvo if this one dies; None where it cannot.
     bench : VirtualBench, optional
-        The simulated rig's truth, and its switches for faults.
+        Ground truth and fault switches of the simulated rig; None for a real one.
     """
 
     name: str
@@ -44,12 +44,12 @@ class Rig:
     scanner: Scanner
     limits: GalvoLimits
     strobe: StrobePhase
-    park: ParkOrder
+    park_order: ParkOrder | None = None
     bench: VirtualBench | None = None
     _held: ExitStack = field(default_factory=ExitStack, repr=False)
 
     def close(self) -> None:
-        """Park, and let camera and card go."""
+        """Park the galvo, and close camera and card."""
         self._held.close()
 
     def __enter__(self) -> Self:
@@ -61,7 +61,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class VirtualBench:
-    """The simulated rig, seen from behind: truth for tests, and switches for faults.
+    """Ground truth and fault switches of the simulated rig.
 
     Parameters
     ----------

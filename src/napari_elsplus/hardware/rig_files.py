@@ -2,58 +2,81 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
-from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
-from napari_elsplus.hardware.u3v.flea3 import Flea3
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 from napari_elsplus.io.user_folders import config_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-
-    from napari_elsplus.hardware.u3v.camera import Features
-    from napari_elsplus.hardware.u3v.control import Control
+    from typing import Self
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Volts = Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False)]
 RESERVED = ("simulated",)
 
 
+CAMERA_KINDS: Final = ("flea3", "genicam")
+SCANNER_KINDS: Final = ("nidaqmx",)
+DRIVER: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+"""``package.module:Class``: a driver outside this package."""
+
+
+def _kind_among(built_in: tuple[str, ...]) -> Callable[[str], str]:
+    def check(kind: str) -> str:
+        if kind not in built_in and not DRIVER.fullmatch(kind):
+            raise ValueError(f"choose {', '.join(built_in)}, or a driver as package.module:Class")
+        return kind
+
+    return check
+
+
 class _Table(BaseModel):
-    """A part of the file; a key that is not known is an error, since it is a misspelling."""
+    """A table of the file; an unknown key is an error, since it is a misspelling."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class CameraTable(_Table):
-    """Which camera, and what it does not tell by itself."""
+class _DriverTable(_Table):
+    """A device: a driver of this package by its name, or ``package.module:Class`` with that class's own options."""
 
-    kind: Literal["flea3", "genicam"] = "flea3"
+    kind: str
+    options: dict[str, Any] = {}
+
+    @model_validator(mode="after")
+    def _options_belong_to_a_class(self) -> Self:
+        if self.options and ":" not in self.kind:
+            raise ValueError(f"options are for a driver as package.module:Class; {self.kind} takes none")
+        return self
+
+
+class CameraTable(_DriverTable):
+    """Camera driver, and what the camera does not report by itself."""
+
+    kind: Annotated[str, AfterValidator(_kind_among(CAMERA_KINDS))] = "flea3"
     serial: str = ""
     line_rate_hz: Positive = LINE_RATE_HZ
     strobe: StrobePhase = StrobePhase.EXPOSURE
     strobe_line: Annotated[int, Field(ge=0, le=3)] = 1
 
-    def features(self) -> Callable[[Control], Features]:
-        """Return what makes the features of this kind of camera."""
-        if self.kind == "flea3":
-            return partial(Flea3, line_rate_hz=self.line_rate_hz, strobe_line=self.strobe_line)
-        from napari_elsplus.hardware.u3v.genapi import GenicamFeatures
 
-        return partial(GenicamFeatures, line_rate_hz=self.line_rate_hz, strobe_line=self.strobe_line)
+class ScannerTable(_DriverTable):
+    """Scanner driver."""
+
+    kind: Annotated[str, AfterValidator(_kind_among(SCANNER_KINDS))] = "nidaqmx"
 
 
 class CardTable(_Table):
-    """Which card, and what is wired to it; the parking voltage has to be measured or confirmed."""
+    """Card and wiring; the parking voltage has to be measured or confirmed by the user."""
 
     park_v: Volts
     device: str = "Dev1"
@@ -66,7 +89,7 @@ class CardTable(_Table):
 
 
 class GalvoTable(_Table):
-    """What mirror and card may be asked for."""
+    """Limits of galvo and card."""
 
     min_v: Volts = -2.0
     max_v: Volts = 2.0
@@ -88,11 +111,19 @@ class RigSettings(_Table):
 
     card: CardTable
     camera: CameraTable = CameraTable()
+    scanner: ScannerTable = ScannerTable()
     mirror: GalvoTable = GalvoTable()
 
     @classmethod
     def parse(cls, content: dict[str, Any], name: str) -> RigSettings:
-        """Validate a file's content.
+        """Validate the content of a rig file.
+
+        Parameters
+        ----------
+        content : dict
+            Tables by their names.
+        name : str
+            Name of the rig, for messages.
 
         Raises
         ------
@@ -110,26 +141,26 @@ class RigSettings(_Table):
         return settings
 
     def card_settings(self) -> CardSettings:
-        """Return the card's part for its driver."""
+        """Return the settings of the card."""
         return CardSettings(**self.card.model_dump())
 
     def limits(self) -> GalvoLimits:
-        """Return the mirror's limits."""
+        """Return the limits of the galvo."""
         return GalvoLimits(**self.mirror.model_dump())
 
 
 def rig_folder() -> Path:
-    """Where the files are."""
+    """Return the folder of the rig files."""
     return config_folder() / "rigs"
 
 
 def rig_files() -> dict[str, Path]:
-    """Return the files by the names of their rigs."""
+    """Return the rig files by the names of their rigs."""
     return {path.stem: path for path in rig_folder().glob("*.toml") if path.stem not in RESERVED}
 
 
 def read_rig(name: str) -> RigSettings:
-    """Read a rig's file.
+    """Read the file of the rig of that name.
 
     Raises
     ------

@@ -1,7 +1,4 @@
-"""Rigs: a camera, a mirror and their limits under one name.
-
-``simulated`` is always there; a user's own are TOML files.
-"""
+"""Open rigs by name: ``simulated``, which is always there, and those of the user's TOML files."""
 
 from __future__ import annotations
 
@@ -12,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.scanner import DaqScanner
+from napari_elsplus.hardware.drivers import open_camera, open_scanner
 from napari_elsplus.hardware.parking import park_order
 from napari_elsplus.hardware.rig import SIMULATED, Rig
 from napari_elsplus.hardware.rig_files import RigSettings, read_rig, rig_files
@@ -26,16 +24,17 @@ def rig_names() -> list[str]:
 
 
 def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig:
-    """Open a rig: the mirror is parked, the camera waits for its settings.
+    """Open a rig; its galvo is parked, its camera not configured yet.
 
-    Opened in the main thread, the rig also parks when the process is told to end (SIGTERM).
+    Opened in the main thread, the rig also parks on SIGTERM. A rig file may name drivers outside this package, which
+    are imported then.
 
     Parameters
     ----------
     name : str
         One of `rig_names`.
     simulation : Simulation, optional
-        What the simulated rig looks at.
+        Scene, motion and devices of the simulated rig.
 
     Returns
     -------
@@ -45,7 +44,7 @@ def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig
     Raises
     ------
     InputError
-        If there is no such rig, or its file is wrong.
+        If there is no such rig, its file is wrong, or a driver that it names cannot be used.
     DeviceError
         If a device is absent, busy or fails.
     """
@@ -64,17 +63,15 @@ def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig
 
 
 def _real_rig(name: str, settings: RigSettings, held: ExitStack) -> Rig:
-    from napari_elsplus.hardware.u3v.camera import U3vCamera
-    from napari_elsplus.hardware.u3v.discovery import choose_camera
-
     limits = settings.limits()
-    camera = held.enter_context(U3vCamera(choose_camera(settings.camera.serial), settings.camera.features()))
-    scanner = held.enter_context(DaqScanner(settings.card_settings(), limits))  # last in, first out: it parks first
-    return Rig(name, camera, scanner, limits, settings.camera.strobe, park_order(scanner))
+    camera = held.enter_context(open_camera(settings.camera))
+    scanner = held.enter_context(open_scanner(settings))  # last in, first out: the galvo parks first
+    order = park_order(scanner) if isinstance(scanner, DaqScanner) else None
+    return Rig(name, camera, scanner, limits, settings.camera.strobe, order)
 
 
 def _end_on_sigterm(held: ExitStack) -> None:
-    """Let SIGTERM unwind the program, so that whatever holds the rig lets it go."""
+    """Unwind the program on SIGTERM, so that the rig is closed."""
     if threading.current_thread() is not threading.main_thread():
         return
     if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:

@@ -45,7 +45,7 @@ def test_without_a_line_the_search_says_so_and_the_calibration_before_stays(cali
         with pytest.raises(MeasurementError, match="no voltage"):
             span_of_the_bundle(engine)
         assert not engine.status().live
-        assert rig.bench.card.last_volts == pytest.approx(rig.park.volts)
+        assert rig.bench.card.last_volts == pytest.approx(rig.scanner.park_v)
 
 
 def test_a_real_rig_does_not_calibrate_itself(rig: object, engine: Engine) -> None:

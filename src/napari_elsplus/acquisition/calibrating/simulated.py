@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.calibrating.procedures import Watch
     from napari_elsplus.acquisition.engine.engine import Engine
-    from napari_elsplus.acquisition.engine.rig import EngineRig
+    from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.processing.calibration.calibrate import Findings
     from napari_elsplus.processing.calibration.lag import ScanLag
 
@@ -27,7 +27,7 @@ QUICK_VOLTAGES: Final = 60
 """Steps of the sweep: enough for 0.05 rows, and over in seconds."""
 
 
-def open_live(name: str, *, own_process: bool = False) -> EngineRig:
+def open_live(name: str, *, own_process: bool = False) -> Rig:
     """Open a rig for live images; the simulated one looks at moving lens tissue.
 
     Parameters
@@ -50,7 +50,7 @@ def open_live(name: str, *, own_process: bool = False) -> EngineRig:
 
 
 def calibrate_simulated(
-    rig: EngineRig, engine: Engine, *, voltages: int = QUICK_VOLTAGES, watch: Callable[[str], Watch] = lambda _: iter
+    rig: Rig, engine: Engine, *, voltages: int = QUICK_VOLTAGES, watch: Callable[[str], Watch] = lambda _: iter
 ) -> tuple[Findings, ScanLag]:
     """Calibrate the simulated rig by itself, and put the probe onto moving lens tissue.
 

@@ -15,7 +15,7 @@ from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibre
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.calibrating.procedures import Watch
     from napari_elsplus.acquisition.engine.engine import Engine
-    from napari_elsplus.acquisition.engine.rig import EngineRig
+    from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.lag import ScanLag
 
@@ -32,7 +32,7 @@ def setup(engine: Engine) -> Setup:
     )
 
 
-def prepare(rig: EngineRig, target: Target | None) -> bool:
+def prepare(rig: Rig, target: Target | None) -> bool:
     """Put a target before the simulated rig's probe; None puts moving lens tissue there.
 
     Returns

@@ -12,8 +12,8 @@ from napari_elsplus.instrument.calibration import AcquiredWith, FrameSection
 from napari_elsplus.instrument.optics import preset
 
 if TYPE_CHECKING:
-    from napari_elsplus.acquisition.engine.rig import EngineRig
     from napari_elsplus.hardware.protocols import Camera
+    from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.hardware.scan.timing import StrobePhase
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.instrument.optics import Preset
@@ -27,7 +27,7 @@ class CameraSetup:
 
     Parameters
     ----------
-    rig : EngineRig
+    rig : Rig
         Open.
 
     Attributes
@@ -38,7 +38,7 @@ class CameraSetup:
         Frames of the next stream that are invalid.
     """
 
-    def __init__(self, rig: EngineRig) -> None:
+    def __init__(self, rig: Rig) -> None:
         self.camera: Camera = rig.camera
         self._rig_name = rig.name
         self.settings = Settings()

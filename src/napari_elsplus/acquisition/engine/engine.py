@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.acquisition.engine.rig import EngineRig
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.acquisition.engine.workers import FrameConsumer
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.acquisition.streaming.ring import Layout, Ring
     from napari_elsplus.hardware.guardian import Guardian
+    from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
 
 BUFFER_S: Final = 2.0
@@ -47,7 +47,7 @@ class Engine:
 
     Parameters
     ----------
-    rig : EngineRig
+    rig : Rig
         Open; owned by the engine from now on.
     make_ring : callable
         Makes the ring in which images are shown, and says its name; on the heap by default.
@@ -66,7 +66,7 @@ class Engine:
 
     def __init__(
         self,
-        rig: EngineRig,
+        rig: Rig,
         *,
         make_ring: Callable[[Layout], tuple[str, Ring]] = on_the_heap,
         buffer_s: float = BUFFER_S,

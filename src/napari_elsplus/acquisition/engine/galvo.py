@@ -9,8 +9,8 @@ from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.camera_setup import CameraSetup
-    from napari_elsplus.acquisition.engine.rig import EngineRig
     from napari_elsplus.hardware.guardian import Guardian
+    from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
 
 
@@ -19,7 +19,7 @@ class GalvoController:
 
     Parameters
     ----------
-    rig : EngineRig
+    rig : Rig
         Open.
     setup : CameraSetup
         Knows when which row is exposed.
@@ -32,9 +32,9 @@ class GalvoController:
         Whether it was last told to scan.
     """
 
-    def __init__(self, rig: EngineRig, setup: CameraSetup, guardian: Guardian | None = None) -> None:
+    def __init__(self, rig: Rig, setup: CameraSetup, guardian: Guardian | None = None) -> None:
         self._scanner, self._strobe, self._setup = rig.scanner, rig.strobe, setup
-        self._guardian, self._order = guardian, rig.park
+        self._guardian, self._order = guardian, rig.park_order
         self._rigs_park_v = rig.scanner.park_v
         self.limits: GalvoLimits = rig.limits
         self.scanning = False

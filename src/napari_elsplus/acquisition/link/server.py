@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType
 
-    from napari_elsplus.acquisition.engine.rig import EngineRig
+    from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
 
 STATUS_PERIOD_S: Final = 0.1
@@ -51,7 +51,7 @@ class Server:
         Opens a rig by its name.
     """
 
-    def __init__(self, connection: Connection, open_rig: Callable[[str], EngineRig]) -> None:
+    def __init__(self, connection: Connection, open_rig: Callable[[str], Rig]) -> None:
         self._connection, self._session = connection, Session(open_rig)
         self._sending = Lock()
         self._ended = Event()
@@ -112,7 +112,7 @@ class Server:
             self._ended.set()
 
 
-def run(open_rig: Callable[[str], EngineRig]) -> None:
+def run(open_rig: Callable[[str], Rig]) -> None:
     """Run the engine's process: accept the client, serve it, leave nothing behind.
 
     Parameters

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from napari_elsplus.acquisition.calibrating.procedures import Watch
-    from napari_elsplus.acquisition.engine.rig import EngineRig
     from napari_elsplus.acquisition.streaming.ring import Layout, Ring
+    from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.calibrate import SlitOffset
 
@@ -40,9 +40,9 @@ class Session:
         Results of the procedure that follows the slit offset.
     """
 
-    def __init__(self, open_rig: Callable[[str], EngineRig]) -> None:
+    def __init__(self, open_rig: Callable[[str], Rig]) -> None:
         self._open_rig = open_rig
-        self._opened: tuple[EngineRig, Engine, LiveMosaic] | None = None
+        self._opened: tuple[Rig, Engine, LiveMosaic] | None = None
         self._guardian: Guardian | None = None
         self._cancelled = Event()
         self._progress: Progress | None = None
@@ -60,7 +60,7 @@ class Session:
         with ExitStack() as held:
             opened = self._open_rig(rig)
             held.callback(opened.close)
-            self._guardian = None if opened.park is None else Guardian(opened.park)
+            self._guardian = None if opened.park_order is None else Guardian(opened.park_order)
             held.pop_all()
         engine = Engine(opened, make_ring=_shared_ring, guardian=self._guardian)
         self._opened = opened, engine, LiveMosaic(engine)
@@ -79,7 +79,7 @@ class Session:
             guardian.dismiss()
 
     @property
-    def rig(self) -> EngineRig:
+    def rig(self) -> Rig:
         """The open rig; as `engine` and `mosaic` a DeviceError where there is none."""
         return self._require()[0]
 
@@ -140,7 +140,7 @@ class Session:
 
         return counted
 
-    def _require(self) -> tuple[EngineRig, Engine, LiveMosaic]:
+    def _require(self) -> tuple[Rig, Engine, LiveMosaic]:
         if self._opened is None:
             raise DeviceError("no rig is open", "connect to a rig first")
         return self._opened

@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from napari_elsplus.acquisition.calibrating.procedures import Watch
-    from napari_elsplus.acquisition.engine.rig import EngineRig
     from napari_elsplus.acquisition.engine.status import Settings
+    from napari_elsplus.hardware.rig import Rig
 
 
 @contextmanager
-def live_engine(rig_name: str, settings: Settings) -> Iterator[tuple[EngineRig, Engine]]:
+def live_engine(rig_name: str, settings: Settings) -> Iterator[tuple[Rig, Engine]]:
     """Open a rig and set its engine up; on a real rig, a guardian parks the mirror should this process die.
 
     Yields
     ------
-    rig : EngineRig
+    rig : Rig
         Open.
     engine : Engine
         In this process.
@@ -39,7 +39,7 @@ def live_engine(rig_name: str, settings: Settings) -> Iterator[tuple[EngineRig, 
     with ExitStack() as held:
         rig = open_live(rig_name)
         held.callback(rig.close)
-        guarded = rig.park if rig.bench is None else None
+        guarded = rig.park_order if rig.bench is None else None
         guardian = None if guarded is None else held.enter_context(Guardian(guarded))
         engine = held.enter_context(Engine(rig, guardian=guardian))
         engine.configure(settings)

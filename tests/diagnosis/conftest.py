@@ -1,0 +1,5 @@
+"""Virtual cameras for the checks."""
+
+from virtual_devices import cameras
+
+__all__ = ["cameras"]

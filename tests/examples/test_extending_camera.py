@@ -1,0 +1,84 @@
+"""The drivers of examples/extending are opened from a rig file and drive the engine, from outside the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.errors import DeviceError, ElsPlusError, InputError
+from napari_elsplus.hardware.protocols import Camera, Region, Scanner
+from napari_elsplus.hardware.rigs import open_rig, rig_names
+from napari_elsplus.instrument.optics import PRESETS
+
+pytestmark = pytest.mark.checkout
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "extending"
+PRESET = PRESETS["240hz"]
+
+
+@pytest.fixture
+def frames(tmp_path, monkeypatch) -> np.ndarray:
+    """The rig file where rigs are looked for, its drivers importable, its recording beside."""
+    (tmp_path / "rigs").mkdir()
+    text = (EXAMPLE / "playback.toml").read_text("utf-8")
+    (tmp_path / "rigs" / "playback.toml").write_text(text.replace("scan.btf", (tmp_path / "scan.npy").as_posix()))
+    monkeypatch.setenv("ELSPLUS_CONFIG", str(tmp_path))
+    monkeypatch.syspath_prepend(str(EXAMPLE))
+    frames = np.random.default_rng(0).integers(0, 200, (3, *PRESET.frame_shape), np.uint8)
+    np.save(tmp_path / "scan.npy", frames)
+    return frames
+
+
+def test_the_camera_of_a_rig_file_plays_its_recording(frames) -> None:
+    assert "playback" in rig_names()
+    with open_rig("playback") as rig:
+        assert isinstance(rig.scanner, Scanner)
+        rig.camera.configure(Region(*PRESET.sensor_origin, *PRESET.frame_shape), slit_rows=3, frame_rate_hz=100)
+        assert isinstance(rig.camera, Camera)
+        rig.camera.start()
+        buffer = np.empty(PRESET.frame_shape, np.uint8)
+        for number in range(5):
+            assert rig.camera.read_into(buffer, 5.0).frame_number == number
+            np.testing.assert_array_equal(buffer, frames[number % 3])
+        with pytest.raises(DeviceError, match="without a galvo"):
+            rig.scanner.hold(0.1)
+
+
+def test_the_engine_runs_it(frames) -> None:
+    with Engine(open_rig("playback"), buffer_s=0.5) as engine:
+        engine.configure(Settings("240hz", frame_rate_hz=60))
+        engine.start()
+        np.testing.assert_array_equal(np.sort(engine.fresh_frames(3).sum((1, 2))), np.sort(frames.sum((1, 2))))
+        engine.stop()
+        assert not engine.status().faults
+
+
+@pytest.mark.parametrize(
+    ("kind", "refusal"),
+    [
+        ("camera:PlaybackCamera", "cannot open its device"),  # without the recording that it needs
+        ("camera:Absent", "cannot be imported"),
+        ("no_such_module:Camera", "cannot be imported"),
+        ("broken:Camera", "cannot be imported"),
+        ("pathlib:PurePath", "lacks .*read_into"),
+        ("basler", "flea3, genicam"),
+    ],
+)
+def test_a_driver_that_cannot_be_used_is_refused_in_one_line(frames, tmp_path, monkeypatch, kind, refusal) -> None:
+    (tmp_path / "broken.py").write_text("1 / 0")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "rigs" / "mine.toml").write_text(f'[card]\npark_v = -0.7\n[camera]\nkind = "{kind}"\n')
+    with pytest.raises(ElsPlusError, match=refusal) as refused:
+        open_rig("mine")
+    assert "\n" not in str(refused.value)
+    assert kind in str(refused.value)
+
+
+def test_options_for_a_built_in_driver_are_refused(frames, tmp_path) -> None:
+    (tmp_path / "rigs" / "mine.toml").write_text('[card]\npark_v = -0.7\n[camera]\noptions = {recording = "scan"}\n')
+    with pytest.raises(InputError, match="flea3 takes none"):
+        open_rig("mine")
