@@ -104,13 +104,13 @@ def stream(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
     took_s, cpu_s = time.perf_counter() - begin_s, time.process_time() - begin_cpu_s
     lost = {cause: count - before.get(cause, 0) for cause, count in rig.camera.dropped.items()}
     rig.camera.stop()
-    arrivals = np.diff([info.time_s for info in infos]) * 1e3
+    arrivals = np.diff([info.received_s for info in infos]) * 1e3
     megabytes = frames * buffer.size / 1e6
     yield f"{frames} frames in {took_s:.2f} s: {frames / took_s:.2f} frames/s, {megabytes / took_s:.0f} MB/s"
     yield f"lost: {({cause: count for cause, count in lost.items() if count}) or 'none'}"
     yield f"processor time: {cpu_s / frames * 1e3:.2f} ms a frame, {100 * cpu_s / took_s:.0f} % of one core"
     yield f"between frames: median {np.median(arrivals):.2f} ms, longest {arrivals.max():.2f} ms"
-    spacing = np.diff([info.exposed_s for info in infos]) / np.diff([info.frame_number for info in infos])
+    spacing = np.diff([info.readout_start_s for info in infos]) / np.diff([info.frame_number for info in infos])
     yield f"frame period on the camera's clock: {spacing.mean() * 1e3:.5f} ms, spread {spacing.std() * 1e6:.2f} us"
 
 

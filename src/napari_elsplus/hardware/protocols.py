@@ -63,15 +63,15 @@ class FrameInfo:
     ----------
     frame_number : int
         The camera's own count since `Camera.start`; a jump by more than one means that frames are missing.
-    time_s : float
+    received_s : float
         When the frame's last byte reached this computer, on the clock of `time.perf_counter`.
-    exposed_s : float
+    readout_start_s : float
         When its first row was read, on the camera's clock: even spacing, arbitrary zero.
     """
 
     frame_number: int
-    time_s: float
-    exposed_s: float
+    received_s: float
+    readout_start_s: float
 
 
 @runtime_checkable

@@ -14,7 +14,7 @@ def write(ring: Ring, value: int) -> None:
     slot = ring.acquire()
     slot.arrays["raw"][...] = value
     slot.arrays["els"][...] = value
-    ring.finalize(slot, frame_number=10 + value, time_s=value / 240, exposed_s=value / 240)
+    ring.finalize(slot, frame_number=10 + value, received_s=value / 240, readout_start_s=value / 240)
 
 
 def test_a_reader_gets_the_newest_frame_once() -> None:
@@ -72,7 +72,7 @@ def test_a_reader_never_sees_pieces_of_two_frames() -> None:
         while not done.is_set():
             slot = writer.acquire()
             slot.arrays["raw"][...] = k % 251
-            writer.finalize(slot, frame_number=k, time_s=0.0, exposed_s=0.0)
+            writer.finalize(slot, frame_number=k, received_s=0.0, readout_start_s=0.0)
             k += 1
 
     thread = Thread(target=run)

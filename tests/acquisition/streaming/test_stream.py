@@ -12,7 +12,7 @@ def put(stream: FrameStream, count: int) -> None:
     for _ in range(count):
         slot = stream.acquire()
         slot.arrays["raw"][...] = slot.sequence
-        stream.finalize(slot, frame_number=slot.sequence, time_s=slot.sequence / 240, exposed_s=0.0)
+        stream.finalize(slot, frame_number=slot.sequence, received_s=slot.sequence / 240, readout_start_s=0.0)
 
 
 def numbers(stream: FrameStream, cursor: object) -> list[int]:
@@ -101,7 +101,7 @@ def test_stamps_carry_the_camera_s_number_and_time() -> None:
     stream = FrameStream(SHAPE, 4)
     cursor = stream.join()
     slot = stream.acquire()
-    stream.finalize(slot, frame_number=71, time_s=3.5, exposed_s=1.5)
+    stream.finalize(slot, frame_number=71, received_s=3.5, readout_start_s=1.5)
     _, stamp = cursor.take(0)  # type: ignore[misc]
-    assert (stamp.sequence, stamp.frame_number, stamp.time_s) == (0, 71, 3.5)
-    assert stamp.exposed_s == 1.5
+    assert (stamp.sequence, stamp.frame_number, stamp.received_s) == (0, 71, 3.5)
+    assert stamp.readout_start_s == 1.5

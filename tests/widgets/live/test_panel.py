@@ -318,7 +318,7 @@ def test_what_is_filled_in_place_is_what_the_canvas_shows(make_napari_viewer_pro
     def shown(level, whole):
         slot = ring.acquire()
         slot.arrays["els"][...] = level
-        ring.finalize(slot, frame_number=0, time_s=0.0, exposed_s=0.0)
+        ring.finalize(slot, frame_number=0, received_s=0.0, readout_start_s=0.0)
         assert layers.update(ring, whole=whole) is not None
         viewer.layers["live ELS+"].contrast_limits = (0, 100)
         picture = viewer.screenshot(canvas_only=True, flash=False)

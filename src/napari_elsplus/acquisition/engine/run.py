@@ -165,7 +165,7 @@ class Run:
                         if fault.source == "camera":  # the cause, not what follows from it
                             raise DeviceError(fault.problem, fault.remedy)
                     raise DeviceError(f"{got} of {count} frames came", "check the camera, then start again")
-                if taken[1].exposed_s + self._taking.camera_clock_s >= after_s:
+                if taken[1].readout_start_s + self._taking.camera_clock_s >= after_s:
                     frames[got] = taken[0]
                     got += 1
         finally:

@@ -108,13 +108,15 @@ class CameraWorker(Thread):
                         f"the camera has sent no frame for {_SILENCE_S:g} s", "check its cable, then connect again"
                     ) from None
                 continue
-            heard_s = info.time_s
+            heard_s = info.received_s
             if self.camera_clock_s == -inf:
-                first_exposed_s = info.exposed_s - info.frame_number * frame_period_s
+                first_exposed_s = info.readout_start_s - info.frame_number * frame_period_s
                 self.camera_clock_s = started_s - _START_TAKES_S - first_exposed_s
             if not settled:
-                late_s = info.time_s - (info.exposed_s + self.camera_clock_s) - _START_TAKES_S - frame_period_s
-                settled = late_s < frame_period_s or info.time_s - started_s > _LONGEST_SETTLING_S
+                late_s = (
+                    info.received_s - (info.readout_start_s + self.camera_clock_s) - _START_TAKES_S - frame_period_s
+                )
+                settled = late_s < frame_period_s or info.received_s - started_s > _LONGEST_SETTLING_S
                 settled = settled and info.frame_number >= self._settling
                 before = dict(camera.dropped)  # what was lost before the first frame that counts does not count
                 if not settled:
@@ -124,8 +126,10 @@ class CameraWorker(Thread):
             expected = info.frame_number + 1
             known = {cause: count - before.get(cause, 0) for cause, count in camera.dropped.items()}
             tally.lost_by_camera(known, missing)
-            stream.finalize(slot, frame_number=info.frame_number, time_s=info.time_s, exposed_s=info.exposed_s)
-            tally.arrived(info.time_s)
+            stream.finalize(
+                slot, frame_number=info.frame_number, received_s=info.received_s, readout_start_s=info.readout_start_s
+            )
+            tally.arrived(info.received_s)
 
 
 class ProcessingWorker(Thread):
@@ -175,7 +179,7 @@ class ProcessingWorker(Thread):
             if tracker is not None:
                 self._track(tracker, raw, stamp)
             show = self._section(shown.images, raw, stamp.frame_number, each=tracker is None)
-            tally.latency.add(time.perf_counter() - stamp.time_s)
+            tally.latency.add(time.perf_counter() - stamp.received_s)
             tally.processed += 1
             tally.skipped("processing slow", cursor.skipped)
             if show:
@@ -213,4 +217,6 @@ class ProcessingWorker(Thread):
         self._due_s = max(self._due_s + 1 / DISPLAY_HZ, time.perf_counter())
         slot = shown.ring.acquire()
         self.measures = shown.images.fill(raw, slot.arrays)
-        shown.ring.finalize(slot, frame_number=stamp.frame_number, time_s=stamp.time_s, exposed_s=stamp.exposed_s)
+        shown.ring.finalize(
+            slot, frame_number=stamp.frame_number, received_s=stamp.received_s, readout_start_s=stamp.readout_start_s
+        )

@@ -290,12 +290,12 @@ class LiveTrack:
         """Frames and seconds since the first frame; a stream that was started again goes on where it was."""
         before, self._before = self._before, stamp
         if self._origin is None:
-            self._origin = stamp.frame_number, stamp.exposed_s
+            self._origin = stamp.frame_number, stamp.readout_start_s
         elif before is not None and stamp.frame_number <= before.frame_number:
             number, time_s = self.pipeline.rows[-1].frame + 1, self.pipeline.rows[-1].time_s
-            pause_s = stamp.time_s - before.time_s
-            self._origin = stamp.frame_number - number, stamp.exposed_s - time_s - pause_s
-        return stamp.frame_number - self._origin[0], stamp.exposed_s - self._origin[1]
+            pause_s = stamp.received_s - before.received_s
+            self._origin = stamp.frame_number - number, stamp.readout_start_s - time_s - pause_s
+        return stamp.frame_number - self._origin[0], stamp.readout_start_s - self._origin[1]
 
 
 def rehearse(pipeline: Pipeline, frame_shape: tuple[int, int]) -> None:

@@ -149,9 +149,12 @@ class Recorder(Thread):
             frame, stamp = taken
             if self._stop_before is not None and stamp.sequence >= self._stop_before:
                 return
-            first_s = stamp.exposed_s if first_s is None else first_s
-            if self.plan.seconds is not None and stamp.exposed_s - first_s > self.plan.seconds - self._half_period_s:
+            first_s = stamp.readout_start_s if first_s is None else first_s
+            if (
+                self.plan.seconds is not None
+                and stamp.readout_start_s - first_s > self.plan.seconds - self._half_period_s
+            ):
                 return
-            self._writer.append(frame, stamp.exposed_s, stamp.frame_number)
+            self._writer.append(frame, stamp.readout_start_s, stamp.frame_number)
             self._tally.recorded += 1
             self._tally.skipped("recorder slow", self._cursor.skipped)

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 _ALIGNMENT: Final = 64
 """Bytes; fields begin on cache lines."""
-_HEADER: Final = np.dtype([("state", "<i8"), ("frame_number", "<i8"), ("time_s", "<f8"), ("exposed_s", "<f8")])
+_HEADER: Final = np.dtype(
+    [("state", "<i8"), ("frame_number", "<i8"), ("received_s", "<f8"), ("readout_start_s", "<f8")]
+)
 _BEING_WRITTEN: Final = 0
 
 
@@ -84,16 +86,16 @@ class Stamp:
         Its place in the order of writing.
     frame_number : int
         The camera's number.
-    time_s : float
+    received_s : float
         When its last byte came, on the clock of ``time.perf_counter``.
-    exposed_s : float
+    readout_start_s : float
         When its first row was read, on the camera's clock: evenly spaced, arbitrary zero.
     """
 
     sequence: int
     frame_number: int
-    time_s: float
-    exposed_s: float
+    received_s: float
+    readout_start_s: float
 
 
 class Ring:
@@ -112,7 +114,7 @@ class Ring:
     >>> ring = Ring(bytearray(layout.nbytes), layout)
     >>> slot = ring.acquire()
     >>> slot.arrays["els"][...] = 7
-    >>> ring.finalize(slot, frame_number=12, time_s=0.05, exposed_s=0.0)
+    >>> ring.finalize(slot, frame_number=12, received_s=0.05, readout_start_s=0.0)
     >>> out = {"els": np.empty((2, 2), np.float32)}
     >>> stamp = ring.newest_after(-1, out)
     >>> stamp.frame_number, float(out["els"][0, 0])
@@ -150,10 +152,14 @@ class Ring:
         """Pass over the oldest slot, which keeps what it holds; its new sequence number is never given to a frame."""
         self._next += 1
 
-    def finalize(self, slot: Slot, *, frame_number: int, time_s: float, exposed_s: float) -> None:
+    def finalize(self, slot: Slot, *, frame_number: int, received_s: float, readout_start_s: float) -> None:
         """Show an acquired slot to the readers."""
         header = self._headers[slot.sequence % self.layout.slots]
-        header["frame_number"], header["time_s"], header["exposed_s"] = frame_number, time_s, exposed_s
+        header["frame_number"], header["received_s"], header["readout_start_s"] = (
+            frame_number,
+            received_s,
+            readout_start_s,
+        )
         header["state"] = slot.sequence + 1
         self._next = slot.sequence + 1
 
@@ -166,7 +172,9 @@ class Ring:
         header = self._headers[sequence % self.layout.slots].copy()
         if header["state"] != sequence + 1:
             return None
-        return Stamp(sequence, int(header["frame_number"]), float(header["time_s"]), float(header["exposed_s"]))
+        return Stamp(
+            sequence, int(header["frame_number"]), float(header["received_s"]), float(header["readout_start_s"])
+        )
 
     def newest_after(self, sequence: int, out: Mapping[str, NDArray[Any]]) -> Stamp | None:
         """Copy the newest frame, unless it was seen already.

@@ -86,7 +86,7 @@ class FrameStream:
     >>> cursor = stream.join()
     >>> slot = stream.acquire()
     >>> slot.arrays["raw"][...] = 9
-    >>> stream.finalize(slot, frame_number=0, time_s=0.0, exposed_s=0.0)
+    >>> stream.finalize(slot, frame_number=0, received_s=0.0, readout_start_s=0.0)
     >>> frame, stamp = cursor.take(timeout_s=0)
     >>> int(frame.max()), stamp.frame_number
     (9, 0)
@@ -126,10 +126,10 @@ class FrameStream:
                     cursor.next += 1
             return self._ring.acquire()
 
-    def finalize(self, slot: Slot, *, frame_number: int, time_s: float, exposed_s: float) -> None:
+    def finalize(self, slot: Slot, *, frame_number: int, received_s: float, readout_start_s: float) -> None:
         """Show a filled slot to the consumers."""
         with self._changed:
-            self._ring.finalize(slot, frame_number=frame_number, time_s=time_s, exposed_s=exposed_s)
+            self._ring.finalize(slot, frame_number=frame_number, received_s=received_s, readout_start_s=readout_start_s)
             self._changed.notify_all()
 
     def end(self) -> None:

@@ -119,12 +119,12 @@ class Tally:
         """Frames that the camera delivered whole and that went into the stream."""
         return self._acquired
 
-    def arrived(self, time_s: float) -> None:
-        """Count a frame that went into the stream."""
+    def arrived(self, received_s: float) -> None:
+        """Count a frame that went into the stream, received at that time."""
         if not self._acquired:
-            self._first_s = time_s
-        self._last_s = time_s
-        self._arrivals_s.append(time_s)
+            self._first_s = received_s
+        self._last_s = received_s
+        self._arrivals_s.append(received_s)
         self._acquired += 1
 
     def lost_by_camera(self, known: Mapping[str, int], missing: int) -> None:
