@@ -12,7 +12,7 @@ from napari.utils.notifications import notification_manager
 
 from napari_elsplus._reader import get_reader
 from napari_elsplus.io import settings, write_calibration
-from napari_elsplus.workflows.sectioning import images
+from napari_elsplus.workflows.sectioning import section
 from pairs import calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"
@@ -30,7 +30,7 @@ def test_a_recording_is_shown_and_scrolled(make_napari_viewer_proxy, tmp_path):
     viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
     assert [layer.name for layer in viewer.layers] == ["scan raw", "scan LS", "scan residual", "scan ELS+", "scan ELSA"]
     layer = viewer.layers["scan ELS+"]
-    els = images(frames(), calibration(), "els")
+    els = section(frames(), calibration(), "els")[:]
     for step in (0, 4, 2):
         viewer.dims.set_current_step(0, step)
         shown = np.asarray(layer.get_value((step * layer.scale[0], 64.0, 62.0), world=True))

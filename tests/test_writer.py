@@ -12,7 +12,7 @@ from napari.layers import Image
 from napari_elsplus._writer import write_tiff, write_zarr
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, write_calibration
-from napari_elsplus.workflows.sectioning import images
+from napari_elsplus.workflows.sectioning import section
 from pairs import FRAME_PERIOD_S, calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"
@@ -25,7 +25,7 @@ def test_an_opened_layer_is_saved_and_comes_back(make_napari_viewer_proxy, tmp_p
     target = tmp_path / f"els{ending}"
     assert viewer.layers["scan ELS+"].save(str(target), plugin=PLUGIN) == [str(target)]
     with open_recording(target) as back:
-        np.testing.assert_array_equal(back[:], images(frames(), calibration(), "els"))
+        np.testing.assert_array_equal(back[:], section(frames(), calibration(), "els")[:])
         assert back.metadata["um_per_px"] == pytest.approx(2.0)
         assert back.metadata["frame_period_s"] == pytest.approx(FRAME_PERIOD_S)
     viewer.open(str(target), plugin=PLUGIN)

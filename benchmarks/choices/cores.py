@@ -16,9 +16,9 @@ from benchmarks.rigs.simulated import SimulatedRig, simulated_rig
 from napari_elsplus.instrument.optics import CORE_PITCH_UM
 from napari_elsplus.processing.images.cores import GAUSSIAN_SIGMA_PITCHES, CoreFilter
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
+from napari_elsplus.simulation.accuracy import unexplained
 from napari_elsplus.simulation.specimen.scenes import Scene, scene
 from napari_elsplus.simulation.specimen.trajectories import Still
-from napari_elsplus.workflows.accuracy import unexplained
 from napari_elsplus.workflows.sectioning import finishing
 
 if TYPE_CHECKING:

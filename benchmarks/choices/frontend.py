@@ -17,9 +17,9 @@ from benchmarks.rigs.simulated import simulated_rig
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, takes_median
+from napari_elsplus.simulation.accuracy import unexplained
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Still
-from napari_elsplus.workflows.accuracy import unexplained
 from napari_elsplus.workflows.sectioning import finishing
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from benchmarks.rigs.simulated import SimulatedRig, simulated_rig
 from napari_elsplus.processing.mosaicing.mosaic import STILL, Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
+from napari_elsplus.simulation.accuracy import unexplained
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Straight
-from napari_elsplus.workflows.accuracy import unexplained
 
 if TYPE_CHECKING:
     from collections.abc import Callable

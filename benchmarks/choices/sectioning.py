@@ -15,9 +15,9 @@ from benchmarks.harness.methods import Benchmark, Case, Judgement, Method, Role
 from benchmarks.rigs.simulated import SimulatedRig, simulated_rig
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
+from napari_elsplus.simulation.accuracy import SMOOTHING_PX, unexplained
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Straight
-from napari_elsplus.workflows.accuracy import SMOOTHING_PX, unexplained
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,8 +14,8 @@ from benchmarks.rigs.simulated import SimulatedRig, simulated_rig, tissue, witho
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TemplateTracker
+from napari_elsplus.simulation.accuracy import track_errors
 from napari_elsplus.simulation.specimen.trajectories import trajectory
-from napari_elsplus.workflows.accuracy import track_errors
 from napari_elsplus.workflows.tracking import Method as Tracking
 from napari_elsplus.workflows.tracking import Pipeline
 

@@ -61,7 +61,7 @@ def make(
     tell("lens paper, 10 Hz")
     frames = paper.lens_paper()
     comparison = compare(frames.raw, frames.rig.calibration, 1)
-    keep("motion", draw_comparison(comparison, frames.rig.um_per_px), motion_table(frames))
+    keep("motion", draw_comparison(comparison), motion_table(frames))
     tell("lens paper, 240 Hz")
     frames = paper.lens_paper_mosaic(8 if quick else 168)
     made = {

@@ -13,8 +13,8 @@ from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 from napari_elsplus.processing.tracking.tracker import Tracker
+from napari_elsplus.simulation.accuracy import TrackErrors, track_errors
 from napari_elsplus.simulation.specimen.trajectories import Turning, trajectory
-from napari_elsplus.workflows.accuracy import TrackErrors, track_errors
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import Pipeline
 

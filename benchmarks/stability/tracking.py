@@ -14,11 +14,11 @@ import numpy as np
 from benchmarks.choices.tracking import METHODS, Recorded
 from benchmarks.harness.methods import Benchmark, Case, Chart, Claim, Judgement, named, stressed
 from benchmarks.rigs.simulated import SimulatedRig, dim, simulated_rig
+from napari_elsplus.simulation.accuracy import track_errors
 from napari_elsplus.simulation.specimen.scenes import Plane, Scene, fibres
 from napari_elsplus.simulation.specimen.textures import Fibres, Mottle
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight, Trajectory
 from napari_elsplus.simulation.specimen.trajectories import Recorded as RecordedPath
-from napari_elsplus.workflows.accuracy import track_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -17,10 +17,10 @@ from napari_elsplus.processing.tracking.motion.warp_prior import warp_prior
 from napari_elsplus.processing.tracking.registration.low_texture import DOUBT, LowTextureFallback, unlit
 from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION
+from napari_elsplus.simulation.accuracy import WRONG_PX
 from napari_elsplus.simulation.specimen.scenes import picture
 from napari_elsplus.simulation.specimen.textures import draw_fibres
 from napari_elsplus.simulation.specimen.trajectories import Recorded, trajectory
-from napari_elsplus.workflows.accuracy import WRONG_PX
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

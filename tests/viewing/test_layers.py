@@ -10,7 +10,7 @@ from napari_elsplus.errors import CalibrationError
 from napari_elsplus.io import write_calibration, write_mosaic, write_stack
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers, summary
-from napari_elsplus.workflows.sectioning import images
+from napari_elsplus.workflows.sectioning import section
 from pairs import FRAME_PERIOD_S, calibration, frames, write_pair
 
 
@@ -25,7 +25,7 @@ def test_a_recording_with_its_calibration_gives_five_layers(tmp_path):
     assert opened.notes == []
     np.testing.assert_array_equal(layers["scan raw"][0], frames())
     for name, mode in (("scan LS", "ls"), ("scan residual", "residual"), ("scan ELS+", "els"), ("scan ELSA", "elsa")):
-        np.testing.assert_array_equal(layers[name][0], images(frames(), calibration(), mode))
+        np.testing.assert_array_equal(layers[name][0], section(frames(), calibration(), mode)[:])
     assert [name for name, (_, attributes) in layers.items() if attributes["visible"]] == ["scan ELS+"]
     assert [name for name, (_, attributes) in layers.items() if "interpolation2d" not in attributes] == ["scan raw"]
 
@@ -86,7 +86,7 @@ def test_a_calibration_that_does_not_do_leaves_the_raw_layer_and_a_note(tmp_path
 
 
 def test_finished_images_are_not_taken_for_raw_frames(tmp_path):
-    els = images(frames(), calibration(), "els")
+    els = section(frames(), calibration(), "els")[:]
     write_stack(tmp_path / "out.tif", els, calibration=calibration(), metadata={"mode": "els"})
     ((data, attributes, _),) = open_layers(tmp_path / "out.tif").layers
     np.testing.assert_array_equal(data, els)

@@ -9,7 +9,7 @@ import pytest
 
 from napari_elsplus.viewing import lazy
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
-from napari_elsplus.workflows.sectioning import images
+from napari_elsplus.workflows.sectioning import section
 from pairs import calibration, frames
 
 
@@ -58,7 +58,7 @@ def test_the_cache_has_a_bound(monkeypatch):
 def test_threads_get_what_one_after_the_other_gives(mode):
     raw = LazyPlanes(frames(8).__getitem__, (8, 64, 128), np.dtype(np.uint8))
     planes = image_planes(raw, calibration(), mode)
-    expected = images(frames(8), calibration(), mode)
+    expected = section(frames(8), calibration(), mode)[:]
     assert planes.shape == expected.shape
     order = list(range(len(planes))) * 3
     with ThreadPoolExecutor(4) as pool:

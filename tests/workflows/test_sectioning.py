@@ -5,7 +5,7 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.workflows.sectioning import Images, images
+from napari_elsplus.workflows.sectioning import SectionedImages, section
 
 SHAPE = (60, 130)
 RAW = np.random.default_rng(0).integers(0, 200, (5, *SHAPE)).astype(np.uint8)
@@ -28,20 +28,20 @@ def calibration() -> Calibration:
 
 @pytest.mark.parametrize(("mode", "count"), [("ls", 5), ("residual", 5), ("els", 5), ("elsa", 2)])
 def test_each_mode_gives_its_number_of_images(calibration: Calibration, mode: str, count: int) -> None:
-    result = images(RAW, calibration, mode)
+    result = section(RAW, calibration, mode)[:]
     assert result.shape == (count, 52, 52)
     assert result.dtype == np.float32
 
 
 def test_els_is_ls_minus_residual(calibration: Calibration) -> None:
-    ls, residual, els = (images(RAW, calibration, mode) for mode in ("ls", "residual", "els"))
+    ls, residual, els = (section(RAW, calibration, mode)[:] for mode in ("ls", "residual", "els"))
     assert np.array_equal(els, ls - residual)
 
 
 def test_any_image_can_be_asked_for_in_any_order(calibration: Calibration) -> None:
-    lazy = Images(RAW, calibration, "els")
+    lazy = SectionedImages(RAW, calibration, "els")
     backwards = [lazy[k] for k in (4, 3, 2, 1, 0)]
-    assert np.array_equal(backwards[::-1], images(RAW, calibration, "els"))
+    assert np.array_equal(backwards[::-1], section(RAW, calibration, "els")[:])
     assert np.array_equal(lazy[-1], backwards[0])
     with pytest.raises(IndexError):
         lazy[5]
@@ -50,22 +50,22 @@ def test_any_image_can_be_asked_for_in_any_order(calibration: Calibration) -> No
 def test_flat_field_divides_where_it_is_bright(calibration: Calibration) -> None:
     flat = np.full((52, 52), 2.0, np.float32)
     flat[:, :26] = 0.05
-    flattened = images(RAW, calibration.model_copy(update={"flat": flat}), "ls", flat_field=True)
-    plain = images(RAW, calibration, "ls")
+    flattened = section(RAW, calibration.model_copy(update={"flat": flat}), "ls", flat_field=True)[:]
+    plain = section(RAW, calibration, "ls")[:]
     assert flattened[:, :, 26:] == pytest.approx(plain[:, :, 26:] / 2)
     assert not flattened[:, :, :26].any()
 
 
 def test_what_cannot_be_done_is_said(calibration: Calibration) -> None:
     with pytest.raises(InputError, match="elsa needs 2 frames, the recording has 1"):
-        images(RAW[:1], calibration, "elsa")
+        section(RAW[:1], calibration, "elsa")
     with pytest.raises(InputError, match="has 0"):
-        images(RAW[:0], calibration, "ls")
+        section(RAW[:0], calibration, "ls")
     with pytest.raises(CalibrationError, match="no flat field"):
-        images(RAW, calibration, "ls", flat_field=True)
+        section(RAW, calibration, "ls", flat_field=True)
     with pytest.raises(CalibrationError, match="calibrate it again"):
-        images(RAW, calibration.model_copy(update={"flat": np.ones((9, 9), np.float32)}), "ls")
+        section(RAW, calibration.model_copy(update={"flat": np.ones((9, 9), np.float32)}), "ls")
     with pytest.raises(MeasurementError, match="needs a flat field"):
-        images(RAW, calibration, "ls", cores="interpolate")
+        section(RAW, calibration, "ls", cores="interpolate")
     with pytest.raises(CalibrationError, match="no bundle section"):
-        images(RAW, Calibration(), "ls")
+        section(RAW, Calibration(), "ls")

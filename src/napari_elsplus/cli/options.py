@@ -73,9 +73,7 @@ def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | Non
             raise InputError(f"{path} is asked for twice", "name another file for one of them")
 
 
-def progress(items: Iterable[Item], *, describe: str, total: float | None = None) -> Iterable[Item]:
-    """Go through items with a progress bar on standard error; silent where that is no terminal."""
+def progress(numbers: Iterable[Item], step: str) -> Iterable[Item]:
+    """Show a progress bar on standard error while a step goes through its numbers; nothing where it is no terminal."""
     console = Console(stderr=True)
-    return track(
-        items, description=describe, total=total, console=console, transient=True, disable=not console.is_terminal
-    )
+    return track(numbers, description=step, console=console, transient=True, disable=not console.is_terminal)

@@ -10,7 +10,7 @@ import dask.array as da
 import numpy as np
 
 from napari_elsplus.processing.images.cores import CoreFilter
-from napari_elsplus.workflows.sectioning import Images
+from napari_elsplus.workflows.sectioning import SectionedImages
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -96,14 +96,14 @@ def image_planes(
 ) -> LazyPlanes:
     """Images of one mode, made of raw planes when they are looked at.
 
-    Parameters and errors are those of ``sectioning.Images``, of which each thread has its own.
+    Parameters and errors are those of ``sectioning.SectionedImages``, of which each thread has its own.
     """
     own = local()
 
-    def images() -> Images:
+    def images() -> SectionedImages:
         if not hasattr(own, "images"):
-            own.images = Images(raw, calibration, mode, cores=cores, flat_field=flat_field)
-        made: Images = own.images
+            own.images = SectionedImages(raw, calibration, mode, cores=cores, flat_field=flat_field)
+        made: SectionedImages = own.images
         return made
 
     return LazyPlanes(lambda index: images()[index], images().shape, np.dtype(np.float32))

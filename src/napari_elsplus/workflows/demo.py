@@ -27,37 +27,36 @@ from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.simulation import calibration_scenes as bench
-from napari_elsplus.simulation.model.instrument import Instrument
-from napari_elsplus.simulation.rendering.renderer import Renderer
-from napari_elsplus.simulation.specimen.scenes import scene
-from napari_elsplus.simulation.specimen.trajectories import Straight, trajectory
-from napari_elsplus.simulation.truth import motion
-from napari_elsplus.workflows.accuracy import (
+from napari_elsplus.simulation.accuracy import (
     TrackErrors,
     calibration_errors,
     correlation_with_focal_plane,
     track_errors,
 )
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.specimen.trajectories import Straight, trajectory
+from napari_elsplus.simulation.truth import motion
 from napari_elsplus.workflows.pictures.comparison import compare, draw_comparison
 from napari_elsplus.workflows.pictures.contact_sheet import draw_contact_sheet
 from napari_elsplus.workflows.pictures.files import save_figure
-from napari_elsplus.workflows.sectioning import Images, RawPairs
+from napari_elsplus.workflows.progress import without_display
+from napari_elsplus.workflows.sectioning import RawPairs, SectionedImages
 from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-
-    Watch = Callable[[Iterable[int], str], Iterable[int]]
+    from napari_elsplus.workflows.progress import Progress
 
 FRAMES: Final = 120
 SPEED_UM_S: Final = 6000.0
 SHOWN_FRAMES: Final = 12
-"""Images of each mode that are written, from the start of the recording."""
+"""SectionedImages of each mode that are written, from the start of the recording."""
 SLOW_RATE_HZ: Final = 10.0
 SLOW_SPEED_UM_S: Final = 400.0
 """Rate and speed that show what motion does to ELSA, as in the paper's lens-paper figure."""
@@ -88,7 +87,7 @@ class _Stage:
     instrument: Instrument
     folder: Path
     force: bool
-    watch: Watch
+    progress: Progress
 
     def renderer(self, *, in_focus_only: bool = False) -> Renderer:
         whole = scene("fibres")
@@ -97,7 +96,7 @@ class _Stage:
         return Renderer(self.instrument, shown, path, seed=_SEED, noise=not in_focus_only)
 
 
-def run_demo(folder: Path, *, force: bool = False, watch: Watch = lambda items, _: items) -> dict[str, Any]:
+def run_demo(folder: Path, *, force: bool = False, progress: Progress = without_display) -> dict[str, Any]:
     """Calibrate the simulated rig, record a moving probe, make images and mosaics; write them all into a folder.
 
     Parameters
@@ -106,8 +105,8 @@ def run_demo(folder: Path, *, force: bool = False, watch: Watch = lambda items, 
         Where the files go; made if it is not there.
     force : bool
         Overwrite existing files.
-    watch : callable
-        Takes a loop's numbers and a word for it and gives the numbers back: the place for a progress bar.
+    progress : Progress
+        Wraps the numbers of each step's loop.
 
     Returns
     -------
@@ -123,13 +122,13 @@ def run_demo(folder: Path, *, force: bool = False, watch: Watch = lambda items, 
     folder.mkdir(parents=True, exist_ok=True)
     for name in FILES:
         refuse_existing(folder / name, force=force)
-    stage = _Stage(Instrument.of("240hz"), folder, force, watch)
+    stage = _Stage(Instrument.of("240hz"), folder, force, progress)
     calibration = _calibrate(stage)
     _record(stage, calibration)
     tracks, mosaics = _process(stage, calibration)
     slow = _slow_frames(stage.instrument)
     comparison = compare(slow, calibration)
-    figure = draw_comparison(comparison, stage.instrument.optics.um_per_px)
+    figure = draw_comparison(comparison)
     save_figure(figure, folder / "comparison.png", force=force)
     sheet = draw_contact_sheet(slow[0], calibration, comparison, mosaics)
     save_figure(sheet, folder / "contact_sheet.png", force=force)
@@ -153,14 +152,14 @@ def _calibrate(stage: _Stage) -> Calibration:
     sweep = bench.standing_line(instrument, volts, seed=_SEED)
     findings = measure(
         line=list(bench.standing_line(instrument, bench.line_volts(instrument), seed=_SEED)),
-        sweep=[next(sweep) for _ in stage.watch(range(len(volts)), "sweeping the line")],
+        sweep=[next(sweep) for _ in stage.progress(range(len(volts)), "sweeping the line")],
         volts=volts,
         bundle=list(bench.transmission(instrument, seed=_SEED)),
         background=list(bench.dark_tube(instrument, seed=_SEED)),
         um_per_px=instrument.optics.um_per_px,
         line_period_s=instrument.optics.line_period_s,
         line_periods_per_frame=instrument.optics.line_periods_per_frame,
-        watch=lambda numbers: stage.watch(numbers, "fitting the line"),
+        watch=lambda numbers: stage.progress(numbers, "fitting the line"),
     )
     write_calibration(stage.folder / "calibration.json", findings.calibration, force=stage.force)
     return findings.calibration
@@ -171,19 +170,19 @@ def _record(stage: _Stage, calibration: Calibration) -> None:
     frame = np.empty(renderer.frame_shape, np.uint8)
     path = stage.folder / "recording.ome.tif"
     with RecordingWriter(path, renderer.frame_shape, frame.dtype, calibration=calibration, force=stage.force) as writer:
-        for k in stage.watch(range(FRAMES), "acquiring"):
+        for k in stage.progress(range(FRAMES), "acquiring"):
             writer.append(renderer.render(k, frame), k * stage.instrument.optics.frame_period_s, k)
 
 
 def _process(
     stage: _Stage, calibration: Calibration
 ) -> tuple[dict[Mode, TrackErrors], dict[Mode, NDArray[np.float32]]]:
-    """Images of the first frames, and LS and ELS+ mosaics, each on its own track; ELS+'s track is written."""
+    """SectionedImages of the first frames, and LS and ELS+ mosaics, each on its own track; ELS+'s track is written."""
     optics = stage.instrument.optics
     tracks, mosaics = {}, {}
     with open_recording(stage.folder / "recording.ome.tif") as recording:
         for mode in (Mode.LS, Mode.RESIDUAL, Mode.ELS):
-            images = Images(recording[:SHOWN_FRAMES], calibration, mode)
+            images = SectionedImages(recording[:SHOWN_FRAMES], calibration, mode)
             write_stack(
                 stage.folder / f"{mode.value}.ome.tif",
                 images,
@@ -196,7 +195,7 @@ def _process(
         true_px = np.array(motion(stage.instrument, path, len(recording))["positions_mid"])
         for mode in (Mode.LS, Mode.ELS):
             pipeline = Pipeline(calibration, stage.instrument.frame_shape, mode)
-            for k in stage.watch(range(len(recording)), f"mosaic of {mode.value}"):
+            for k in stage.progress(range(len(recording)), f"mosaic of {mode.value}"):
                 pipeline.track(recording[k], k, k * optics.frame_period_s)
             pipeline.finish(RawPairs(recording, mode))
             tracks[mode] = track_errors(pipeline.rows, true_px)

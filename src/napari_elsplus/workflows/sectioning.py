@@ -1,25 +1,30 @@
-"""From a recording to images: stateless, random access, one calibration."""
+"""LS, residual, ELS+ or ELSA images of a recording, made when they are read."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.io import write_stack
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
+from napari_elsplus.workflows.progress import without_display
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Callable, Iterator
 
-    from numpy.typing import NDArray
+    from numpy.typing import DTypeLike, NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.workflows.progress import Progress
 
-_DARKEST_FLAT = 0.1
-"""Where the flat field is darker than this share of its mean, dividing by it would only show noise."""
+MIN_FLAT: Final = 0.1
+"""Fraction of the flat field's mean below which pixels are set to 0: dividing would only amplify noise. Chosen; between
+0.05 and 0.2 only pixels at the rim of the bundle differ."""
 
 
 class RawPairs:
@@ -61,19 +66,21 @@ class RawPairs:
         return raw, raw if residual == confocal else self._frames[residual]
 
 
-class Images:
-    """The images that a recording gives in one mode: a lazy sequence of (n, n) float32 arrays.
+class SectionedImages:
+    """The images of a recording in one mode: a lazy sequence of (n, n) float32 arrays; made by :func:`section`.
+
+    ``images[k]`` is one image (n, n), ``images[a:b]`` a stack, ``images[:]`` and ``numpy.asarray(images)`` are all.
 
     Parameters
     ----------
     raw : Frames
         Raw frames (rows, cols): an array (T, rows, cols) or an open recording.
     calibration : Calibration
-        Of the rig that made them.
+        Of the rig that recorded them.
     mode : Mode or str
         ``"ls"``, ``"residual"``, ``"els"`` or ``"elsa"``.
     cores : CoreFilter or str
-        How the core pattern is suppressed.
+        Suppression of the core pattern.
     flat_field : bool
         Divide by the calibration's flat field.
 
@@ -98,7 +105,7 @@ class Images:
         cores: CoreFilter | str = CoreFilter.NONE,
         flat_field: bool = False,
     ) -> None:
-        self.mode = Mode(mode)
+        self.mode, self.calibration = Mode(mode), calibration
         self._raw = raw
         self._count = len(RawPairs(raw, self.mode))
         rows, cols = raw[0].shape
@@ -115,16 +122,61 @@ class Images:
         """Number of images, rows, columns."""
         return self._count, self.side, self.side
 
+    @property
+    def frame_period_s(self) -> float | None:
+        """Seconds from one image to the next; ELSA's is that of two frames. None without timing in the calibration."""
+        period_s = self.calibration.frame_period_s
+        return None if period_s is None else period_s * (len(self._raw) // self._count)
+
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, index: int) -> NDArray[np.float32]:
+    @overload
+    def __getitem__(self, index: int) -> NDArray[np.float32]: ...
+    @overload
+    def __getitem__(self, index: slice) -> NDArray[np.float32]: ...
+    def __getitem__(self, index: int | slice) -> NDArray[np.float32]:
+        if isinstance(index, slice):
+            chosen = range(*index.indices(self._count))
+            stack = np.empty((len(chosen), self.side, self.side), np.float32)
+            for place, number in enumerate(chosen):
+                stack[place] = self[number]
+            return stack
         if not -self._count <= index < self._count:
-            raise IndexError(index)
+            raise IndexError(f"image {index} of {self._count}")
         return self._finish(self.sectioner.image(self._raw, index % self._count, self.mode))
 
     def __iter__(self) -> Iterator[NDArray[np.float32]]:
         return (self[index] for index in range(self._count))
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self[:], dtype=dtype, copy=copy)
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False, progress: Progress = without_display) -> None:
+        """Write the images to an OME-TIFF (T, n, n), one at a time, with the calibration and the timing in it.
+
+        Parameters
+        ----------
+        path : path-like
+            The file.
+        force : bool
+            Overwrite an existing file.
+        progress : Progress
+            Wraps the images' numbers.
+
+        Raises
+        ------
+        InputError
+            If the file exists and `force` is not given.
+        """
+        write_stack(
+            path,
+            (self[index] for index in progress(range(self._count), self.mode.value)),
+            frame_period_s=self.frame_period_s,
+            metadata={"mode": self.mode.value},
+            calibration=self.calibration,
+            force=force,
+        )
 
 
 def finishing(
@@ -134,7 +186,7 @@ def finishing(
     cores: CoreFilter | str = CoreFilter.NONE,
     flat_field: bool = False,
 ) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
-    """Return what is done to an image once it is sectioned: flat field, then core filter.
+    """Return the function that divides a sectioned image by the flat field and then filters its cores.
 
     Parameters
     ----------
@@ -168,30 +220,44 @@ def finishing(
         return suppress_cores
     if flat is None:
         raise CalibrationError("the calibration has no flat field", "measure it with `calibrate --flat`")
-    lit = sectioner.inside & (flat > _DARKEST_FLAT)
+    lit = sectioner.inside & (flat > MIN_FLAT)
     inverse = np.divide(1, flat, out=np.zeros_like(flat), where=lit)
     return lambda image: suppress_cores(np.multiply(image, inverse, out=image))
 
 
-def images(
+def section(
     raw: Frames,
     calibration: Calibration,
-    mode: Mode | str,
+    mode: Mode | str = Mode.ELS,
     *,
     cores: CoreFilter | str = CoreFilter.NONE,
     flat_field: bool = False,
-) -> NDArray[np.float32]:
-    """Return all images that a recording gives in one mode.
+) -> SectionedImages:
+    """Return the LS, residual, ELS+ or ELSA images of raw frames, lazily.
 
-    Parameters and errors are those of :class:`Images`.
+    Parameters
+    ----------
+    raw : Frames
+        Raw frames (rows, cols): an array (T, rows, cols), a list, or an open recording.
+    calibration : Calibration
+        Of the rig that recorded them; needs the bundle section.
+    mode : Mode or str
+        ``"ls"`` (confocal), ``"residual"`` (aligned to it, divided by its gain), ``"els"`` (their difference in one
+        frame) or ``"elsa"`` (the difference of successive frames, one image for two frames).
+    cores : CoreFilter or str
+        ``"none"``, ``"median"``, ``"gaussian"`` or ``"interpolate"``: suppression of the core pattern.
+    flat_field : bool
+        Divide by the calibration's flat field.
 
     Returns
     -------
-    numpy.ndarray
-        (T, n, n) float32, signed grey levels, the bundle's centre at (n - 1) / 2.
+    SectionedImages
+        Sequence of (n, n) float32, signed grey levels, the bundle's centre at ((n - 1) / 2, (n - 1) / 2).
+        ``section(...)[:]`` is the whole stack (T, n, n).
+
+    Raises
+    ------
+    InputError, CalibrationError
+        As :class:`SectionedImages`.
     """
-    lazy = Images(raw, calibration, mode, cores=cores, flat_field=flat_field)
-    made = np.empty(lazy.shape, np.float32)
-    for index, image in enumerate(lazy):
-        made[index] = image
-    return made
+    return SectionedImages(raw, calibration, mode, cores=cores, flat_field=flat_field)

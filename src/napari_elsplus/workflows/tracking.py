@@ -217,25 +217,35 @@ class Pipeline:
         del self.rows[:-1], self.poses[:-1]
         self._tracking.forget_links()
 
-    def finish(
-        self,
-        raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
-        watch: Callable[[Sequence[int]], Iterable[int]] = iter,
-    ) -> None:
-        """Close loops, join segments, solve for all positions at once, and lay all frames down anew.
+    def refine(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]) -> None:
+        """Close loops, join segments and solve for all positions at once; mosaics are left as they are.
 
         Parameters
         ----------
         raw_pair : callable
             Returns by its index, in the order in which frames were added, a raw frame and the one that its residual is
             taken from.
-        watch : callable
-            Goes through the indices of the frames that are laid down; a progress bar, for instance.
         """
         self.poses = self._tracking.refine(self.poses, lambda index: self._tracking.image(*raw_pair(index)))
         self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
+
+    def finish(
+        self,
+        raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
+        progress: Callable[[Sequence[int]], Iterable[int]] = iter,
+    ) -> None:
+        """Refine all positions (:meth:`refine`) and insert all frames into fresh mosaics at them.
+
+        Parameters
+        ----------
+        raw_pair : callable
+            As in :meth:`refine`.
+        progress : callable
+            Wraps the indices of the frames that are inserted; a progress bar, for instance.
+        """
+        self.refine(raw_pair)
         self.mosaics = {}
-        for index in watch([k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]):
+        for index in progress([k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]):
             self.put(self.image(*raw_pair(index)), self.poses[index])
 
     def _note(self, pose: Pose, frame: int, time_s: float) -> None:

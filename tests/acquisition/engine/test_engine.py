@@ -16,7 +16,7 @@ from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import RecordingWriter, open_recording
-from napari_elsplus.workflows.sectioning import images
+from napari_elsplus.workflows.sectioning import section
 
 
 def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
@@ -57,7 +57,7 @@ def test_live_images_are_those_of_the_pipeline(engine: Engine, calibration: Cali
     engine.stop()
     _, shown = newest(engine, "raw", "ls", "residual", "els")
     for mode in ("ls", "residual", "els"):
-        expected = images(shown["raw"][None], engine.calibration, mode)[0]  # type: ignore[arg-type]
+        expected = section(shown["raw"][None], engine.calibration, mode)[0]  # type: ignore[arg-type]
         np.testing.assert_array_equal(shown[mode], expected)
 
 

@@ -8,7 +8,7 @@ from napari_elsplus.acquisition.engine.live_images import LiveImages, LiveView, 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.images.cores import CoreFilter
-from napari_elsplus.workflows.sectioning import images
+from napari_elsplus.workflows.sectioning import section
 
 SHAPE = (100, 200)
 CALIBRATION = Calibration.parse(
@@ -40,7 +40,7 @@ def test_live_images_are_those_of_the_pipeline(mode: str, cores: CoreFilter) -> 
     for number in range(2):
         live.add(raw[number], number)
     live.fill(raw[1], slot)
-    expected = images(raw, CALIBRATION, mode, cores=cores)[-1]
+    expected = section(raw, CALIBRATION, mode, cores=cores)[-1]
     np.testing.assert_array_equal(slot[mode], expected)
 
 
@@ -51,10 +51,10 @@ def test_elsa_keeps_its_parity_across_missing_frames() -> None:
     for number in (0, 1, 3, 4):  # frame 2 is missing: 3 has no partner, and 4 waits for 5
         live.add(raw[number], number)
     live.fill(raw[4], slot)
-    np.testing.assert_array_equal(slot["elsa"], images(raw[:2], CALIBRATION, "elsa")[0])
+    np.testing.assert_array_equal(slot["elsa"], section(raw[:2], CALIBRATION, "elsa")[0])
     live.add(raw[5], 5)
     live.fill(raw[5], slot)
-    np.testing.assert_array_equal(slot["elsa"], images(raw[4:], CALIBRATION, "elsa")[0])
+    np.testing.assert_array_equal(slot["elsa"], section(raw[4:], CALIBRATION, "elsa")[0])
 
 
 def test_averaging_lowers_the_noise_as_it_says() -> None:
@@ -65,7 +65,7 @@ def test_averaging_lowers_the_noise_as_it_says() -> None:
         live.add(frame, number)
     live.fill(raw[-1], slot)
     inner = (slice(20, 60), slice(20, 60))
-    ratio = slot["els"][inner].std() / images(raw[-1:], CALIBRATION, "els")[0][inner].std()
+    ratio = slot["els"][inner].std() / section(raw[-1:], CALIBRATION, "els")[0][inner].std()
     assert ratio == pytest.approx((1 / 7) ** 0.5, rel=0.1)  # recursive: variance w / (2 - w) with w = 1/4
 
 
@@ -75,7 +75,7 @@ def test_the_background_can_be_left_in() -> None:
     slot = slot_of(live)
     live.add(raw[0], 0)
     live.fill(raw[0], slot)
-    with_background = images(raw, CALIBRATION, "ls")[0]
+    with_background = section(raw, CALIBRATION, "ls")[0]
     assert (slot["ls"] - with_background)[40, 40] == pytest.approx(7, abs=0.01)
 
 

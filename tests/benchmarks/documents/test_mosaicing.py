@@ -24,7 +24,7 @@ from benchmarks.studies.gate import Gate, Judged
 from benchmarks.studies.mosaicing import METHODS, Outcome, Scenario
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
-from napari_elsplus.workflows.accuracy import TrackErrors
+from napari_elsplus.simulation.accuracy import TrackErrors
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -6,8 +6,8 @@ import numpy as np
 
 from benchmarks.documents.paper import calibration_table, draw_calibration, draw_images, mosaic_table
 from benchmarks.studies import paper
+from napari_elsplus.simulation.accuracy import TrackErrors
 from napari_elsplus.simulation.model.instrument import Instrument
-from napari_elsplus.workflows.accuracy import TrackErrors
 
 if TYPE_CHECKING:
     from pathlib import Path

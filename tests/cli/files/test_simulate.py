@@ -11,7 +11,7 @@ import pytest
 
 from napari_elsplus.io import open_recording, read_volts
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.workflows.sectioning import images
+from napari_elsplus.workflows.sectioning import section
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,7 +33,7 @@ def test_a_recording_opens_with_its_calibration_and_truth(elsplus: Elsplus, tmp_
         known = recording.calibration
         assert known is not None
         assert known.background is not None
-        els = np.array(images(recording, known, Mode.ELS)[0])
+        els = np.array(section(recording, known, Mode.ELS)[0])
     assert known.optics is not None
     assert (
         known.optics.line_periods_per_frame

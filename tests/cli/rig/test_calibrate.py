@@ -10,8 +10,8 @@ import pytest
 import tifffile
 
 from napari_elsplus.io import read_calibration, write_column
+from napari_elsplus.simulation.accuracy import calibration_errors
 from napari_elsplus.simulation.model.instrument import Instrument
-from napari_elsplus.workflows.accuracy import calibration_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,7 @@ def test_elsa_needs_the_next_frame(frame: int, count: int) -> None:
 
 
 def test_the_figure_shows_each_image_on_the_same_scale(tmp_path: Path) -> None:
-    figure = draw_comparison(compare(RAW, CALIBRATION), um_per_px=2.0)
+    figure = draw_comparison(replace(compare(RAW, CALIBRATION), um_per_px=2.0))
     images = [axes.get_images()[0] for axes in figure.axes if axes.get_images()]
     assert [image.get_clim() for image in images] == [(0, 1)] * 3
     assert [axes.texts[0].get_text() for axes in figure.axes[:3]] == ["20 \N{MICRO SIGN}m"] * 3  # of a disc of 100

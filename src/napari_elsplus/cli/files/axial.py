@@ -9,22 +9,14 @@ import click
 import numpy as np
 
 from napari_elsplus.cli.options import FILE, force_option, output_option, progress, refuse_outputs
-from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.io import (
-    beside,
-    open_recording,
-    read_calibration,
-    read_depths_um,
-    replacing,
-)
-from napari_elsplus.processing.analysis.axial_response import AxialResponse, DropOff, axial_profiles, axial_response
+from napari_elsplus.io import open_recording, read_calibration, read_depths_um, replacing
+from napari_elsplus.workflows.axial import measure_axial_response
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.io import Recording
+    from napari_elsplus.processing.analysis.axial_response import AxialResponse, DropOff
 
 
 @click.command(short_help="Axial response from a scan of depths.")
@@ -44,12 +36,9 @@ def command(
 
         refuse_format(plot)
     with open_recording(scan) as recording:
-        known = _calibration(recording, calibration)
-        depth_um = read_depths_um(depths or _depths_beside(scan))
-        if len(depth_um) != len(recording):
-            raise InputError(f"{len(depth_um)} depths for {len(recording)} frames", "give a line per frame")
-        profiles = axial_profiles(recording, known, progress=lambda k: progress(k, describe="depths"))
-    response = axial_response(depth_um, *profiles)
+        known = None if calibration is None else read_calibration(calibration)
+        depth_um = None if depths is None else read_depths_um(depths)
+        response = measure_axial_response(recording, known, depth_um, progress=progress)
     with replacing(output, force=force) as path:
         path.write_text(json.dumps(response.content(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     if plot is not None:
@@ -60,21 +49,6 @@ def command(
     for line in _summary(response):
         click.echo(line)
     click.echo(f"wrote {output}")
-
-
-def _calibration(recording: Recording, path: Path | None) -> Calibration:
-    found = recording.calibration if path is None else read_calibration(path)
-    if found is None:
-        raise CalibrationError(f"there is no calibration in or beside {recording.path.name}", "name one with -c")
-    return found
-
-
-def _depths_beside(scan: Path) -> Path:
-    own = beside(scan, ".depths.csv")
-    for path in (own, own.with_name("depths.csv")):
-        if path.is_file():
-            return path
-    raise InputError(f"there is no {own.name} beside the scan", "name one with --depths")
 
 
 def _summary(response: AxialResponse) -> Iterator[str]:

@@ -8,9 +8,8 @@ import click
 
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, refuse_outputs
 from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.processing.analysis.image_quality import contrast
-from napari_elsplus.workflows.pictures.comparison import TITLES, compare, draw_comparison
-from napari_elsplus.workflows.pictures.files import refuse_format, save_figure
+from napari_elsplus.workflows.pictures.comparison import TITLES, compare
+from napari_elsplus.workflows.pictures.files import refuse_format
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,7 +28,7 @@ def command(raw: Path, calibration: Path, frame: int, output: Path, force: bool)
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
         comparison = compare(recording, record, frame)
-    save_figure(draw_comparison(comparison, record.um_per_px), output, force=force)
+    comparison.save(output, force=force)
     for mode, title in TITLES.items():
-        levels = contrast(comparison.images[mode], comparison.inside)
+        levels = comparison.contrast(mode)
         click.echo(f"{title:5} contrast {levels.michelson:.3f}, background {levels.background:.3f} of white")

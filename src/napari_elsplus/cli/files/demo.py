@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @force_option
 def command(out: Path, force: bool) -> None:
     """Calibrate the simulated rig, acquire, section and mosaic; tell the errors against what was simulated."""
-    report = run_demo(out, force=force, watch=lambda items, word: progress(items, describe=word))
+    report = run_demo(out, force=force, progress=progress)
     for line in _summary(report):
         click.echo(line)
     click.echo(f"{len(FILES)} files in {out}: look at {out / 'contact_sheet.png'}")

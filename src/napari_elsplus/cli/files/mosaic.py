@@ -5,18 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress, refuse_outputs
-from napari_elsplus.io import open_recording, read_calibration, write_mosaic, write_track
+from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.processing.tracking.motion.pose import TrackingState
-from napari_elsplus.workflows.line_timing import with_timing
-from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED, Method, Pipeline
-from napari_elsplus.workflows.two_threads import Pipelined
+from napari_elsplus.workflows.mosaicing import mosaic as make_mosaic
+from napari_elsplus.workflows.tracking import Method
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,33 +41,12 @@ def command(
     refuse_outputs(output, track, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
-        rows, cols = recording.shape[1:]
-        pairs, times = RawPairs(recording, mode), recording.times_s
-        said = ""
-        if method == Method.ELSPLUS:
-            record, said = with_timing(record, pairs, mode)
-        pipeline = Pipeline(record, (rows, cols), mode, method=method, insertion=insertion)
-        with Pipelined(pipeline, lay=False) as two_threads:
-            for index in progress(range(len(pairs)), describe="Tracking"):
-                frame = pairs.frame(index)
-                confocal, residual = pairs(index)
-                two_threads.add(confocal, frame, np.nan if times is None else float(times[frame]), residual)
-        pipeline.finish(pairs, lambda frames: progress(frames, describe="Mosaic"))
-    image = montage(list(pipeline.mosaics.values()))
-    notes = {"method": method, "mode": mode}
-    write_mosaic(output, image, pipeline.um_per_px, calibration=record, metadata=notes, force=force)
-    if track is not None:
-        write_track(track, pipeline.rows, force=force)
-    if said:
-        click.echo(said)
-    click.echo(_summary(pipeline))
-    if sum(row.state == TrackingState.TRACKED for row in pipeline.rows) < 2:
-        click.echo(f"note: {UNLINKED}")
-
-
-def _summary(pipeline: Pipeline) -> str:
-    states = [row.state for row in pipeline.rows]
-    return (
-        f"{states.count('tracked')} of {len(states)} frames tracked in {len(pipeline.mosaics)} segments, "
+        result = make_mosaic(recording, record, mode, method=method, insertion=insertion, progress=progress)
+    result.save(output, track, force=force)
+    states = [row.state for row in result.track]
+    click.echo(
+        f"{states.count('tracked')} of {len(states)} frames tracked in {result.segments} segments, "
         f"{states.count('predicted')} predicted, {states.count('lost')} lost"
     )
+    for note in result.notes:
+        click.echo(f"note: {note}")

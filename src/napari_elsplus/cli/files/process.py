@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import click
 
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress, refuse_outputs
-from napari_elsplus.io import open_recording, read_calibration, write_stack
+from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.workflows.sectioning import Images
+from napari_elsplus.workflows.sectioning import section
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,14 +41,6 @@ def command(raw: Path, calibration: Path, mode: str, cores: str, flat_field: boo
     refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
-        images = Images(recording, record, mode, cores=cores, flat_field=flat_field)
-        frames_each, period_s = len(recording) // len(images), record.frame_period_s
-        write_stack(
-            output,
-            progress(images, describe=mode, total=len(images)),
-            frame_period_s=None if period_s is None else period_s * frames_each,
-            metadata={"mode": mode},
-            calibration=record,
-            force=force,
-        )
+        images = section(recording, record, mode, cores=cores, flat_field=flat_field)
+        images.save(output, force=force, progress=progress)
     click.echo(f"{output}: {len(images)} {mode} images of {images.side} x {images.side} px")

@@ -103,7 +103,7 @@ def _stream(engine: Engine, seconds: float, plan: RecordingPlan | None) -> None:
         time.sleep(_STEP_S / 10)
     end_s = time.monotonic() + seconds
     steps = max(1, round(seconds / _STEP_S))
-    for step in progress(range(steps), describe="Acquiring", total=steps):
+    for step in progress(range(steps), "Acquiring"):
         time.sleep(max(0.0, end_s - (steps - step - 1) * seconds / steps - time.monotonic()))
         if not engine.status().live:
             break

@@ -74,7 +74,7 @@ def command(
                 bundle_um=bundle_um,
                 line_period_s=line_period_s,
                 line_periods_per_frame=rows_per_frame,
-                watch=lambda numbers: progress(numbers, describe="sweep"),
+                watch=lambda numbers: progress(numbers, "sweep"),
             )
     write_calibration(output, findings.calibration, force=force)
     for found in summary(findings):

@@ -48,4 +48,4 @@ def live_engine(rig_name: str, settings: Settings) -> Iterator[tuple[Rig, Engine
 
 def watch_calibration(step: str) -> Watch:
     """Show how far a step of the calibration is."""
-    return lambda numbers: progress(numbers, describe=f"Calibrating: {step}")
+    return lambda numbers: progress(numbers, f"Calibrating: {step}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -11,13 +12,17 @@ from matplotlib.figure import Figure
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
 from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner, disc
+from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.pictures.mosaic_picture import bar_length
 
 if TYPE_CHECKING:
+    import os
+
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.analysis.image_quality import Contrast
 
 TITLES: Final = {Mode.LS: "LS", Mode.ELSA: "ELSA", Mode.ELS: "ELS+"}
 COLOURS: Final = {Mode.LS: "#0072b2", Mode.ELSA: "#e69f00", Mode.ELS: "#009e73"}
@@ -38,11 +43,14 @@ class ComparisonFigure:
         (n, n) bool: the 90 % disc, in which they are scaled and shown.
     profile_row : int
         Row of the line profile.
+    um_per_px : float or None
+        Micrometres per pixel; None without a scale in the calibration.
     """
 
     images: dict[Mode, NDArray[np.float32]]
     inside: NDArray[np.bool_]
     profile_row: int
+    um_per_px: float | None = None
 
     def profile(self, mode: Mode) -> NDArray[np.float32]:
         """Mean of five rows about the profile's row, (n,); not-a-number outside of the disc."""
@@ -50,6 +58,27 @@ class ComparisonFigure:
         rows = slice(self.profile_row - half, self.profile_row + half + 1)
         mean: NDArray[np.float32] = self.images[mode][rows].mean(axis=0)
         return np.where(self.inside[self.profile_row], mean, np.float32(np.nan))
+
+    def contrast(self, mode: Mode | str) -> Contrast:
+        """Return the contrast and the background of one mode's image, both in the 90 % disc."""
+        return contrast(self.images[Mode(mode)], self.inside)
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
+        """Draw the three images with their profiles and save the figure.
+
+        Parameters
+        ----------
+        path : path-like
+            File of the figure; its suffix names the format.
+        force : bool
+            Overwrite an existing file.
+
+        Raises
+        ------
+        InputError
+            If the format is unknown, or the file exists and `force` is not given.
+        """
+        save_figure(draw_comparison(self), Path(path), force=force)
 
 
 def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> ComparisonFigure:
@@ -87,31 +116,30 @@ def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> Comparison
     white = {mode: white_level(images[mode], inside) for mode in (Mode.LS, Mode.ELS)}
     white[Mode.ELSA] = white[Mode.ELS]
     scaled = {mode: image / np.float32(white[mode]) for mode, image in images.items()}
-    return ComparisonFigure(scaled, inside, sectioner.side // 2)
+    return ComparisonFigure(scaled, inside, sectioner.side // 2, calibration.um_per_px)
 
 
-def draw_comparison(comparison: ComparisonFigure, um_per_px: float | None = None) -> Figure:
+def draw_comparison(comparison: ComparisonFigure) -> Figure:
     """Draw the three images and their profiles along one line.
 
     Parameters
     ----------
     comparison : ComparisonFigure
-        What :func:`compare` made.
-    um_per_px : float, optional
-        For the scale bar and the profile's axis; pixels where it is unknown.
+        Of :func:`compare`; without its scale there is no scale bar, and the profile's axis is in pixels.
 
     Returns
     -------
     matplotlib.figure.Figure
         To be saved; it belongs to no screen.
     """
+    um_per_px = comparison.um_per_px
     figure = Figure(figsize=(12, 7), layout="constrained")
     axes = figure.subplot_mosaic([[mode.value for mode in TITLES], ["profile"] * 3], height_ratios=[2, 1])
     for mode, title in TITLES.items():
         shown = np.where(comparison.inside, comparison.images[mode], 0)
         axes[mode.value].imshow(shown, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
         axes[mode.value].axhline(comparison.profile_row, color=COLOURS[mode], linewidth=0.8, linestyle=(0, (6, 6)))
-        levels = contrast(comparison.images[mode], comparison.inside)
+        levels = comparison.contrast(mode)
         axes[mode.value].set_title(f"{title}: background {100 * levels.background:.1f} % of white")
         axes[mode.value].set_axis_off()
         if um_per_px is not None:

@@ -7,11 +7,11 @@ import pytest
 
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.simulation.accuracy import calibration_errors, correlation_with_focal_plane, track_errors
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.workflows.accuracy import calibration_errors, correlation_with_focal_plane, track_errors
 
 INSTRUMENT = Instrument.of("240hz")
 

@@ -1,0 +1,195 @@
+"""The probe's track through a recording, and the mosaic of its images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from napari_elsplus.io import TrackPoint, refuse_existing, write_mosaic, write_track
+from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.mosaicing.montage import montage
+from napari_elsplus.processing.mosaicing.mosaic import Insertion
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.workflows.line_timing import with_timing
+from napari_elsplus.workflows.progress import without_display
+from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracking import UNLINKED, Method, Pipeline
+from napari_elsplus.workflows.two_threads import Pipelined
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.workflows.progress import Progress
+
+
+@dataclass(frozen=True)
+class MosaicResult:
+    """A mosaic and the track along which its images were inserted.
+
+    Attributes
+    ----------
+    image : numpy.ndarray
+        (rows, cols) float32 grey levels; 0 where nothing was inserted. Segments lie below one another, the largest
+        first.
+    um_per_px : float or None
+        Micrometres per pixel of the mosaic; None without a scale in the calibration.
+    track : list of TrackPoint
+        A row for every frame (for every second frame with ELSA).
+    segments : int
+        Number of segments: runs of frames that are registered to one another.
+    calibration : Calibration
+        As it was given, with the line periods per frame if they were estimated from the motion.
+    settings : dict
+        ``mode``, ``method`` and ``insertion``, as they are written into the file.
+    notes : tuple of str
+        Messages to the user: an estimated timing, too few tracked frames.
+    """
+
+    image: NDArray[np.float32]
+    um_per_px: float | None
+    track: list[TrackPoint]
+    segments: int
+    calibration: Calibration
+    settings: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def save(
+        self, path: str | os.PathLike[str], track: str | os.PathLike[str] | None = None, *, force: bool = False
+    ) -> None:
+        """Write the mosaic to an OME-TIFF with its pyramid, and the track to a CSV file.
+
+        Parameters
+        ----------
+        path : path-like
+            File of the mosaic.
+        track : path-like, optional
+            File of the track; not written by default.
+        force : bool
+            Overwrite existing files.
+
+        Raises
+        ------
+        InputError
+            If a file exists and `force` is not given; then neither is written.
+        """
+        for target in (path, track):
+            if target is not None:
+                refuse_existing(target, force=force)
+        settings: dict[str, Any] = dict(self.settings)
+        write_mosaic(path, self.image, self.um_per_px, calibration=self.calibration, metadata=settings, force=force)
+        if track is not None:
+            write_track(track, self.track, force=force)
+
+
+def mosaic(
+    raw: Frames,
+    calibration: Calibration,
+    mode: Mode | str = Mode.ELS,
+    *,
+    method: Method | str = Method.ELSPLUS,
+    insertion: Insertion | str = Insertion.DEAD_LEAF,
+    times_s: Sequence[float] | NDArray[np.float64] | None = None,
+    progress: Progress = without_display,
+) -> MosaicResult:
+    """Track the probe through raw frames, close loops, and insert the images into a mosaic.
+
+    Parameters
+    ----------
+    raw : Frames
+        Raw frames (rows, cols): an array (T, rows, cols), a list, or an open recording.
+    calibration : Calibration
+        Of the rig that recorded them; needs the bundle section. Line periods per frame that it lacks are estimated from
+        the motion.
+    mode : Mode or str
+        Image type to track and insert: ``"els"``, ``"ls"``, ``"residual"`` or ``"elsa"``.
+    method : Method or str
+        Tracking method: ``"elsplus"`` (sub-pixel, rolling shutter corrected) or ``"paper"`` (template matching).
+    insertion : Insertion or str
+        Rule by which overlapping images are combined.
+    times_s : sequence of float, optional
+        (T,) time of each frame; the recording's by default.
+    progress : Progress
+        Wraps the frames' numbers, once for tracking and once for insertion.
+
+    Returns
+    -------
+    MosaicResult
+
+    Raises
+    ------
+    InputError
+        If there are no frames, or none could be tracked.
+    CalibrationError
+        If the calibration does not fit the frames.
+    """
+    pipeline, calibration, notes = _tracked(raw, calibration, mode, method, insertion, times_s, progress)
+    pipeline.finish(RawPairs(raw, mode), lambda numbers: progress(numbers, "Mosaic"))
+    return MosaicResult(
+        montage(list(pipeline.mosaics.values())),
+        pipeline.um_per_px,
+        pipeline.rows,
+        len(pipeline.mosaics),
+        calibration,
+        {"method": Method(method).value, "mode": Mode(mode).value, "insertion": Insertion(insertion).value},
+        notes + ((UNLINKED,) if _count_tracked(pipeline) < 2 else ()),
+    )
+
+
+def track(
+    raw: Frames,
+    calibration: Calibration,
+    mode: Mode | str = Mode.ELS,
+    *,
+    method: Method | str = Method.ELSPLUS,
+    times_s: Sequence[float] | NDArray[np.float64] | None = None,
+    progress: Progress = without_display,
+) -> list[TrackPoint]:
+    """Track the probe through raw frames and close loops; the track of :func:`mosaic` without its images.
+
+    Parameters and errors are those of :func:`mosaic`.
+
+    Returns
+    -------
+    list of TrackPoint
+        A row for every frame (for every second frame with ELSA): position of the probe in camera pixels and
+        micrometres, relative to the first frame of its segment, with its standard deviation and state.
+    """
+    pipeline, _, _ = _tracked(raw, calibration, mode, method, Insertion.DEAD_LEAF, times_s, progress)
+    pipeline.refine(RawPairs(raw, mode))
+    return pipeline.rows
+
+
+def _tracked(
+    raw: Frames,
+    calibration: Calibration,
+    mode: Mode | str,
+    method: Method | str,
+    insertion: Insertion | str,
+    times_s: Sequence[float] | NDArray[np.float64] | None,
+    progress: Progress,
+) -> tuple[Pipeline, Calibration, tuple[str, ...]]:
+    """Track all frames on two threads; return the pipeline, the calibration with its timing, and notes."""
+    pairs = RawPairs(raw, mode)
+    times_s = getattr(raw, "times_s", None) if times_s is None else times_s
+    note = ""
+    if Method(method) is Method.ELSPLUS:
+        calibration, note = with_timing(calibration, pairs, mode)
+    rows, cols = raw[0].shape
+    pipeline = Pipeline(calibration, (rows, cols), mode, method=method, insertion=insertion)
+    with Pipelined(pipeline, lay=False) as two_threads:
+        for index in progress(range(len(pairs)), "Tracking"):
+            frame = pairs.frame(index)
+            confocal, residual = pairs(index)
+            two_threads.add(confocal, frame, np.nan if times_s is None else float(times_s[frame]), residual)
+    return pipeline, calibration, (note,) if note else ()
+
+
+def _count_tracked(pipeline: Pipeline) -> int:
+    return sum(row.state == TrackingState.TRACKED for row in pipeline.rows)

@@ -1,0 +1,345 @@
+"""Simulated recordings, axial scans and calibration frames with known truth, as arrays or as files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import beside, refuse_existing, replacing, write_calibration, write_column, write_stack
+from napari_elsplus.simulation import calibration_scenes, truth
+from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import Scene, distal_light, empty, picture, scene
+from napari_elsplus.simulation.specimen.trajectories import Recorded, Trajectory, trajectory
+from napari_elsplus.workflows.progress import without_display
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.workflows.progress import Progress
+
+
+@dataclass(frozen=True)
+class RenderedFrames:
+    """Raw frames (rows, cols) uint8 that are rendered when they are read: a sequence, for one thread at a time.
+
+    Parameters
+    ----------
+    render : callable
+        Returns the frame of an index.
+    count : int
+        Number of frames.
+    """
+
+    render: Callable[[int], NDArray[np.uint8]]
+    count: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, index: int) -> NDArray[np.uint8]:
+        return self.render(range(self.count)[index])
+
+    def __iter__(self) -> Iterator[NDArray[np.uint8]]:
+        return (self[index] for index in range(self.count))
+
+
+@dataclass(frozen=True)
+class SimulatedRecording(RenderedFrames):
+    """Raw frames of the model instrument with their calibration and truth.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        The one that a perfect measurement of the instrument would give.
+    truth : dict
+        Geometry of the instrument and motion of the probe, as written to ``NAME.truth.json``.
+    depth_um : numpy.ndarray or None
+        (T,) depths of an axial scan.
+    """
+
+    calibration: Calibration
+    truth: dict[str, Any]
+    depth_um: NDArray[np.float64] | None = None
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False, progress: Progress = without_display) -> None:
+        """Write the frames to an OME-TIFF, with NAME.calibration.json, NAME.truth.json and NAME.depths.csv beside it.
+
+        Parameters
+        ----------
+        path : path-like
+            File of the frames.
+        force : bool
+            Overwrite existing files.
+        progress : Progress
+            Wraps the frames' numbers.
+
+        Raises
+        ------
+        InputError
+            If a file exists and `force` is not given; then none is written.
+        """
+        output = Path(path)
+        record, facts = beside(output, ".calibration.json"), beside(output, ".truth.json")
+        depths = beside(output, ".depths.csv")
+        scanned = self.depth_um is not None
+        for target in (output, record, record.with_suffix(".npz"), facts, *([depths] if scanned else [])):
+            refuse_existing(target, force=force)
+        frames = (self[index] for index in progress(range(self.count), "depths" if scanned else "frames"))
+        axes = "ZYX" if scanned else "TYX"
+        write_stack(output, frames, calibration=self.calibration, force=force, axes=axes)
+        write_calibration(record, self.calibration, force=force)
+        _write_json(facts, self.truth, force=force)
+        if self.depth_um is not None:
+            write_column(depths, "depth_um", self.depth_um, force=force)
+
+
+def simulate_recording(
+    *,
+    preset: str = "240hz",
+    scene_name: str = "fibres",
+    scene_um_per_px: float | None = None,
+    path: str = "hand",
+    speed_um_s: float = 2000.0,
+    frames: int = 240,
+    rate_hz: float | None = None,
+    offset_um: float = -29.0,
+    slit_um: float | None = None,
+    seed: int = 0,
+) -> SimulatedRecording:
+    """Simulate raw frames of a moving probe with known truth.
+
+    Parameters
+    ----------
+    preset : str
+        ``"240hz"`` or ``"120hz"``: camera region and objective.
+    scene_name : str
+        Scene of :mod:`napari_elsplus.simulation.specimen.scenes`, ``plate:DEPTH_UM``, or an image file.
+    scene_um_per_px : float, optional
+        Scale of an image file; a camera pixel's by default.
+    path : str
+        Path of :mod:`napari_elsplus.simulation.specimen.trajectories`, or a CSV file with columns time_s, row_um,
+        col_um.
+    speed_um_s : float
+        Speed of the probe in micrometres per second.
+    frames : int
+        Number of frames.
+    rate_hz : float, optional
+        Frames per second; the preset's highest by default.
+    offset_um : float
+        Slit offset in micrometres at the bundle; negative: the residual image stands higher.
+    slit_um : float, optional
+        Slit width in micrometres at the bundle, rounded to whole rows; 3 rows by default.
+    seed : int
+        Seed of the scene and of the camera noise.
+
+    Returns
+    -------
+    SimulatedRecording
+
+    Raises
+    ------
+    InputError
+        If there is no such scene or path, the path leaves the scene, or the optics do not fit the camera region.
+    """
+    instrument = Instrument.of(preset, slit_um=slit_um, offset_um=offset_um, rate_hz=rate_hz)
+    moved = _trajectory(path, speed_um_s, seed)
+    specimen = _scene(scene_name, seed, scene_um_per_px, instrument.optics.um_per_px)
+    renderer = Renderer(instrument, specimen, moved, seed=seed)
+    renderer.refuse_path(frames)
+    facts = {"seed": seed, "scene": scene_name, "path": path, **truth.motion(instrument, moved, frames)}
+    return _simulated(instrument, facts, renderer.render, frames)
+
+
+def simulate_axial_scan(
+    *,
+    slit_um: float = 2.9,
+    offset_um: float = 29.0,
+    state: str = "a",
+    depth_um: Sequence[float] | NDArray[np.float64] | None = None,
+    seed: int = 0,
+) -> SimulatedRecording:
+    """Simulate a scan of depths: a raw frame of a stained plate at each, as sectioning is measured.
+
+    Parameters
+    ----------
+    slit_um : float
+        Slit width in micrometres at the bundle, rounded to whole rows.
+    offset_um : float
+        Slit offset in micrometres at the bundle.
+    state : str
+        Line model: ``"a"`` and ``"b"`` of the paper's panels, or the sharper one of ``"c"`` and ``"d"``.
+    depth_um : sequence of float, optional
+        (T,) distances of the plate from contact; by default 2 um apart near the focus, farther apart beyond.
+    seed : int
+        Seed of the camera noise.
+
+    Returns
+    -------
+    SimulatedRecording
+        With `depth_um`.
+    """
+    instrument = lit_for_plate(Instrument.of("120hz", slit_um=slit_um, offset_um=offset_um, line=LINE_MODELS[state]))
+    depths = scan_depths_um() if depth_um is None else np.asarray(depth_um, np.float64)
+    scan = AxialScan(instrument, depths, seed=seed)
+    return _simulated(instrument, {"seed": seed, "state": state}, scan.__getitem__, len(depths), depths)
+
+
+@dataclass(frozen=True)
+class SimulatedCalibrationFrames:
+    """The recordings that a calibration is measured from, with known truth.
+
+    Attributes
+    ----------
+    line, sweep, bundle, background : RenderedFrames
+        Raw frames (rows, cols) uint8: the line standing, the line at each of `volts`, the bundle lit from its far end,
+        a dark tube.
+    volts : numpy.ndarray
+        (T,) galvo voltages of the sweep.
+    um_per_px : float
+        Micrometres at the bundle per camera pixel.
+    truth : dict
+        Geometry of the instrument.
+    """
+
+    line: RenderedFrames
+    sweep: RenderedFrames
+    bundle: RenderedFrames
+    background: RenderedFrames
+    volts: NDArray[np.float64]
+    um_per_px: float
+    truth: dict[str, Any]
+
+    def save(
+        self, folder: str | os.PathLike[str], *, force: bool = False, progress: Progress = without_display
+    ) -> None:
+        """Write line.tif, sweep.tif, sweep_volts.csv, transmission.tif, background.tif and truth.json into a folder.
+
+        Parameters
+        ----------
+        folder : path-like
+            Made if it does not exist.
+        force : bool
+            Overwrite existing files.
+        progress : Progress
+            Wraps the frames' numbers, once for each file.
+
+        Raises
+        ------
+        InputError
+            If a file exists and `force` is not given; then none is written.
+        """
+        folder = Path(folder)
+        parts = {"line": self.line, "sweep": self.sweep, "transmission": self.bundle, "background": self.background}
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in (*(f"{part}.tif" for part in parts), "sweep_volts.csv", "truth.json"):
+            refuse_existing(folder / name, force=force)
+        for part, frames in parts.items():
+            shown = (frames[index] for index in progress(range(len(frames)), part))
+            write_stack(folder / f"{part}.tif", shown, um_per_px=self.um_per_px, force=force)
+        write_column(folder / "sweep_volts.csv", "volts", self.volts, force=force)
+        _write_json(folder / "truth.json", self.truth, force=force)
+
+
+def simulate_calibration(
+    *, preset: str = "240hz", offset_um: float = -29.0, slit_um: float | None = None, seed: int = 0
+) -> SimulatedCalibrationFrames:
+    """Simulate the recordings that a calibration is measured from: line, sweep, transmission, background.
+
+    Parameters
+    ----------
+    preset : str
+        ``"240hz"`` or ``"120hz"``: camera region and objective.
+    offset_um : float
+        Slit offset in micrometres at the bundle; negative: the residual image stands higher.
+    slit_um : float, optional
+        Slit width in micrometres at the bundle, rounded to whole rows; 3 rows by default.
+    seed : int
+        Seed of the camera noise.
+
+    Returns
+    -------
+    SimulatedCalibrationFrames
+    """
+    instrument = Instrument.of(preset, slit_um=slit_um, offset_um=offset_um)
+    volts = calibration_scenes.sweep_volts(instrument)
+    transmission = Renderer(instrument, distal_light(), seed=seed + 2)
+    dark_tube = Renderer(instrument, empty(), seed=seed + 3)
+    return SimulatedCalibrationFrames(
+        line=_standing_line(instrument, calibration_scenes.line_volts(instrument), seed),
+        sweep=_standing_line(instrument, volts, seed + 1),
+        bundle=RenderedFrames(transmission.render, calibration_scenes.TRANSMISSION_FRAMES),
+        background=RenderedFrames(dark_tube.render, calibration_scenes.BACKGROUND_FRAMES),
+        volts=volts,
+        um_per_px=instrument.optics.um_per_px,
+        truth={"seed": seed, **truth.geometry(instrument)},
+    )
+
+
+def _standing_line(instrument: Instrument, volts: NDArray[np.float64], seed: int) -> RenderedFrames:
+    renderer = calibration_scenes.line_renderer(instrument, seed=seed)
+
+    def render(index: int) -> NDArray[np.uint8]:
+        return renderer.render(index, line_rows=calibration_scenes.held_rows(instrument, volts[index]))
+
+    return RenderedFrames(render, len(volts))
+
+
+def _simulated(
+    instrument: Instrument,
+    facts: dict[str, Any],
+    render: Callable[[int], NDArray[np.uint8]],
+    count: int,
+    depth_um: NDArray[np.float64] | None = None,
+) -> SimulatedRecording:
+    calibration = truth.true_calibration(instrument, calibration_scenes.background(instrument))
+    return SimulatedRecording(render, count, calibration, {**truth.geometry(instrument), **facts}, depth_um)
+
+
+def _write_json(path: Path, content: dict[str, Any], *, force: bool) -> None:
+    with replacing(path, force=force) as target:
+        target.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _scene(name: str, seed: int, um_per_px: float | None, camera_um_per_px: float) -> Scene:
+    if Path(name).suffix and not name.startswith("plate:"):  # plate:50.5 has no suffix
+        image = cv2.imread(name, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) if Path(name).is_file() else None
+        if image is None:
+            raise InputError(f"{name} is no image that can be read", "give PNG, TIFF or JPEG")
+        return picture(image, um_per_px or camera_um_per_px)
+    if um_per_px is not None:
+        raise InputError(f"the scene {name} has no pixels", "leave out --scene-um-per-px, or name an image file")
+    return scene(name, seed)
+
+
+def _trajectory(name: str, speed_um_s: float, seed: int) -> Trajectory:
+    return _recorded(Path(name)) if Path(name).suffix else trajectory(name, speed_um_s=speed_um_s, seed=seed)
+
+
+def _recorded(path: Path) -> Recorded:
+    """Read a path from CSV: columns time_s, row_um, col_um, as a track has them."""
+    wanted = ("time_s", "row_um", "col_um")
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [[float(row[name]) for name in wanted] for row in csv.DictReader(file)]
+    except FileNotFoundError:
+        raise InputError(f"there is no file {path}", "check the path") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path.name} is no recorded path ({error!s:.60})", f"give columns {', '.join(wanted)}"
+        ) from None
+    table = np.array(rows, np.float64).reshape(-1, 3)
+    return Recorded(table[:, 0], table[:, 1:])
