@@ -13,10 +13,10 @@ from benchmarks.harness.peers import peer
 from benchmarks.rigs.simulated import SimulatedRig, simulated_rig, tissue, without_timing
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Sectioner
+from napari_elsplus.processing.tracking.registry import Method as Tracking
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TemplateTracker
 from napari_elsplus.simulation.accuracy import track_errors
 from napari_elsplus.simulation.specimen.trajectories import trajectory
-from napari_elsplus.workflows.tracking import Method as Tracking
 from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:

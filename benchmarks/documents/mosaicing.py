@@ -19,10 +19,10 @@ from benchmarks.stability.pairs import SCENES, Statistics, cases, statistics
 from benchmarks.studies.drift import Drift, drift
 from benchmarks.studies.gate import Gate, Judged, gate, judged_links
 from benchmarks.studies.mosaicing import TRANSLATION, Outcome, Scenario, outcomes
+from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION
 from napari_elsplus.simulation.accuracy import WRONG_PX
 from napari_elsplus.workflows.pictures.files import save_figure
-from napari_elsplus.workflows.tracking import Method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

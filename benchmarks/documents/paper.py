@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from benchmarks.studies import paper
 from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT, contrast, white_level
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.workflows.pictures.comparison import TITLES, compare, draw_comparison
 from napari_elsplus.workflows.pictures.files import save_figure
-from napari_elsplus.workflows.tracking import Method
 
 if TYPE_CHECKING:
     from collections.abc import Callable

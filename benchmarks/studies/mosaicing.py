@@ -12,11 +12,12 @@ from benchmarks.rigs.simulated import StopAndGo, simulated_rig, without_timing
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.front_end.grid import Grid
+from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.simulation.accuracy import TrackErrors, track_errors
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import trajectory
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import Method, Pipeline
+from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

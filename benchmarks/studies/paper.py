@@ -13,12 +13,13 @@ from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, cont
 from napari_elsplus.processing.calibration.calibrate import Findings, measure
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.mosaicing.montage import montage
+from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.simulation import calibration_scenes as scenes
 from napari_elsplus.simulation.accuracy import CalibrationErrors, TrackErrors, calibration_errors, track_errors
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Raster
-from napari_elsplus.workflows.tracking import Method, Pipeline
+from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

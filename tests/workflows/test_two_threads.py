@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.workflows.tracking import Method, Pipeline
+from napari_elsplus.processing.tracking.registry import Method
+from napari_elsplus.workflows.tracking import Pipeline
 from napari_elsplus.workflows.two_threads import AHEAD, Pipelined
 from recordings import Truth, record, smooth_path, texture
 
@@ -36,7 +37,7 @@ def test_two_threads_give_what_one_gives_bit_for_bit(truth: Truth, method: Metho
     for index, raw in enumerate(frames):
         (one.add if lay else one.track)(raw, index, index / 240)
     camera = np.empty_like(frames[0])
-    with Pipelined(two, lay=lay) as threads:
+    with Pipelined(two, insert=lay) as threads:
         for index, raw in enumerate(frames):
             camera[:] = raw  # its memory is used again as soon as the call returns
             threads.add(camera, index, index / 240)
@@ -50,20 +51,20 @@ def test_two_threads_give_what_one_gives_bit_for_bit(truth: Truth, method: Metho
 
 def test_frames_are_linked_on_another_thread_and_no_more_than_a_few_are_under_way(truth: Truth) -> None:
     two, gate, linked_on, looked = pipeline(truth), threading.Event(), set(), []
-    place, look = two.place, two.look
+    estimate_pose, prepare_image = two.estimate_pose, two.prepare_image
 
-    def slow_place(image):
+    def slow_pose(image):
         gate.wait(10)
         linked_on.add(threading.current_thread().name)
-        return place(image)
+        return estimate_pose(image)
 
-    def counted_look(*arguments):
+    def counted_images(*arguments):
         looked.append(len(two.rows))
         if len(looked) == AHEAD:
             gate.set()
-        look(*arguments)
+        prepare_image(*arguments)
 
-    two.place, two.look = slow_place, counted_look
+    two.estimate_pose, two.prepare_image = slow_pose, counted_images
     add_all(two, truth.frames)
     assert looked[:AHEAD] == [0] * AHEAD  # while the first is linked, so many are taken
     assert all(index - done <= AHEAD for index, done in enumerate(looked))
@@ -75,14 +76,14 @@ def test_frames_are_linked_on_another_thread_and_no_more_than_a_few_are_under_wa
 
 def test_what_goes_wrong_in_linking_is_raised_and_ends_the_other_thread(truth: Truth) -> None:
     two = pipeline(truth)
-    place, count = two.place, iter(range(100))
+    estimate_pose, count = two.estimate_pose, iter(range(100))
 
     def breaks(image):
         if next(count) == 5:
             raise InputError("the sixth frame", "leave it out")
-        return place(image)
+        return estimate_pose(image)
 
-    two.place = breaks
+    two.estimate_pose = breaks
     with pytest.raises(InputError, match="the sixth frame"):
         add_all(two, truth.frames)
     assert [row.frame for row in two.rows] == list(range(5))

@@ -1,4 +1,4 @@
-"""What is made of the frames of a moving probe: which images, tracked and laid how."""
+"""Plan of a mosaic: image types, tracking method and insertion."""
 
 from __future__ import annotations
 
@@ -8,38 +8,38 @@ from typing import Final
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.workflows.tracking import Method
+from napari_elsplus.processing.tracking.registry import Method
 
 TRACKED_FIRST: Final = (Mode.ELS, Mode.LS, Mode.RESIDUAL, Mode.ELSA)
-"""Of the modes that are asked for, the first of these is tracked; the others are laid along its track."""
+"""Of the chosen modes the first in this order is tracked; the others are inserted along its track."""
 
 
 @dataclass(frozen=True)
 class MosaicPlan:
-    """What is made of a stack, or of the live stream.
+    """Image types, tracking method and insertion of the mosaics of a stack or of the live stream.
 
     Parameters
     ----------
     modes : tuple of Mode
         At least one.
-    method : Method
-        How the probe is tracked.
+    method : str
+        Name of the tracking method: "elsplus", "paper", or one that was registered.
     insertion : Insertion
-        How frames are laid over one another.
+        How overlapping frames are combined.
     """
 
     modes: tuple[Mode, ...] = (Mode.ELS,)
-    method: Method = Method.ELSPLUS
+    method: str = Method.ELSPLUS
     insertion: Insertion = Insertion.DEAD_LEAF
 
     @property
     def tracked(self) -> Mode:
-        """The mode that is tracked.
+        """The image type to track.
 
         Raises
         ------
         InputError
-            If none is asked for.
+            If no mode is chosen.
         """
         found = next((mode for mode in TRACKED_FIRST if mode in self.modes), None)
         if found is None:

@@ -12,10 +12,11 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.registry import Method, tracking_method
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.progress import without_display
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED, Method, Pipeline
+from napari_elsplus.workflows.tracking import UNLINKED, Pipeline
 from napari_elsplus.workflows.two_threads import Pipelined
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def mosaic(
     calibration: Calibration,
     mode: Mode | str = Mode.ELS,
     *,
-    method: Method | str = Method.ELSPLUS,
+    method: str = Method.ELSPLUS,
     insertion: Insertion | str = Insertion.DEAD_LEAF,
     times_s: Sequence[float] | NDArray[np.float64] | None = None,
     progress: Progress = without_display,
@@ -109,8 +110,9 @@ def mosaic(
         the motion.
     mode : Mode or str
         Image type to track and insert: ``"els"``, ``"ls"``, ``"residual"`` or ``"elsa"``.
-    method : Method or str
-        Tracking method: ``"elsplus"`` (sub-pixel, rolling shutter corrected) or ``"paper"`` (template matching).
+    method : str
+        Tracking method: ``"elsplus"`` (sub-pixel, rolling shutter corrected), ``"paper"`` (template matching), or one
+        that was registered.
     insertion : Insertion or str
         Rule by which overlapping images are combined.
     times_s : sequence of float, optional
@@ -137,7 +139,7 @@ def mosaic(
         pipeline.rows,
         len(pipeline.mosaics),
         calibration,
-        {"method": Method(method).value, "mode": Mode(mode).value, "insertion": Insertion(insertion).value},
+        {"method": str(method), "mode": Mode(mode).value, "insertion": Insertion(insertion).value},
         notes + ((UNLINKED,) if _count_tracked(pipeline) < 2 else ()),
     )
 
@@ -147,7 +149,7 @@ def track(
     calibration: Calibration,
     mode: Mode | str = Mode.ELS,
     *,
-    method: Method | str = Method.ELSPLUS,
+    method: str = Method.ELSPLUS,
     times_s: Sequence[float] | NDArray[np.float64] | None = None,
     progress: Progress = without_display,
 ) -> list[TrackPoint]:
@@ -170,7 +172,7 @@ def _tracked(
     raw: Frames,
     calibration: Calibration,
     mode: Mode | str,
-    method: Method | str,
+    method: str,
     insertion: Insertion | str,
     times_s: Sequence[float] | NDArray[np.float64] | None,
     progress: Progress,
@@ -179,11 +181,11 @@ def _tracked(
     pairs = RawPairs(raw, mode)
     times_s = getattr(raw, "times_s", None) if times_s is None else times_s
     note = ""
-    if Method(method) is Method.ELSPLUS:
+    if tracking_method(method).corrects_rolling_shutter:
         calibration, note = with_timing(calibration, pairs, mode)
     rows, cols = raw[0].shape
     pipeline = Pipeline(calibration, (rows, cols), mode, method=method, insertion=insertion)
-    with Pipelined(pipeline, lay=False) as two_threads:
+    with Pipelined(pipeline, insert=False) as two_threads:
         for index in progress(range(len(pairs)), "Tracking"):
             frame = pairs.frame(index)
             confocal, residual = pairs(index)

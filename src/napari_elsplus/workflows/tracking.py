@@ -1,9 +1,8 @@
-"""Raw frames to a track and a mosaic, frame by frame as they come, or a whole recording at once."""
+"""Track the probe through raw frames and insert them into mosaics, frame by frame or over a whole recording."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -11,8 +10,8 @@ import numpy as np
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.tracking.methods import RegistrationTracking, TemplateTracking, TrackingMethod
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.registry import Method, tracking_method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -27,37 +26,28 @@ if TYPE_CHECKING:
 
 
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
-"""What to say of a track of which less than two frames are tracked."""
-
-
-class Method(StrEnum):
-    """How the probe is tracked."""
-
-    ELSPLUS = "elsplus"
-    """Sub-pixel, rolling shutter undone, gated: this project's method."""
-    PAPER = "paper"
-    """Whole-pixel template matching from frame to frame, as Thrapp and Hughes describe it: the baseline."""
+"""Note for the user where fewer than two frames of a track are tracked."""
 
 
 class Pipeline:
-    """Turns raw frames into a track and a mosaic while they come.
+    """Tracks raw frames and inserts them into mosaics as they arrive.
 
     One thread adds frames; any thread may read :attr:`rows` and the mosaics.
 
     Parameters
     ----------
     calibration : Calibration
-        Needs the bundle section. Without rows per frame the rolling shutter is left uncorrected.
+        Needs the bundle section. Without the line periods per frame the rolling shutter is not corrected.
     frame_shape : tuple of int
         Rows and columns of the raw frames.
     mode : Mode or str
-        Which image is tracked and laid into the mosaic.
-    method : Method or str
-        How the probe is tracked.
+        Image type to track and insert.
+    method : str
+        Name of the tracking method: "elsplus", "paper", or one that was registered.
     insertion : Insertion or str
-        How frames are laid over one another.
+        How overlapping frames are combined.
     new_store : callable, optional
-        Makes the store of a segment's tiles; on the heap by default.
+        Returns the tile store of a segment, given its number; on the heap by default.
 
     Attributes
     ----------
@@ -70,6 +60,8 @@ class Pipeline:
     ------
     CalibrationError
         If the bundle was not located, or does not fit the frames.
+    InputError
+        If there is no such tracking method.
     """
 
     def __init__(
@@ -78,18 +70,17 @@ class Pipeline:
         frame_shape: tuple[int, int],
         mode: Mode | str = Mode.ELS,
         *,
-        method: Method | str = Method.ELSPLUS,
+        method: str = Method.ELSPLUS,
         insertion: Insertion | str = Insertion.DEAD_LEAF,
         new_store: Callable[[int], TileStore] | None = None,
     ) -> None:
-        ours = Method(method) is Method.ELSPLUS
-        make: Callable[..., TrackingMethod] = RegistrationTracking if ours else TemplateTracking
-        self._tracking = make(calibration, frame_shape, Mode(mode))
+        registered = tracking_method(method)
+        self._tracking = registered.factory(calibration, frame_shape, Mode(mode))
         self._camera_um_per_px = calibration.um_per_px
         self._insertion = Insertion(insertion)
         self._new_store = new_store
         self._weights = np.ones((self.grid.side,) * 2, np.float32)
-        if ours:
+        if registered.tapers_rim:
             subtracts = Mode(mode) in (Mode.ELS, Mode.ELSA) and calibration.offset is not None
             away = calibration.offset.rows / self.grid.binning if subtracts and calibration.offset else 0.0
             self._weights = rim_weights(self.grid, away)
@@ -109,65 +100,81 @@ class Pipeline:
 
     @property
     def um_per_px(self) -> float | None:
-        """Micrometres for a pixel of the mosaics, where the calibration knows the scale."""
+        """Micrometres per pixel of the mosaics; None if not calibrated."""
         return None if self._camera_um_per_px is None else self._camera_um_per_px * self._tracking.scale
 
     def add(
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
     ) -> TrackPoint:
-        """Track a raw frame and lay it into the mosaic of its segment.
+        """Track a raw frame and insert it into the mosaic of its segment.
 
         Parameters
         ----------
         raw : numpy.ndarray
             (rows, cols) raw frame.
         frame : int
-            Its number.
+            Frame number.
         time_s : float
-            When it was taken.
+            Time of the frame, seconds.
         raw_residual : numpy.ndarray, optional
-            The frame that the residual is taken from (ELSA); the same one by default.
+            (rows, cols) frame of which the residual view is used (ELSA); the same one by default.
         """
-        pose, image = self.find(raw, raw_residual)
-        self.keep(image, pose, frame, time_s)
+        pose, image = self.locate(raw, raw_residual)
+        self.append(image, pose, frame, time_s)
         return self.rows[-1]
 
-    def find(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> tuple[Pose, NDArray[np.float32]]:
-        """Do the first parts of :meth:`add`: find where a frame lies; its image, too, is good until the next call."""
+    def locate(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> tuple[Pose, NDArray[np.float32]]:
+        """Return the pose of a raw frame and its image, valid until the next call; parameters as of :meth:`add`."""
         return self._tracking.track(raw, raw if raw_residual is None else raw_residual)
 
     def track(
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
     ) -> TrackPoint:
-        """Do what :meth:`add` does, but leave the mosaics to :meth:`finish`."""
+        """Do what :meth:`add` does without inserting; :meth:`finish` makes the mosaics."""
         pose, _ = self._tracking.track(raw, raw if raw_residual is None else raw_residual)
         self._note(pose, frame, time_s)
         return self.rows[-1]
 
-    def look(self, raw: NDArray[Any], out: NDArray[np.float32], raw_residual: NDArray[Any] | None = None) -> None:
-        """Do the first part of :meth:`add`: make the image (side, side) by which a raw frame is tracked."""
-        self._tracking.look(raw, raw if raw_residual is None else raw_residual, out)
+    def prepare_image(
+        self, raw: NDArray[Any], out: NDArray[np.float32], raw_residual: NDArray[Any] | None = None
+    ) -> None:
+        """Write the tracking image (side, side) of a raw frame into `out`: the first stage of :meth:`add`."""
+        self._tracking.prepare_image(raw, raw if raw_residual is None else raw_residual, out)
 
-    def place(self, image: NDArray[np.float32]) -> Pose:
-        """Do the second: find where the frame of such an image lies, next to those that were placed before."""
-        return self._tracking.place(image)
+    def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
+        """Return the pose of the next frame from its tracking image: the second stage of :meth:`add`."""
+        return self._tracking.estimate_pose(image)
 
-    def keep(self, image: NDArray[np.float32], pose: Pose, frame: int, time_s: float, *, lay: bool = True) -> None:
-        """Do the last: put a frame into the track, and its image into the mosaic."""
+    def append(self, image: NDArray[np.float32], pose: Pose, frame: int, time_s: float, *, insert: bool = True) -> None:
+        """Append a frame to the track and insert its image into the mosaic: the last stage of :meth:`add`.
+
+        Parameters
+        ----------
+        image : numpy.ndarray
+            (side, side) float32 tracking image.
+        pose : Pose
+            Its pose.
+        frame : int
+            Frame number.
+        time_s : float
+            Time of the frame, seconds.
+        insert : bool
+            False to leave the mosaic as it is.
+        """
         self._note(pose, frame, time_s)
-        if lay:
-            self.put(image, pose)
+        if insert:
+            self.insert(image, pose)
 
-    def lay(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
-        """Lay a raw frame down where another pipeline, of another mode, has found it to be."""
-        self.put(self.image(raw, raw_residual), pose)
+    def insert_raw(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
+        """Insert a raw frame at a pose that the pipeline of another mode has estimated; others as of :meth:`add`."""
+        self.insert(self.image(raw, raw_residual), pose)
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> NDArray[np.float32]:
-        """Return a frame's image (side, side), which is good until the next call."""
+        """Return the tracking image (side, side) of a raw frame, valid until the next call; as of :meth:`add`."""
         return self._tracking.image(raw, raw if raw_residual is None else raw_residual)
 
-    def put(self, image: NDArray[np.float32], pose: Pose) -> Mosaic | None:
-        """Lay an image down where its frame was tracked; return the mosaic that it lies in then."""
+    def insert(self, image: NDArray[np.float32], pose: Pose) -> Mosaic | None:
+        """Insert a tracking image (side, side) at its pose; return its mosaic, or None if it was not tracked."""
         if pose.state is not TrackingState.TRACKED:
             return None
         mosaic = self.mosaics.get(pose.segment)
@@ -178,21 +185,21 @@ class Pipeline:
         return mosaic
 
     def blank_mosaic(self, store: TileStore | None = None) -> Mosaic:
-        """Make a mosaic like those that frames are laid into."""
+        """Return an empty mosaic with this pipeline's grid, insertion and weights, in a tile store."""
         return Mosaic(self.grid, self._insertion, weights=self._weights, store=store)
 
     @property
-    def newest_link(self) -> tuple[int, int, PairRegistration] | None:
-        """The link by which a frame was tracked last: the earlier and the later one, by their order, and itself."""
-        return self._tracking.newest_link
+    def newest_registration(self) -> tuple[int, int, PairRegistration] | None:
+        """Indices of the earlier and the later frame last registered, and their registration; None if there is none."""
+        return self._tracking.newest_registration
 
     @property
-    def rung(self) -> MotionModel:
-        """What is modelled beside translations."""
-        return self._tracking.rung
+    def motion_model(self) -> MotionModel:
+        """The motion model in use."""
+        return self._tracking.motion_model
 
-    def forget(self, segment: int) -> None:
-        """Take a segment's mosaic away, and call its frames lost."""
+    def discard_segment(self, segment: int) -> None:
+        """Remove the mosaic of a segment and mark its frames lost."""
         self.mosaics.pop(segment, None)
         for index, pose in enumerate(self.poses):
             if pose.segment == segment and pose.state is not TrackingState.LOST:
@@ -201,7 +208,15 @@ class Pipeline:
                 self.rows[index] = self._row(lost, self.rows[index].frame, self.rows[index].time_s)
 
     def relocate(self, segment: NDArray[np.int64], row: NDArray[np.float64], col: NDArray[np.float64]) -> None:
-        """Say of every row of the track where its frame belongs: (n,) segments, and pixels of the mosaic."""
+        """Set the position of every frame of the track.
+
+        Parameters
+        ----------
+        segment : numpy.ndarray
+            (n,) segment numbers.
+        row, col : numpy.ndarray
+            (n,) positions, pixels of the mosaic.
+        """
         scale, um = self._scales
         where = zip(segment.tolist(), (row * scale).tolist(), (col * scale).tolist(), strict=True)
         self.rows = [
@@ -209,22 +224,22 @@ class Pipeline:
             for point, (into, down, across) in zip(self.rows, where, strict=True)
         ]
 
-    def forget_the_past(self) -> None:
-        """Keep of track and links only the newest row: for streams without end whose track is kept elsewhere.
+    def discard_history(self) -> None:
+        """Discard all rows of the track but the newest, and the registrations: for streams of unlimited length.
 
-        What was laid stays, and tracking goes on; :meth:`finish` has nothing to refine then.
+        Mosaics stay and tracking continues; :meth:`finish` has nothing to refine then.
         """
         del self.rows[:-1], self.poses[:-1]
-        self._tracking.forget_links()
+        self._tracking.discard_registrations()
 
     def refine(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]) -> None:
-        """Close loops, join segments and solve for all positions at once; mosaics are left as they are.
+        """Close loops, join segments and solve the pose graph; mosaics are left as they are.
 
         Parameters
         ----------
         raw_pair : callable
-            Returns by its index, in the order in which frames were added, a raw frame and the one that its residual is
-            taken from.
+            Returns, by the index in the order in which frames were added, a raw frame and the frame of which the
+            residual view is used.
         """
         self.poses = self._tracking.refine(self.poses, lambda index: self._tracking.image(*raw_pair(index)))
         self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
@@ -246,7 +261,7 @@ class Pipeline:
         self.refine(raw_pair)
         self.mosaics = {}
         for index in progress([k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]):
-            self.put(self.image(*raw_pair(index)), self.poses[index])
+            self.insert(self.image(*raw_pair(index)), self.poses[index])
 
     def _note(self, pose: Pose, frame: int, time_s: float) -> None:
         self.poses.append(pose)

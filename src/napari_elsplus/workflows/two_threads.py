@@ -1,4 +1,4 @@
-"""Tracking on two threads: while one frame is linked and laid down, the next one's image is made."""
+"""Tracking on two threads: one prepares images, the other registers and inserts the frames before."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ if TYPE_CHECKING:
     from napari_elsplus.workflows.tracking import Pipeline
 
 AHEAD: Final = 4
-"""Frames that are under way at once: enough that neither thread waits for the other's slowest frame."""
+"""Frames in progress at once; chosen so that neither thread waits for the other's slowest frame."""
 
 
 class Pipelined:
     """Adds frames to a pipeline on two threads; the track and the mosaics are the same, bit for bit, as on one.
 
-    The caller's thread makes the images, another one links them and lays them down: the first does little in Python, so
-    that the two seldom wait for each other's lock; the kernels hold none while they work. A context manager: on
-    leaving it all frames are in the track, and the other thread has ended.
+    The caller's thread prepares the images, a second one registers and inserts them. Kernels release the interpreter's
+    lock, and the first thread runs little Python beside them. A context manager: on exit all frames are in the track,
+    and the second thread has ended.
 
     Parameters
     ----------
     pipeline : Pipeline
-        What the frames are added to; nothing else may be added to it meanwhile, any thread may read it.
-    lay : bool
-        Whether frames are laid into mosaics as they come, or left to :meth:`Pipeline.finish`.
+        Receives the frames; nothing else may be added to it meanwhile, any thread may read it.
+    insert : bool
+        True to insert frames as they arrive, False to leave that to :meth:`Pipeline.finish`.
     """
 
-    def __init__(self, pipeline: Pipeline, *, lay: bool = True) -> None:
-        self._pipeline, self._lay = pipeline, lay
+    def __init__(self, pipeline: Pipeline, *, insert: bool = True) -> None:
+        self._pipeline, self._insert = pipeline, insert
         self._linker = ThreadPoolExecutor(1, thread_name_prefix="link")
         self._images = deque(np.zeros((pipeline.grid.side,) * 2, np.float32) for _ in range(AHEAD))
         self._under_way: deque[Future[None]] = deque()
@@ -45,40 +45,40 @@ class Pipelined:
     def add(
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
     ) -> None:
-        """Take a raw frame, which is free again on return; wait while too many are under way.
+        """Add a raw frame, which may be overwritten on return; wait while too many are in progress.
 
-        Parameters are those of :meth:`Pipeline.add`. What went wrong in linking an earlier frame is raised here, or on
-        leaving the context; frames from that one on are then not in the track.
+        Parameters are those of :meth:`Pipeline.add`. An error in an earlier frame's registration is raised here, or on
+        leaving the context; that frame and those after it are then not in the track.
         """
         while self._under_way and (len(self._under_way) == AHEAD or self._under_way[0].done()):
             self._under_way.popleft().result()
         image = self._images[0]
-        self._pipeline.look(raw, image, raw_residual)
+        self._pipeline.prepare_image(raw, image, raw_residual)
         self._images.rotate(-1)
         self._under_way.append(self._linker.submit(self._link, image, frame, time_s))
 
     def wait(self) -> None:
-        """Return when all frames that were added are in the track."""
+        """Wait until all frames that were added are in the track."""
         while self._under_way:
             self._under_way.popleft().result()
 
     def _link(self, image: NDArray[np.float32], frame: int, time_s: float) -> None:
-        """Put a frame into the track, on the other thread; none after one with which something went wrong."""
+        """Append a frame to the track, on the second thread; none after one that failed."""
         if self._broken:
             return
         self._broken = True
-        pose = self._pipeline.place(image)
-        self._pipeline.keep(image, pose, frame, time_s, lay=self._lay)
+        pose = self._pipeline.estimate_pose(image)
+        self._pipeline.append(image, pose, frame, time_s, insert=self._insert)
         self._broken = False
 
     def __enter__(self) -> Self:
-        """Begin."""
+        """Return this object."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End: frames added before something went wrong are in the track, as they would be on one thread."""
+        """Wait for the second thread; frames added before an error are in the track."""
         try:
             self.wait()
         finally:

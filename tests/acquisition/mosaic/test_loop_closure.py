@@ -20,8 +20,9 @@ from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.tracking import tracker as tracking
+from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
-from napari_elsplus.workflows.tracking import Method, Pipeline
+from napari_elsplus.workflows.tracking import Pipeline
 from recordings import Truth, record, texture
 
 ROUND = 60

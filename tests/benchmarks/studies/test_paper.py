@@ -4,9 +4,9 @@ import pytest
 
 from benchmarks.studies import paper
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight
-from napari_elsplus.workflows.tracking import Method
 
 
 def test_a_calibration_from_frames_finds_the_instrument() -> None:

@@ -8,11 +8,12 @@ import pytest
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
+from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.viewing.mosaic.trackable import images_as_they_are
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import Method, Pipeline
+from napari_elsplus.workflows.tracking import Pipeline
 from recordings import Truth, record, smooth_path, texture
 
 FRAMES = 24

@@ -230,7 +230,7 @@ def test_scripts_settings_and_themes(viewer, panel, qtbot, scan):
     text = QApplication.clipboard().text()
     compile(text, "script", "exec")
     assert str(scan) in text
-    assert "Method.PAPER" in text
+    assert "'paper'" in text
     make(panel, qtbot)
     assert recall("mosaic") == {"method": "paper", "insertion": "feathered", "modes": ["els"]}
     for theme in ("light", "dark"):

@@ -106,7 +106,7 @@ class LiveInsertion:
             self._lay(found, self.pipeline.image(raw) if image is None else image, keep=keep)
 
     def _lay(self, found: TrackedFrame, image: NDArray[np.float32], *, keep: bool = False) -> None:
-        mosaic = self.pipeline.put(image, found.place)
+        mosaic = self.pipeline.insert(image, found.place)
         assert mosaic is not None, "a frame that was not tracked has no place"
         self._newest = found, image
         self._tell(found.place.segment, mosaic)

@@ -19,8 +19,9 @@ from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.pose_graph.correction import Corrections, Path
 from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector
+from napari_elsplus.processing.tracking.registry import tracking_method
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
-from napari_elsplus.workflows.tracking import Method, Pipeline
+from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -130,7 +131,8 @@ class LiveTrack:
         self._corrections = Corrections()
         self._forgotten = 0
         self._trail = KeyframeSelector(self.pipeline.grid)
-        self._closing = LoopClosureThread(self.pipeline.grid, self) if plan.method is Method.ELSPLUS else None
+        closes_loops = tracking_method(plan.method).closes_loops
+        self._closing = LoopClosureThread(self.pipeline.grid, self) if closes_loops else None
 
     def add(self, raw: NDArray[np.uint8], stamp: Stamp) -> None:
         """Track a frame and lay it into the mosaics."""
@@ -140,16 +142,16 @@ class LiveTrack:
             if self._closing is not None and self._closing.failed is not None:
                 raise self._closing.failed
             number, time_s = self._since_the_first(stamp)
-            pose, image = self.pipeline.find(raw)
+            pose, image = self.pipeline.locate(raw)
             place = self._corrections.newest(pose.segment).of(pose)
-            self.pipeline.keep(image, place, number, time_s, lay=False)
+            self.pipeline.append(image, place, number, time_s, insert=False)
             self._counts.setdefault(place.segment, Counter())[place.state] += 1
             found = TrackedFrame(self._path.add(pose.segment, pose.row, pose.col), number, pose, place)
             self._lay(found, raw, image)
             if self._board is not None:
                 self._board.append(self.pipeline.rows[-1])
                 if len(self.pipeline.rows) > REMEMBERED_FRAMES:
-                    self.pipeline.forget_the_past()  # the board has it all
+                    self.pipeline.discard_history()  # the board has it all
 
     def settle(self) -> None:
         """Return once all loops are closed and all frames lie where they belong."""
@@ -166,7 +168,7 @@ class LiveTrack:
                 return False
             last = max(self.pipeline.mosaics)
             segments = {s for s in self._path.segments if self._corrections.newest(s).segment == last}
-            self.pipeline.forget(last)
+            self.pipeline.discard_segment(last)
             for laying in self._layings.values():
                 laying.forget(last, segments)
             self._path.forget(segments)
@@ -244,18 +246,18 @@ class LiveTrack:
             calibration, frame_shape, mode, method=plan.method, insertion=plan.insertion, new_store=new_store
         )  # fmt: skip
         frame_bytes = np.dtype(np.int16).itemsize * pipeline.grid.side**2
-        most = KEPT_BYTES // len(plan.modes) // frame_bytes if plan.method is Method.ELSPLUS else 0
+        most = KEPT_BYTES // len(plan.modes) // frame_bytes if tracking_method(plan.method).closes_loops else 0
         return (AlternatingInsertion if mode is Mode.ELSA else LiveInsertion)(pipeline, most, board, image)
 
     def _lay(self, found: TrackedFrame, raw: NDArray[np.uint8], image: NDArray[np.float32]) -> None:
         node = None
         if found.pose.state is TrackingState.TRACKED and self._closing is not None:
-            node = self._trail.add(found.frame, found.pose, self.pipeline.newest_link)
+            node = self._trail.add(found.frame, found.pose, self.pipeline.newest_registration)
         for mode, laying in self._layings.items():
             tracked = mode is self._plan.tracked
             laying.add(found, raw, image if tracked else None, keep=tracked and node is not None)
             if tracked and node is not None and self._closing is not None:
-                self._hand_over(Seen(node, laying.kept.recent(node.frame), self.pipeline.rung))
+                self._hand_over(Seen(node, laying.kept.recent(node.frame), self.pipeline.motion_model))
 
     def _hand_over(self, seen: Seen) -> None:
         assert self._closing is not None

@@ -10,8 +10,8 @@ from napari_elsplus.cli.options import FILE, calibration_option, force_option, o
 from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
+from napari_elsplus.processing.tracking.registry import Method, tracking_methods
 from napari_elsplus.workflows.mosaicing import mosaic as make_mosaic
-from napari_elsplus.workflows.tracking import Method
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     "--mode", type=click.Choice([m.value for m in Mode]), default="els", show_default=True, help="Which image."
 )
 @click.option(
-    "--method", type=click.Choice([m.value for m in Method]), default="elsplus", show_default=True,
-    help="elsplus: sub-pixel, rolling shutter undone; paper: the paper's template matching.",
+    "--method", type=click.Choice(list(tracking_methods())), default=Method.ELSPLUS.value, show_default=True,
+    help="; ".join(f"{name}: {method.description}" for name, method in tracking_methods().items()) + ".",
 )  # fmt: skip
 @click.option(
     "--insertion", type=click.Choice([i.value for i in Insertion]), default="dead-leaf", show_default=True,

@@ -1,4 +1,8 @@
-"""The ways in which raw frames are tracked, behind one protocol: ours, and the paper's."""
+"""Tracking methods: the protocol, sub-pixel registration with a pose graph, and the paper's template matching.
+
+:mod:`~napari_elsplus.processing.tracking.registry` lists them by name; a method made of any pairwise registration is
+:class:`~napari_elsplus.processing.tracking.pairwise_tracking.PairwiseTracking`.
+"""
 
 from __future__ import annotations
 
@@ -28,45 +32,56 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame
 
-_KEPT_VIEWS: Final = 300
-"""Views of frames that are kept while a track is finished; others are made anew when they are needed."""
+_MAX_PREPARED_FRAMES: Final = 300
+"""Prepared frames kept in memory during refinement, frames of some 0.3 MB each; chosen, others are computed again."""
 
 
 class TrackingMethod(Protocol):
-    """What a method does with raw frames; `raw_residual` is the frame that the residual is taken from."""
+    """Estimates the pose of the probe for each frame of a sequence.
+
+    Frames are (rows, cols) as the camera delivers them. `raw_residual` is the frame of which the residual view is used:
+    the same as `raw` except in ELSA. Images are (n, n) float32 on `grid`; poses are in pixels of `grid`.
+
+    Attributes
+    ----------
+    grid : Grid
+        The grid of the tracked images and of the mosaic.
+    scale : float
+        Camera pixels per pixel of the grid.
+    """
 
     grid: Grid
     scale: float
 
     def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
-        """Return where a frame lies, and its image, which is good until the next call."""
+        """Return the pose of the next raw frame, and its image, which is valid until the next call."""
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        """Return a frame's image, which is good until the next call."""
+        """Return the image of a raw frame, which is valid until the next call."""
 
-    def look(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        """Make the image of a frame that is to be placed."""
+    def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
+        """Write the image of a raw frame into `out`, (n, n); may run while another thread is in `estimate_pose`."""
 
-    def place(self, image: NDArray[np.float32]) -> Pose:
-        """Return where the frame of such an image lies."""
+    def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
+        """Return the pose of the next frame from its prepared image."""
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        """Return better poses, once all frames are there."""
+        """Return the poses refined over the whole sequence; `image` returns a frame's image by its index."""
 
-    def forget_links(self) -> None:
-        """Let go of what only :meth:`refine` needs."""
-
-    @property
-    def newest_link(self) -> tuple[int, int, PairRegistration] | None:
-        """The link by which a frame was tracked last, if it is kept."""
+    def discard_registrations(self) -> None:
+        """Free what only :meth:`refine` uses: for sequences without end."""
 
     @property
-    def rung(self) -> MotionModel:
-        """What is modelled beside translations."""
+    def newest_registration(self) -> tuple[int, int, PairRegistration] | None:
+        """Indices of the earlier and the later frame last registered, and their registration; None if there is none."""
+
+    @property
+    def motion_model(self) -> MotionModel:
+        """The motion model in use: translation, rigid or similarity."""
 
 
-class RegistrationTracking:
-    """Sub-pixel, rolling shutter undone, gated.
+class FrontEndImages:
+    """Images of the front end: split, subtracted, flat-fielded and binned near one pixel per core.
 
     Parameters
     ----------
@@ -75,72 +90,102 @@ class RegistrationTracking:
     frame_shape : tuple of int
         Rows and columns of the raw frames.
     mode : Mode
-        Which image is tracked.
+        Image type to track.
     """
 
     def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
         self._front_end = FrontEnd(calibration, frame_shape, mode)
         self.grid = self._front_end.grid
         self.scale = float(self.grid.binning)
-        self._tracker = Tracker(self.grid)
         self._image = np.zeros((self.grid.side, self.grid.side), np.float32)
 
-    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
-        """Return where a frame lies, and its image, which is good until the next call."""
-        image = self._tracker.slot()
-        self.look(raw, raw_residual, image)
-        return self._tracker.add(), image
+    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
+        """See :meth:`TrackingMethod.image`."""
+        return self._front_end.image(raw, self._image, raw_residual)
 
-    def look(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        """Make the image of a frame that is to be placed."""
+    def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
+        """See :meth:`TrackingMethod.prepare_image`; the image of a frame without contrast is zero."""
         self._front_end.image(raw, out, raw_residual)
         if self._front_end.blank(raw):
             out[:] = 0
 
-    def place(self, image: NDArray[np.float32]) -> Pose:
-        """Return where the frame of such an image lies."""
+
+class RegistrationTracking(FrontEndImages):
+    """Sub-pixel registration to keyframes with rolling-shutter correction, acceptance tests, and loop closure.
+
+    Parameters are those of :class:`FrontEndImages`.
+    """
+
+    def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
+        super().__init__(calibration, frame_shape, mode)
+        self._tracker = Tracker(self.grid)
+
+    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
+        """See :meth:`TrackingMethod.track`."""
+        image = self._tracker.slot()
+        self.prepare_image(raw, raw_residual, image)
+        return self._tracker.add(), image
+
+    def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
+        """See :meth:`TrackingMethod.estimate_pose`."""
         self._tracker.slot()[:] = image
         return self._tracker.add()
 
-    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        """Return a frame's image, which is good until the next call."""
-        return self._front_end.image(raw, self._image, raw_residual)
-
     def line_periods_per_frame(self) -> LinePeriodsPerFrame | None:
-        """Return what the motion so far tells of the timing, in camera rows."""
+        """Return the frame period in camera line periods, estimated from the motion so far; None if unconstrained."""
         found = estimate_line_periods_per_frame(self._tracker.links, self.grid.shutter)
         return None if found is None else LinePeriodsPerFrame(found.rows * self.scale, found.sigma * self.scale)
 
-    def forget_links(self) -> None:
-        """Let go of what only :meth:`refine` needs."""
+    def discard_registrations(self) -> None:
+        """See :meth:`TrackingMethod.discard_registrations`."""
         self._tracker.links.clear()
 
     @property
-    def newest_link(self) -> tuple[int, int, PairRegistration] | None:
-        """The link by which a frame was tracked last, if it is kept."""
+    def newest_registration(self) -> tuple[int, int, PairRegistration] | None:
+        """See :class:`TrackingMethod`."""
         if not self._tracker.links:
             return None
-        earlier, later, _, link = self._tracker.links[-1]
-        return earlier, later, link
+        earlier, later, _, registration = self._tracker.links[-1]
+        return earlier, later, registration
 
     @property
-    def rung(self) -> MotionModel:
-        """What is modelled beside translations."""
+    def motion_model(self) -> MotionModel:
+        """The motion model that the score tests have selected so far."""
         return self._tracker.rung
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        """Return better poses, once all frames are there."""
+        """Return the poses of the solved pose graph: loops closed, segments joined; see :class:`TrackingMethod`."""
         registrar = self._tracker.registrar
-        views = RecentFrames(registrar, _KEPT_VIEWS)
+        prepared = RecentFrames(registrar, _MAX_PREPARED_FRAMES)
 
-        def view(index: int) -> PreparedFrame:
-            return views.get(index) or views.add(index, lambda out: np.copyto(out, image(index)))
+        def frame(index: int) -> PreparedFrame:
+            return prepared.get(index) or prepared.add(index, lambda out: np.copyto(out, image(index)))
 
-        return refine(poses, self._tracker.links, registrar, view, self._tracker.rung)
+        return refine(poses, self._tracker.links, registrar, frame, self._tracker.rung)
 
 
-class TemplateTracking:
-    """Whole-pixel template matching (Thrapp and Hughes 2021); parameters as of :class:`RegistrationTracking`."""
+class WithoutPoseGraph:
+    """The part of :class:`TrackingMethod` that a method without a pose graph leaves as it is."""
+
+    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
+        """Return the poses unchanged: no loops are closed; see :meth:`TrackingMethod.refine`."""
+        return poses
+
+    def discard_registrations(self) -> None:
+        """Do nothing: no registrations are kept."""
+
+    @property
+    def newest_registration(self) -> None:
+        """None: no registrations are kept."""
+
+    @property
+    def motion_model(self) -> MotionModel:
+        """Translation."""
+        return MotionModel.TRANSLATION
+
+
+class TemplateTracking(WithoutPoseGraph):
+    """Whole-pixel template matching (Thrapp and Hughes 2021); parameters as of :class:`FrontEndImages`."""
 
     def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
         self._sectioner, self._mode = Sectioner(calibration, frame_shape), mode
@@ -148,35 +193,19 @@ class TemplateTracking:
         self.grid, self.scale = self._tracker.grid, self._tracker.scale
 
     def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
-        """Return where a frame lies, and its image, which is good until the next call."""
+        """See :meth:`TrackingMethod.track`."""
         image = self.image(raw, raw_residual)
         return self._tracker.add(image), image
 
-    def look(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        """Make the image of a frame that is to be placed."""
+    def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
+        """See :meth:`TrackingMethod.prepare_image`."""
         out[:] = self.image(raw, raw_residual)
 
-    def place(self, image: NDArray[np.float32]) -> Pose:
-        """Return where the frame of such an image lies."""
+    def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
+        """See :meth:`TrackingMethod.estimate_pose`."""
         return self._tracker.add(image)
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        """Return a frame's image, which is good until the next call."""
+        """See :meth:`TrackingMethod.image`."""
         frames = [raw] if self._mode is not Mode.ELSA else [raw, raw_residual]
         return self._tracker.prepare(self._sectioner.image(frames, 0, self._mode))
-
-    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        """Return the poses as they are: the paper closes no loops."""
-        return poses
-
-    def forget_links(self) -> None:
-        """Keep nothing: there is nothing to refine."""
-
-    @property
-    def newest_link(self) -> None:
-        """None: whole-pixel matches have no covariance."""
-
-    @property
-    def rung(self) -> MotionModel:
-        """Translations alone."""
-        return MotionModel.TRANSLATION

@@ -69,7 +69,7 @@ def save_mosaics(
     }  # fmt: skip
     for mode, one in names.items():
         image, weight = Sheet.of(mosaics.canvases[mode], layout).read(part)
-        settings = {"mode": mode.value, "method": plan.method.value, "insertion": plan.insertion.value}
+        settings = {"mode": mode.value, "method": str(plan.method), "insertion": plan.insertion.value}
         write_mosaic(
             path.with_name(f"{one}.ome.tif"), image, um_per_px, calibration=calibration,
             metadata={**settings, "first_frames_px": places}, force=force,
@@ -100,11 +100,10 @@ from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.workflows.tracking import Method
 from napari_elsplus.viewing.mosaic.files import save_mosaics
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 
-plan = MosaicPlan(({modes},), Method.{plan.method.name}, Insertion.{plan.insertion.name})
+plan = MosaicPlan(({modes},), {str(plan.method)!r}, Insertion.{plan.insertion.name})
 calibration = read_calibration({calibration_path!r})
 with open_recording({frames_path!r}) as recording:
     mosaics = StackMosaics(recording, calibration, plan, recording.times_s)

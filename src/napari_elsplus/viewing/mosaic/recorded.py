@@ -14,13 +14,14 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.registry import tracking_method
 from napari_elsplus.viewing.mosaic.growing import GrowingImage
 from napari_elsplus.viewing.mosaic.mosaics import MosaicScale, without_last_segment
 from napari_elsplus.viewing.mosaic.track import fastest_px_per_frame
 from napari_elsplus.viewing.mosaic.trackable import TrackableFrames
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED, Method, Pipeline
+from napari_elsplus.workflows.tracking import UNLINKED, Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -137,7 +138,7 @@ class StackMosaics:
         return True
 
     def _run(self, watch: Watch) -> None:
-        if self.plan.method is Method.ELSPLUS:
+        if tracking_method(self.plan.method).corrects_rolling_shutter:
             self.calibration, said = with_timing(self.calibration, self._pairs, self.plan.tracked)
             if said:
                 self.notes.append(said)
@@ -169,9 +170,9 @@ class StackMosaics:
         confocal, residual = elsa_pair(frame)
         for mode, follower in followers.items():
             if mode is not Mode.ELSA:
-                follower.lay(pose, self._frames[frame])
+                follower.insert_raw(pose, self._frames[frame])
             elif frame == confocal and residual < len(self._frames):
-                follower.lay(pose, self._frames[confocal], self._frames[residual])
+                follower.insert_raw(pose, self._frames[confocal], self._frames[residual])
 
     def _pipeline(self, mode: Mode) -> Pipeline:
         rows, cols = self._frames[0].shape

@@ -11,9 +11,7 @@ import numpy as np
 
 from napari_elsplus.io.tracks import STATES
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
-from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TEMPLATE_PX
-from napari_elsplus.processing.tracking.tracker import FARTHEST
-from napari_elsplus.workflows.tracking import Method
+from napari_elsplus.processing.tracking.registry import tracking_method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -301,10 +299,8 @@ class Speed:
         return self.px_per_frame / self.fastest_px
 
 
-def fastest_px_per_frame(diameter: float, camera_px_per_pixel: float, method: Method | str) -> float:
-    """Displacement from one frame to the next that a method can still follow, camera pixels.
-
-    Ours looks as far as 0.6 bundle diameters; the paper's template of 128 pixels must lie within the next image of 250.
+def fastest_px_per_frame(diameter: float, camera_px_per_pixel: float, method: str) -> float:
+    """Return the largest displacement between successive frames that a method tracks, camera pixels.
 
     Parameters
     ----------
@@ -312,17 +308,15 @@ def fastest_px_per_frame(diameter: float, camera_px_per_pixel: float, method: Me
         Of the bundle, pixels of the mosaic.
     camera_px_per_pixel : float
         Camera pixels per pixel of the mosaic.
-    method : Method or str
-        How the probe is tracked.
+    method : str
+        Name of the tracking method.
 
     Examples
     --------
     >>> round(fastest_px_per_frame(232.0, 2.0, "elsplus"), 1)
     278.4
     """
-    if Method(method) is Method.PAPER:
-        return (SIDE_PX - TEMPLATE_PX) / 2 * camera_px_per_pixel
-    return FARTHEST * diameter * camera_px_per_pixel
+    return tracking_method(method).max_displacement(diameter) * camera_px_per_pixel
 
 
 def speed_of(rows: Sequence[TrackPoint], fastest_px: float, um_per_px: float | None = None) -> Speed:

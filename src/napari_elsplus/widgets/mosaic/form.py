@@ -12,11 +12,11 @@ from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 from napari_elsplus.io.settings import recall, remember
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
+from napari_elsplus.processing.tracking.registry import tracking_methods
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.mosaic.sources import source_names
 from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
-from napari_elsplus.workflows.tracking import Method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -62,10 +62,10 @@ class MosaicForm:
         self.modes = {
             mode: CheckBox(value=mode.value in wanted, text=TITLES[mode], tooltip=_TIPS[mode]) for mode in MODES
         }
-        methods, insertions = [m.value for m in Method], [i.value for i in Insertion]
+        methods, insertions = tracking_methods(), [i.value for i in Insertion]
         self.method = ComboBox(
-            choices=methods, value=_known(known.get("method"), methods), label="method",
-            tooltip="elsplus: sub-pixel, rolling shutter undone, gated; paper: the paper's template matching",
+            choices=list(methods), value=_known(known.get("method"), list(methods)), label="method",
+            tooltip="; ".join(f"{name}: {method.description}" for name, method in methods.items()),
         )  # fmt: skip
         self.insertion = ComboBox(
             choices=insertions, value=_known(known.get("insertion"), insertions), label="insertion",
@@ -86,14 +86,12 @@ class MosaicForm:
     def plan(self) -> MosaicPlan:
         """What the form asks for."""
         modes = tuple(mode for mode, box in self.modes.items() if box.value)
-        return MosaicPlan(modes, Method(self.method.value), Insertion(self.insertion.value))
+        return MosaicPlan(modes, str(self.method.value), Insertion(self.insertion.value))
 
     def remember(self) -> None:
         """Choose the same next time."""
         plan = self.plan
-        remember(
-            SECTION, method=plan.method.value, insertion=plan.insertion.value, modes=[mode.value for mode in plan.modes]
-        )
+        remember(SECTION, method=plan.method, insertion=plan.insertion.value, modes=[mode.value for mode in plan.modes])
 
     def connect(self, slots: Mapping[str, Callable[[], Any]], plain: Mapping[str, Callable[[], Any]]) -> None:
         """Say what the buttons do.
