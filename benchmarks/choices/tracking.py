@@ -14,6 +14,7 @@ from benchmarks.rigs.simulated import SimulatedRig, simulated_rig, tissue, witho
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.processing.tracking.registry import Method as Tracking
+from napari_elsplus.processing.tracking.registry import tracking_methods
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TemplateTracker
 from napari_elsplus.simulation.accuracy import track_errors
 from napari_elsplus.simulation.specimen.trajectories import trajectory
@@ -68,9 +69,7 @@ def judge(item: Recorded, answer: Sequence[TrackPoint]) -> Judgement:
     )
 
 
-def _pipeline(
-    method: Tracking, *, shutter: bool = True, loops: bool = False
-) -> Callable[[Case], Callable[[Recorded], Any]]:
+def _pipeline(method: str, *, shutter: bool = True, loops: bool = False) -> Callable[[Case], Callable[[Recorded], Any]]:
     def prepare(case: Case) -> Callable[[Recorded], Any]:
         calibration = case.context.calibration if shutter else without_timing(case.context.calibration)
 
@@ -127,6 +126,9 @@ def _pyfibrebundle(case: Case) -> Callable[[Recorded], TimedElsewhere]:
     return track
 
 
+_REGISTERED = tuple(Method(name, Role.PEER, _pipeline(name)) for name in tracking_methods() if name not in {*Tracking})
+"""Methods of other packages."""
+
 METHODS = (
     Method("tracker", Role.DEFAULT, _pipeline(Tracking.ELSPLUS), 4),
     Method("tracker, then loops and mosaic", Role.OPTION, _pipeline(Tracking.ELSPLUS, loops=True), 4),
@@ -134,6 +136,7 @@ METHODS = (
     Method("the paper's, in OpenCV, float32", Role.PAPER, _papers_chain, 2),
     Method("the paper's, signed, aligned", Role.OPTION, _pipeline(Tracking.PAPER), 2),
     Method("PyFibreBundle Mosaic", Role.PEER, _pyfibrebundle, 2),
+    *_REGISTERED,
 )
 
 BENCHMARK = Benchmark(

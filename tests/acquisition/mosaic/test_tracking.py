@@ -62,14 +62,17 @@ def test_nothing_is_left_to_compile_when_frames_come() -> None:
     script = """
 from napari_elsplus.acquisition.mosaic.tracking import rehearse
 from benchmarks.rigs.simulated import simulated_rig
-from napari_elsplus.processing.tracking import climb, descent, evidence, ladder, local_evidence
+from napari_elsplus.processing.tracking.registration import (
+    evidence, local_evidence, model_selection, motion_models, pyramid_descent,
+)
 from napari_elsplus.workflows.tracking import Pipeline
 
 rig = simulated_rig()
 rehearse(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)
 called = (
-    descent.link_levels, descent.align_candidate, descent.fill_coarser, evidence.weakest_direction,
-    evidence.evidence_between, ladder.unexplained, climb.told, local_evidence.look_again, local_evidence.look_at_half,
+    pyramid_descent.link_levels, pyramid_descent.align_candidate, pyramid_descent.fill_coarser,
+    evidence.weakest_direction, evidence.evidence_between, motion_models.unexplained, model_selection.told,
+    local_evidence.look_again, local_evidence.look_at_half,
 )
 print([kernel.__name__ for kernel in called if not kernel.signatures])
 """
