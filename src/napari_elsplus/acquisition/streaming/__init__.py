@@ -1,1 +1,1 @@
-"""Frames on their way: rings, shared memory, the recorder, and what is counted."""
+"""Streams of frames: rings, shared memory, the recorder, counts and latencies."""

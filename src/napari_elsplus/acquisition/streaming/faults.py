@@ -1,4 +1,4 @@
-"""What went wrong while the engine ran: each said once, with what to do."""
+"""Faults of a run of the engine: each kept once, with its remedy."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that went wrong.
+    """A fault of the engine.
 
     Parameters
     ----------
     source : str
-        Which part of the engine noticed: ``camera``, ``scanner``, ``processing``, ``recorder``, ``engine``.
+        Part of the engine that failed: ``camera``, ``scanner``, ``processing``, ``tracking``, ``recorder``, ``engine``.
     problem, remedy : str
-        What is wrong and what to do, as in :class:`napari_elsplus.errors.ElsPlusError`.
+        As of :class:`napari_elsplus.errors.ElsPlusError`.
     time_s : float
-        When, in seconds since the epoch.
+        Seconds since the epoch.
     """
 
     source: str
@@ -52,16 +52,16 @@ class FaultLog:
         self._lock = Lock()
 
     def add(self, source: str, error: ElsPlusError) -> None:
-        """Keep a fault, unless it is known."""
+        """Keep the error of a source, unless it is there already."""
         with self._lock:
             self._faults.setdefault((source, error.problem), Fault(source, error.problem, error.remedy, time.time()))
 
     def all(self) -> tuple[Fault, ...]:
-        """Every fault, oldest first."""
+        """Return every fault, oldest first."""
         with self._lock:
             return tuple(self._faults.values())
 
     def clear(self) -> None:
-        """Forget all: a new run begins."""
+        """Remove all faults: a new run begins."""
         with self._lock:
             self._faults.clear()

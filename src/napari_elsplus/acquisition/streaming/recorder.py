@@ -1,4 +1,4 @@
-"""The recorder's thread: raw frames from the stream into a file, from before it was asked until it is told to stop."""
+"""The recorder's thread: raw frames from the stream into a file, from before its start until its end."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.streaming.tally import Tally
     from napari_elsplus.instrument.calibration import Calibration
 
-_PATIENCE_S: Final = 0.1
+_POLL_S: Final = 0.1
+"""Chosen: how long to wait for a frame before the end of the stream is tested."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingPlan:
-    """What is to be recorded: until stopped, or until one of the limits.
+    """A recording to be made: until stopped, or until one of the limits.
 
     Parameters
     ----------
     path : path
         The file, NAME.ome.tif.
     frames : int, optional
-        Stop after so many frames.
+        Stop after this many frames.
     seconds : float, optional
-        Stop when the frames span so long.
+        Stop when the frames span this time.
     earlier_s : float
-        Begin so many seconds before the recording was asked for, as far as the frames are still in memory.
+        Begin this many seconds before the start, as far as the frames are still in memory.
     force : bool
-        Whether existing files may be replaced.
+        Replace existing files.
 
     Raises
     ------
@@ -60,24 +61,24 @@ class RecordingPlan:
 
 
 class Recorder(Thread):
-    """Writes frames until it is full, told to stop, or the stream ends; the file is closed in every case.
+    """Writes frames until a limit, :meth:`stop`, or the end of the stream; the file is closed in every case.
 
     Parameters
     ----------
     stream : FrameStream
         Where the frames come from.
     plan : RecordingPlan
-        Where to and how long.
+        File and limits.
     frame_rate_hz : float
-        For counting back in time.
+        Converts seconds before the start to frames.
     calibration : Calibration, optional
-        In force; written beside before the first frame.
+        The active one; written beside the file before the first frame.
     settings : mapping
         The rig's settings, kept in the file.
     tally : Tally
-        Where recorded and lost frames are counted.
+        Counts recorded and lost frames.
     faults : FaultLog
-        Where a full disk is reported.
+        Receives a full disk, and any other failure.
 
     Raises
     ------
@@ -114,16 +115,16 @@ class Recorder(Thread):
 
     @property
     def full(self) -> bool:
-        """Whether all frames that were asked for are in the file."""
+        """True if all frames of the plan are in the file."""
         return self.plan.frames is not None and self.frames >= self.plan.frames
 
     def stop(self) -> None:
-        """Finish with the frame that is the newest now."""
+        """End the recording with the newest frame of now."""
         if self._stop_before is None:
             self._stop_before = self._stream.written
 
     def run(self) -> None:
-        """Write until the end; then put the file in order."""
+        """Write until the end; then complete the file."""
         try:
             self._write()
             self._writer.close()
@@ -141,7 +142,7 @@ class Recorder(Thread):
     def _write(self) -> None:
         first_s: float | None = None
         while not self.full:
-            taken = self._cursor.take(_PATIENCE_S)
+            taken = self._cursor.take(_POLL_S)
             if taken is None:
                 if self._stream.ended:
                     return

@@ -1,12 +1,13 @@
-"""A ring of slots that one writer fills and any number of readers look into, also from other processes.
+"""A ring of slots that one writer fills and any number of readers copy from, also in other processes.
 
-The writer never waits for a reader. A reader that was overtaken while it copied notices, by the slot's sequence
-number, and looks for a newer one.
+The writer never waits for a reader. A reader that was overtaken while it copied detects that by the slot's sequence
+number, and copies a newer one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _ALIGNMENT: Final = 64
-"""Bytes; fields begin on cache lines."""
+"""Bytes of a cache line, on which fields begin."""
 _HEADER: Final = np.dtype(
     [("state", "<i8"), ("frame_number", "<i8"), ("received_s", "<f8"), ("readout_start_s", "<f8")]
 )
@@ -26,7 +27,7 @@ _BEING_WRITTEN: Final = 0
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What a slot holds, and how many slots there are.
+    """Arrays of a slot, and number of slots.
 
     Parameters
     ----------
@@ -67,7 +68,7 @@ class Slot:
     Parameters
     ----------
     sequence : int
-        Counts what was written, from 0.
+        Position in the order of writing, from 0.
     arrays : mapping of str to numpy.ndarray
         Views into the ring.
     """
@@ -78,18 +79,18 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What is known of the frame in a slot.
+    """Number and times of the frame in a slot.
 
     Parameters
     ----------
     sequence : int
-        Its place in the order of writing.
+        Position in the order of writing, from 0.
     frame_number : int
         The camera's number.
     received_s : float
-        When its last byte came, on the clock of ``time.perf_counter``.
+        Time of its last byte, on the clock of ``time.perf_counter``.
     readout_start_s : float
-        When its first row was read, on the camera's clock: evenly spaced, arbitrary zero.
+        Start of its readout, on the camera's clock: evenly spaced, arbitrary zero.
     """
 
     sequence: int
@@ -125,6 +126,9 @@ class Ring:
 
     def __init__(self, memory: Any, layout: Layout) -> None:
         self.layout = layout
+        self._lease = Lock()
+        """Held by a reader while it copies, so that the memory is not unmapped meanwhile."""
+        self._closed = False
         stride = layout.slot_bytes
         self._headers = np.ndarray((layout.slots,), _HEADER, memory, 0, (stride,))
         self._states = self._headers["state"]
@@ -139,21 +143,21 @@ class Ring:
 
     @property
     def written(self) -> int:
-        """Number of slots that this side has finished."""
+        """Number of slots that this side has finalized."""
         return self._next
 
     def acquire(self) -> Slot:
-        """Take the oldest slot for writing; what it held is gone."""
+        """Return the oldest slot for writing; its content is lost."""
         index = self._next % self.layout.slots
         self._states[index] = _BEING_WRITTEN
         return Slot(self._next, self._arrays[index])
 
     def skip(self) -> None:
-        """Pass over the oldest slot, which keeps what it holds; its new sequence number is never given to a frame."""
+        """Skip the oldest slot, which keeps its content; its new sequence number is never given to a frame."""
         self._next += 1
 
     def finalize(self, slot: Slot, *, frame_number: int, received_s: float, readout_start_s: float) -> None:
-        """Show an acquired slot to the readers."""
+        """Publish an acquired slot with its frame number and the times received and start of readout."""
         header = self._headers[slot.sequence % self.layout.slots]
         header["frame_number"], header["received_s"], header["readout_start_s"] = (
             frame_number,
@@ -164,11 +168,11 @@ class Ring:
         self._next = slot.sequence + 1
 
     def peek(self, sequence: int) -> Slot:
-        """View a slot in place: only for whoever knows that it is not being overwritten."""
+        """Return the slot of a sequence number in place: only where it cannot be overwritten meanwhile."""
         return Slot(sequence, self._arrays[sequence % self.layout.slots])
 
     def stamp(self, sequence: int) -> Stamp | None:
-        """Return what is known of one frame; None if it is no longer, or not yet, in the ring."""
+        """Return number and times of the frame of a sequence number; None if it is not in the ring, or not any more."""
         header = self._headers[sequence % self.layout.slots].copy()
         if header["state"] != sequence + 1:
             return None
@@ -177,36 +181,39 @@ class Ring:
         )
 
     def newest_after(self, sequence: int, out: Mapping[str, NDArray[Any]]) -> Stamp | None:
-        """Copy the newest frame, unless it was seen already.
+        """Copy the newest frame, if it is later than a sequence number.
 
         Parameters
         ----------
         sequence : int
-            The last one that the caller has seen; -1 if none.
+            Of the last frame that was copied; -1 for none.
         out : mapping of str to numpy.ndarray
             Fields to copy, each into an array of its shape.
 
         Returns
         -------
         Stamp or None
-            None if there is nothing newer; `out` may then hold pieces of several frames.
+            None if there is nothing newer, or the ring is closed; `out` may then hold pieces of several frames.
         """
-        for _ in range(self.layout.slots):
-            newest = int(self._states.max()) - 1
-            if newest <= sequence:
-                return None
-            stamp = self.stamp(newest)
-            arrays = self._arrays[newest % self.layout.slots]
-            for name, target in out.items():
-                np.copyto(target, arrays[name])
-            if stamp is not None and self._states[newest % self.layout.slots] == newest + 1:
-                return stamp
-        return None
+        with self._lease:
+            for _ in range(0 if self._closed else self.layout.slots):
+                newest = int(self._states.max()) - 1
+                if newest <= sequence:
+                    return None
+                stamp = self.stamp(newest)
+                arrays = self._arrays[newest % self.layout.slots]
+                for name, target in out.items():
+                    np.copyto(target, arrays[name])
+                if stamp is not None and self._states[newest % self.layout.slots] == newest + 1:
+                    return stamp
+            return None
 
     def close(self) -> None:
-        """Let go of the memory; the ring cannot be used any more."""
-        del self._headers, self._states
-        self._arrays.clear()
+        """Release the memory once no reader copies from it; readers find nothing newer from then on."""
+        with self._lease:
+            self._closed = True
+            del self._headers, self._states
+            self._arrays.clear()
 
 
 def _aligned(size: int) -> int:

@@ -1,4 +1,4 @@
-"""Rings and other segments in shared memory: readers attach without owning, and what a killed owner left is swept."""
+"""Rings and other segments in shared memory: readers attach without owning; segments of killed owners are swept."""
 
 from __future__ import annotations
 
@@ -19,45 +19,60 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.streaming.ring import Layout
 
 _PREFIX: Final = "elsplus"
-_LEFT_TO_OTHERS: Final = 8 << 20
-_FOLDER: Final = Path("/dev/shm")  # only Linux shows its segments; elsewhere there is nothing to list
+_RESERVE_BYTES: Final = 8 << 20
+"""Chosen: bytes of shared memory that stay free for other programs."""
+_FOLDER: Final = Path("/dev/shm")  # only Linux lists its segments
 
 
 def create(nbytes: int, name: str | None = None) -> SharedMemory:
-    """Make a segment that belongs to this process, all zero; its name says whose it is.
+    """Make a segment that belongs to this process, all zero, its memory reserved.
 
     Parameters
     ----------
     nbytes : int
         Its size.
     name : str, optional
-        The name of another of this process's segments, and something more; a new one by default.
+        The name of another of this process's segments with a suffix; a new one by default.
 
     Raises
     ------
     DeviceError
         If there is less shared memory left: writing to it would end the process.
     """
-    if _FOLDER.is_dir() and (left := shutil.disk_usage(_FOLDER).free) < nbytes + _LEFT_TO_OTHERS:
-        raise DeviceError(
-            f"{left >> 20} MB of shared memory are left, {nbytes >> 20} MB are wanted",
-            f"clear the mosaic, or let the system give {_FOLDER} more",
-        )
-    return SharedMemory(name or f"{_PREFIX}-{os.getpid()}-{token_hex(4)}", create=True, size=nbytes)
+    left = shutil.disk_usage(_FOLDER).free if _FOLDER.is_dir() else sys.maxsize
+    short = DeviceError(
+        f"{left >> 20} MB of shared memory are left, {nbytes >> 20} MB are needed",
+        f"clear the mosaic, or give {_FOLDER} more",
+    )
+    if left < nbytes + _RESERVE_BYTES:
+        raise short
+    segment = SharedMemory(name or f"{_PREFIX}-{os.getpid()}-{token_hex(4)}", create=True, size=nbytes)
+    if sys.platform == "linux":
+        import fcntl
+
+        descriptor = segment._fd  # type: ignore[attr-defined]  # noqa: SLF001 - open until the segment is closed
+        try:
+            os.posix_fallocate(descriptor, 0, nbytes)
+        except OSError:
+            segment.close()
+            segment.unlink()
+            raise short from None
+        fcntl.flock(descriptor, fcntl.LOCK_SH)  # released by the system when this process ends, however it ends
+    return segment
 
 
 def attach(name: str) -> SharedMemory:
-    """Look into another process's segment; when this process ends, the segment stays.
+    """Attach to another process's segment by name; when this process ends, the segment stays.
 
     Raises
     ------
     FileNotFoundError
-        If it is gone.
+        If there is none.
     """
     if sys.version_info >= (3, 13):
         return SharedMemory(name, track=False)
     segment = SharedMemory(name)
-    if os.name == "posix":  # before 3.13 an attacher's exit deletes the segment, unless the tracker forgets it
+    if os.name == "posix":  # before 3.13 an attacher's exit deletes the segment, unless the tracker drops it
         resource_tracker.unregister(f"/{segment.name}", "shared_memory")
     return segment
 
@@ -68,11 +83,11 @@ class SharedRing(Ring):
     Parameters
     ----------
     segment : SharedMemory
-        Where it lies; closed with the ring.
+        Its memory; closed with the ring.
     layout : Layout
         The same on every side.
     owned : bool
-        Whether the segment is deleted with the ring.
+        Delete the segment with the ring.
     """
 
     def __init__(self, segment: SharedMemory, layout: Layout, *, owned: bool) -> None:
@@ -81,27 +96,27 @@ class SharedRing(Ring):
 
     @classmethod
     def create(cls, layout: Layout) -> SharedRing:
-        """Make a ring that belongs to this process."""
+        """Make a ring of a layout that belongs to this process."""
         return cls(create(layout.nbytes), layout, owned=True)
 
     @classmethod
     def attach(cls, name: str, layout: Layout) -> SharedRing:
-        """Look into another process's ring.
+        """Attach to another process's ring by name and layout.
 
         Raises
         ------
         FileNotFoundError
-            If it is gone.
+            If there is none.
         """
         return cls(attach(name), layout, owned=False)
 
     @property
     def name(self) -> str:
-        """By which others attach."""
+        """Name by which others attach."""
         return self._segment.name
 
     def close(self) -> None:
-        """Let go of the memory; the owner deletes it."""
+        """Release the memory once no reader copies from it; the owner deletes it."""
         super().close()
         self._segment.close()
         if self._owned:
@@ -119,14 +134,14 @@ def sweep() -> list[str]:
     gone = []
     for path in _FOLDER.glob(f"{_PREFIX}-*-*") if _FOLDER.is_dir() else ():
         owner = path.name.split("-")[1]
-        if owner.isdecimal() and not _alive(int(owner)):
+        if owner.isdecimal() and not _process_exists(int(owner)) and not _locked(path):
             with suppress(FileNotFoundError, PermissionError):
                 path.unlink()
                 gone.append(path.name)
     return gone
 
 
-def _alive(pid: int) -> bool:
+def _process_exists(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -134,3 +149,16 @@ def _alive(pid: int) -> bool:
     except PermissionError:
         return True
     return True
+
+
+def _locked(path: Path) -> bool:
+    """Return True if its owner lives, also where another container counts processes of its own."""
+    if sys.platform == "linux":
+        import fcntl
+
+        with suppress(FileNotFoundError), path.open("rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                return True
+    return False

@@ -1,8 +1,7 @@
-"""Raw frames on their way from the camera to whoever works on them: one deep ring, a cursor per consumer.
+"""The stream of raw frames from the camera to its consumers: one deep ring, a cursor per consumer.
 
 The ring is the bounded queue of every consumer at once: a frame is copied by nobody, a cursor that falls too far behind
-skips the oldest frames and counts them, and the frames of the last seconds are still there when a recording asks for
-them.
+skips the oldest frames and counts them, and a recording can begin with frames of the last seconds.
 """
 
 from __future__ import annotations
@@ -20,16 +19,16 @@ if TYPE_CHECKING:
 
 
 class Cursor:
-    """A consumer's place in the stream: it holds one frame at a time.
+    """A consumer's position in the stream: it holds one frame at a time.
 
     Parameters
     ----------
     stream : FrameStream
-        What it reads.
+        The stream.
     start : int
         Sequence number of its first frame.
     limit : int
-        How many frames it may be behind; older ones are skipped and counted.
+        Frames that it may be behind; older ones are skipped and counted.
 
     Attributes
     ----------
@@ -46,22 +45,22 @@ class Cursor:
 
     @property
     def behind(self) -> int:
-        """Frames that wait."""
+        """Number of frames not taken yet."""
         return self._stream.written - self.next
 
     def take(self, timeout_s: float) -> tuple[NDArray[np.uint8], Stamp] | None:
-        """Hold the oldest frame that was not taken yet, in place; lets go of the one before.
+        """Return the oldest frame not taken yet, in place, and hold it; releases the one before.
 
         Parameters
         ----------
         timeout_s : float
-            How long to wait for it.
+            Time to wait for it.
 
         Returns
         -------
         tuple or None
-            The frame, valid until the next call, and its stamp; None if none came, or the stream has ended and all is
-            read.
+            The frame, valid until the next call, and its stamp; None if none came, or the stream has ended and all
+            are read.
         """
         return self._stream.take(self, timeout_s)
 
@@ -110,11 +109,11 @@ class FrameStream:
 
     @property
     def ended(self) -> bool:
-        """Whether no more frames will come."""
+        """True if no more frames will come."""
         return self._ended
 
     def acquire(self) -> Slot:
-        """Take the oldest slot that no consumer works on, for the camera to fill."""
+        """Return the oldest slot that no consumer holds, for the camera to fill."""
         with self._changed:
             held = {cursor.held % self.depth for cursor in self._cursors if cursor.held is not None}
             while self._ring.written % self.depth in held:
@@ -127,13 +126,13 @@ class FrameStream:
             return self._ring.acquire()
 
     def finalize(self, slot: Slot, *, frame_number: int, received_s: float, readout_start_s: float) -> None:
-        """Show a filled slot to the consumers."""
+        """Publish a filled slot with its frame number and the times received and start of readout."""
         with self._changed:
             self._ring.finalize(slot, frame_number=frame_number, received_s=received_s, readout_start_s=readout_start_s)
             self._changed.notify_all()
 
     def end(self) -> None:
-        """No more frames will come; cursors still read what is there."""
+        """End the stream; cursors still read what is there."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
@@ -144,9 +143,9 @@ class FrameStream:
         Parameters
         ----------
         earlier : int
-            Frames of the past that it wants first, as far as they are still there.
+            Frames of the past to begin with, as far as they are still there.
         limit : int, optional
-            How many frames it may be behind; the ring's depth by default.
+            Frames that it may be behind; the ring's depth by default.
         """
         with self._changed:
             kept = min(earlier, self._ring.written, self.depth - 2)  # one slot is being filled, one is about to be
@@ -155,13 +154,13 @@ class FrameStream:
             return cursor
 
     def leave(self, cursor: Cursor) -> None:
-        """Remove a consumer."""
+        """Remove a consumer's cursor."""
         with self._changed:
             if cursor in self._cursors:
                 self._cursors.remove(cursor)
 
     def take(self, cursor: Cursor, timeout_s: float) -> tuple[NDArray[np.uint8], Stamp] | None:
-        """See :meth:`Cursor.take`."""
+        """Return the next frame of a cursor: :meth:`Cursor.take`."""
         with self._changed:
             cursor.held = None
             if cursor.next >= self._ring.written and not self._ended:
@@ -170,7 +169,7 @@ class FrameStream:
                 sequence = cursor.next
                 cursor.next += 1
                 stamp = self._ring.stamp(sequence)
-                if stamp is not None:  # None: the camera passed over a slot that somebody worked on
+                if stamp is not None:  # None: the camera skipped a slot that a consumer held
                     cursor.held = sequence
                     return self._ring.peek(sequence).arrays["raw"], stamp
             return None

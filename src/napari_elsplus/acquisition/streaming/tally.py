@@ -1,4 +1,4 @@
-"""What is counted while frames stream: how many, how late, how many lost and why. Memory does not grow."""
+"""Counts while frames stream: frames, latencies, losses by cause, in memory of constant size."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _BINS_PER_MS: Final = 50
-_LONGEST_MS: Final = 2000
-_RATE_OVER: Final = 120
-"""Frames over which the momentary rate is taken."""
+"""Bins of 0.02 ms, chosen: a hundredth of the median latency."""
+_MAX_MS: Final = 2000
+"""Latencies from here on share a bin; as long as frames stay in memory."""
+_RATE_FRAMES: Final = 120
+"""Frames over which the momentary rate is computed; chosen: half a second at 240 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +32,7 @@ class Latency:
 
 
 class Latencies(NamedTuple):
-    """How many frames had which latency.
+    """Number of frames by latency.
 
     Attributes
     ----------
@@ -44,7 +46,7 @@ class Latencies(NamedTuple):
     frames: NDArray[np.int64] = np.zeros(0, np.int64)
 
     def quantile(self, share: float) -> float:
-        """Latency that so many of the frames do not exceed, to a bin; NaN where nothing was counted.
+        """Return the latency that a share of the frames, 0 to 1, does not exceed, to a bin; NaN if there is none.
 
         Examples
         --------
@@ -68,17 +70,17 @@ class LatencyHistogram:
     """
 
     def __init__(self) -> None:
-        self._counts = np.zeros(_LONGEST_MS * _BINS_PER_MS + 1, np.int64)
+        self._counts = np.zeros(_MAX_MS * _BINS_PER_MS + 1, np.int64)
         self._largest_ms = 0.0
 
     def add(self, seconds: float) -> None:
-        """Count one frame."""
+        """Count a frame of a latency in seconds."""
         ms = 1e3 * seconds
         self._counts[min(max(int(ms * _BINS_PER_MS), 0), len(self._counts) - 1)] += 1
         self._largest_ms = max(self._largest_ms, ms)
 
     def summary(self) -> Latency:
-        """Median, 99th percentile and maximum; NaN where nothing was counted."""
+        """Return median, 99th percentile and maximum; NaN where nothing was counted."""
         total = self._counts.sum()
         if not total:
             return Latency()
@@ -93,12 +95,12 @@ class LatencyHistogram:
 
 
 class Tally:
-    """Frames of one run of the stream, counted by the threads that see them.
+    """Counts of one run of the stream, kept by the threads that handle the frames.
 
     Attributes
     ----------
     processed, recorded : int
-        Frames that have their result, that are in the file.
+        Frames that have their result; frames in the file.
     dropped : Counter
         Frames lost, by cause; a frame may be acquired and yet be lost to one of its consumers.
     latency : LatencyHistogram
@@ -110,7 +112,7 @@ class Tally:
         self.recorded = 0
         self.dropped: Counter[str] = Counter()
         self.latency = LatencyHistogram()
-        self._arrivals_s: deque[float] = deque(maxlen=_RATE_OVER)
+        self._arrivals_s: deque[float] = deque(maxlen=_RATE_FRAMES)
         self._first_s = self._last_s = nan
         self._acquired = 0
 
@@ -128,13 +130,21 @@ class Tally:
         self._acquired += 1
 
     def lost_by_camera(self, known: Mapping[str, int], missing: int) -> None:
-        """Take over what the camera lost since the run began; what its numbers miss beyond that has no known cause."""
+        """Set the frames that the camera lost in this run.
+
+        Parameters
+        ----------
+        known : mapping of str to int
+            Frames by the cause that the camera reports.
+        missing : int
+            Frames that are missing in the camera's numbers; those beyond `known` have no known cause.
+        """
         for cause, count in known.items():
             self.skipped(f"camera: {cause}", count)
         self.skipped("camera: missing numbers", max(0, missing - sum(known.values())))
 
     def skipped(self, cause: str, count: int) -> None:
-        """Set how many frames one cause has cost."""
+        """Set the count of frames lost by a cause."""
         if count:
             self.dropped[cause] = count
 

@@ -1,4 +1,4 @@
-"""What the engine costs: processor time and memory of its process."""
+"""Processor time and memory of the engine's process."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ _STATUS = Path("/proc/self/status")
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """Of one process, at one moment.
+    """Resources of one process, at one moment.
 
     Parameters
     ----------
     cpu_s : float
         Processor time of all its threads since it began.
     memory_mb : float
-        Memory that is in use now, shared rings included, mapped files not; where the system does not tell, the most
-        that was ever in use; NaN on Windows.
+        Memory in use, shared rings included, mapped files not; on macOS the largest value so far; NaN on Windows.
     """
 
     cpu_s: float
@@ -28,7 +27,7 @@ class Usage:
 
 
 def usage() -> Usage:
-    """Return what this process has used."""
+    """Return the processor time and memory of this process."""
     return Usage(time.process_time(), _memory_mb())
 
 
