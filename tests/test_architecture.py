@@ -61,6 +61,7 @@ ORDER = (
     "acquisition.mosaic",
     "acquisition.engine",
     "acquisition.calibrating",
+    "acquisition.session",
     "acquisition.link",
     "_screen",
     "diagnosis",

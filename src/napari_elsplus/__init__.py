@@ -15,8 +15,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from napari_elsplus.acquisition.engine.engine import Engine as Engine
-    from napari_elsplus.acquisition.engine.status import Settings as Settings
+    from napari_elsplus.acquisition.session import open_engine as open_engine
+    from napari_elsplus.acquisition.streaming.recorder import RecordingPlan as RecordingPlan
     from napari_elsplus.hardware.rigs import open_rig as open_rig
     from napari_elsplus.instrument.calibration import Calibration as Calibration
     from napari_elsplus.io.calibrations import read_calibration as load_calibration  # noqa: F401
@@ -36,13 +36,13 @@ __version__ = "0.1.0"
 
 _PLACES = {
     "Calibration": "instrument.calibration:Calibration",
-    "Engine": "acquisition.engine.engine:Engine",
-    "Settings": "acquisition.engine.status:Settings",
+    "RecordingPlan": "acquisition.streaming.recorder:RecordingPlan",
     "calibrate": "workflows.calibration:calibrate",
     "compare": "workflows.pictures.comparison:compare",
     "load_calibration": "io.calibrations:read_calibration",
     "measure_axial_response": "workflows.axial:measure_axial_response",
     "mosaic": "workflows.mosaicing:mosaic",
+    "open_engine": "acquisition.session:open_engine",
     "open_recording": "io.recordings:open_recording",
     "open_rig": "hardware.rigs:open_rig",
     "save_calibration": "io.calibrations:write_calibration",

@@ -12,10 +12,11 @@ import click
 from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
+from napari_elsplus.acquisition.session import live_engine
 from napari_elsplus.acquisition.streaming.priority import keep_pace, settle_memory
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
-from napari_elsplus.cli.rig.live import live_engine, watch_calibration
+from napari_elsplus.cli.rig.live import watch_calibration
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.optics import PRESETS

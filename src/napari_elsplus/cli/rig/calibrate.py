@@ -10,8 +10,9 @@ import click
 from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
 from napari_elsplus.acquisition.calibrating.whole import SWEEP_VOLTAGES, Target, calibrate_rig
 from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.session import live_engine
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
-from napari_elsplus.cli.rig.live import live_engine, watch_calibration
+from napari_elsplus.cli.rig.live import watch_calibration
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.optics import BUNDLE_UM, PRESETS
 from napari_elsplus.io import open_recording, read_volts, write_calibration

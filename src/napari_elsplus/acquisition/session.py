@@ -1,0 +1,106 @@
+"""A rig and its live engine in this process: opened together, guarded, parked and closed on every way out."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
+
+from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated, open_live
+from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.hardware.guardian import Guardian
+from napari_elsplus.hardware.rig import SIMULATED
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from napari_elsplus.hardware.rig import Rig
+    from napari_elsplus.instrument.calibration import Calibration
+
+
+@contextmanager
+def live_engine(rig_name: str, settings: Settings) -> Iterator[tuple[Rig, Engine]]:
+    """Open a rig and its engine; on a real rig, a guardian process parks the galvo if this process dies.
+
+    Parameters
+    ----------
+    rig_name : str
+        One of :func:`napari_elsplus.hardware.rigs.rig_names`.
+    settings : Settings
+        How the camera runs.
+
+    Yields
+    ------
+    rig : Rig
+        Open.
+    engine : Engine
+        In this process.
+
+    Raises
+    ------
+    DeviceError
+        If the rig cannot be opened.
+    InputError
+        If there is no such rig, or its camera cannot do that.
+    """
+    with ExitStack() as held:
+        rig = open_live(rig_name)
+        held.callback(rig.close)
+        guarded = rig.park_order if rig.bench is None else None
+        guardian = None if guarded is None else held.enter_context(Guardian(guarded))
+        engine = held.enter_context(Engine(rig, guardian=guardian))
+        engine.configure(settings)
+        yield rig, engine
+
+
+@contextmanager
+def open_engine(
+    rig: str = SIMULATED,
+    *,
+    calibration: Calibration | None = None,
+    preset: str = "240hz",
+    slit_rows: int = 3,
+    frame_rate_hz: float | None = None,
+    gain_db: float = 0.0,
+    progress: Callable[[Iterable[int], str], Iterable[int]] = lambda numbers, _: numbers,
+) -> Iterator[Engine]:
+    """Open a rig and run its live engine in this process; leaving the context parks the galvo and closes the rig.
+
+    Parameters
+    ----------
+    rig : str
+        ``"simulated"``, or the name of a rig file; ``napari-elsplus doctor`` lists them.
+    calibration : Calibration, optional
+        Applied to images and scan. Without one the simulated rig is calibrated first (some seconds); a real rig then
+        streams raw frames with the galvo parked.
+    preset : str
+        ``"240hz"`` or ``"120hz"``: camera region and objective.
+    slit_rows : int
+        Width of the rolling slit in rows.
+    frame_rate_hz : float, optional
+        Frames per second; the preset's highest by default.
+    gain_db : float
+        Gain of the camera.
+    progress : callable
+        Wraps the numbers of each calibration step's frames, with the step's name: ``tqdm.tqdm``, for instance.
+
+    Yields
+    ------
+    Engine
+        Configured: ``start()``, ``record(...)``, ``status()``, ``stop()``.
+
+    Raises
+    ------
+    DeviceError
+        If the rig cannot be opened.
+    InputError
+        If there is no such rig, or its camera cannot do that.
+    CalibrationError
+        If the calibration does not fit the frames.
+    """
+    with live_engine(rig, Settings(preset, slit_rows, frame_rate_hz, gain_db)) as (opened, engine):
+        if calibration is None and opened.bench is not None:
+            calibrate_simulated(opened, engine, watch=lambda step: lambda numbers: progress(numbers, step))
+        else:
+            engine.use(calibration)
+        yield engine
