@@ -20,7 +20,10 @@ pytestmark = pytest.mark.checkout
 PROJECT = Path(__file__).resolve().parents[1]
 PACKAGE = PROJECT / "src" / "napari_elsplus"
 RETIRED = [line for line in (PROJECT / "docs" / "retired-names.txt").read_text("utf-8").splitlines() if line[:1] != "#"]
-DOCUMENTED: tuple[str, ...] = ()
+DOCUMENTED: tuple[str, ...] = (
+    "diagnosis",
+    "hardware",
+)
 """Folders of which every public function documents its parameters."""
 LONGEST_MODULE = 400
 UNITS = {"um", "px", "rows", "cols", "s", "hz", "v", "ms", "rad", "deg", "db", "dn"}

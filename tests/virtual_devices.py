@@ -18,7 +18,7 @@ from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.u3v.flea3 import Flea3
 from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
 from napari_elsplus.hardware.virtual.camera.device import Shot, VirtualCamera
-from napari_elsplus.hardware.virtual.card.c_library import in_place_of_nis
+from napari_elsplus.hardware.virtual.card.c_library import replacing_ni_library
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
 from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
 from napari_elsplus.hardware.virtual.timeline import BenchClock, StrobeTrain
@@ -51,7 +51,7 @@ def cards(request: pytest.FixtureRequest) -> Iterator[Callable[..., CardBench]]:
         with CardServer(card) as server:
             yield lambda **changes: CardBench(card, CardSettings(PARK_V, address=server.address, **changes))
     else:
-        with in_place_of_nis(card):
+        with replacing_ni_library(card):
             yield lambda **changes: CardBench(card, CardSettings(PARK_V, **changes))
 
 

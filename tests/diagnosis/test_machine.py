@@ -9,7 +9,7 @@ import pytest
 
 from napari_elsplus.diagnosis import machine
 from napari_elsplus.diagnosis.finding import Level
-from napari_elsplus.diagnosis.machine import Screen, ask_for_screen
+from napari_elsplus.diagnosis.machine import Screen, probe_screen
 
 Usage = namedtuple("Usage", "total used free")
 
@@ -18,14 +18,14 @@ def said(probe: str, monkeypatch: pytest.MonkeyPatch) -> Screen:
     """What is made of a probe that runs this code."""
     real = subprocess.run
     monkeypatch.setattr(subprocess, "run", lambda command, **options: real([sys.executable, "-c", probe], **options))
-    return ask_for_screen()
+    return probe_screen()
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere no variable names the display")
 def test_no_display_is_said_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)
-    assert ask_for_screen() == Screen(False, "neither DISPLAY nor WAYLAND_DISPLAY is set")
+    assert probe_screen() == Screen(False, "neither DISPLAY nor WAYLAND_DISPLAY is set")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only X11 displays are numbered")
@@ -33,12 +33,12 @@ def test_a_display_that_does_not_answer_is_no_screen(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("DISPLAY", ":7654")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("QT_QPA_PLATFORM", "xcb")
-    assert not ask_for_screen().answers
+    assert not probe_screen().answers
 
 
 def test_a_platform_that_nobody_sees_is_no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
-    found = ask_for_screen()
+    found = probe_screen()
     assert not found.answers
     assert "offscreen" in found.detail
 
@@ -65,7 +65,7 @@ def test_a_screen_that_hangs_is_given_up(monkeypatch: pytest.MonkeyPatch) -> Non
     ],
 )
 def test_a_screen_is_judged_by_what_draws_it(screen: Screen, level: Level, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "ask_for_screen", lambda: screen)
+    monkeypatch.setattr(machine, "probe_screen", lambda: screen)
     (finding,) = machine.screen()
     assert finding.level is level
     assert screen.detail in finding.what

@@ -100,7 +100,7 @@ def test_a_device_that_lies_in_form_cannot_make_us_allocate(numbers) -> None:
     tracemalloc.start()
     try:
         channel = control.Control(Liar(list(numbers)), ENDS)
-        stream.arrange(channel, SHAPE)
+        stream.negotiate_transfers(channel, SHAPE)
     except DeviceError:
         pass
     try:
@@ -116,7 +116,7 @@ def test_a_device_that_lies_in_form_cannot_make_us_allocate(numbers) -> None:
 def test_a_frame_larger_than_the_image_is_refused_before_buffers_are_made() -> None:
     # sbrm, max ack, max command, sirm; then info, payload, leader and trailer size
     with pytest.raises(DeviceError, match="announces frames"):
-        stream.arrange(control.Control(Liar([0x10000, 0, 0, 0x20000, 0, 2**40, 52, 32]), ENDS), SHAPE)
+        stream.negotiate_transfers(control.Control(Liar([0x10000, 0, 0, 0x20000, 0, 2**40, 52, 32]), ENDS), SHAPE)
 
 
 def test_a_device_that_always_asks_for_time_does_not_get_all_of_it(monkeypatch) -> None:
@@ -127,7 +127,7 @@ def test_a_device_that_always_asks_for_time_does_not_get_all_of_it(monkeypatch) 
             ]
             return super().read(endpoint, buffer, timeout_ms)
 
-    monkeypatch.setattr(control, "PATIENCE_S", 0.02)
+    monkeypatch.setattr(control, "PENDING_TIMEOUT_S", 0.02)
     with pytest.raises(DeviceError, match="did not answer"):
         control.Control(Busy([]), ENDS)
 
@@ -191,7 +191,7 @@ TRAILERS = st.builds(
 def test_after_any_rubbish_whole_frames_come_whole(rubbish) -> None:
     frames = [part for number in range(1000, 1040) for part in good_frame(number)]
     endless = stream.U3vStream(
-        Firehose([*rubbish, *frames]), 0x82, [PIXELS], SHAPE, patience_s=0.1, wait_for_reader=True
+        Firehose([*rubbish, *frames]), 0x82, [PIXELS], SHAPE, timeout_s=0.1, wait_for_reader=True
     )
     buffer = np.empty(SHAPE, np.uint8)
     seen = []

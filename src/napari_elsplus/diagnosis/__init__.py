@@ -1,4 +1,4 @@
-"""What is installed, what is connected, what is wrong, and the command that mends it."""
+"""Checks of installation, devices and computer: what is there, what is wrong, and its remedy."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ if TYPE_CHECKING:
     from napari_elsplus.diagnosis.finding import Finding
 
 CHECKS = (*software.CHECKS, *machine.CHECKS, *devices.CHECKS)
-"""Every check, in the order in which a person would ask: each is called without arguments and gives its findings."""
+"""Every check, from the software to the devices; each is called without arguments and yields findings."""
 
 
 def diagnose() -> Iterator[Finding]:
-    """Run every check, one after the other, and give what each finds as it finds it.
+    """Run every check, and yield each finding as soon as it is made.
 
-    Returns
-    -------
-    Iterator of Finding
+    Yields
+    ------
+    Finding
         At least one for each check.
 
     Examples

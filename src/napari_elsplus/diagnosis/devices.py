@@ -1,4 +1,4 @@
-"""Which cameras, cards and rigs are seen, and what stands between them and their use."""
+"""Checks of cameras, cards and rig files."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from napari_elsplus.diagnosis.finding import ok, warning
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.rig_files import read_rig, rig_files, rig_folder
 from napari_elsplus.hardware.u3v.discovery import (
-    ALLOW,
     FLIR,
+    PERMISSION_REMEDIES,
     find_cameras,
     find_iidc,
     refuse_slow_link,
-    told_by_usb,
+    translate_usb_errors,
 )
 
 if TYPE_CHECKING:
@@ -24,21 +24,23 @@ if TYPE_CHECKING:
 
     from napari_elsplus.diagnosis.finding import Finding
 
-MENDS_LIBUSB: Final = {
+LIBUSB_REMEDIES: Final = {
     "linux": "apt-get install libusb-1.0-0",
     "darwin": "brew install libusb",
     "win32": "put libusb-1.0.dll (from libusb.info) into a folder that is on PATH",
 }
+"""How to install libusb, by ``sys.platform``."""
 DEVICE_FILES = Path("/dev/bus/usb")
+"""Device files of USB on Linux."""
 
 
 def usb() -> Iterator[Finding]:
-    """See that the camera's bus can be reached, and that the cameras on it may be opened and are fast enough."""
+    """Check that libusb reaches the bus, and that the cameras on it may be opened and are fast enough."""
     from usb.backend import libusb1
 
     backend = libusb1.get_backend()
     if backend is None:
-        remedy = MENDS_LIBUSB.get(sys.platform, "install libusb 1.0")
+        remedy = LIBUSB_REMEDIES.get(sys.platform, "install libusb 1.0")
         yield warning("no libusb 1.0, so no USB camera can be reached", remedy)
         return
     try:
@@ -56,12 +58,12 @@ def usb() -> Iterator[Finding]:
 
 
 def _camera(camera: Any) -> Finding:
-    """Say who a camera is, or why it cannot be used."""
+    """Return name and serial number of a camera, or the reason why it cannot be used."""
     file = DEVICE_FILES / f"{camera.bus:03d}" / f"{camera.address:03d}"
     if file.exists() and not os.access(file, os.R_OK | os.W_OK):
         return warning(f"no permission to open the camera at {file}", _allowing(camera))
     try:
-        with told_by_usb(f"camera {_ids(camera)}"):
+        with translate_usb_errors(f"camera {_ids(camera)}"):
             name = f"{camera.manufacturer} {camera.product}, serial {camera.serial_number} ({_ids(camera)})"
         refuse_slow_link(camera)
     except DeviceError as error:
@@ -76,13 +78,13 @@ def _ids(camera: Any) -> str:
 
 
 def _allowing(camera: Any) -> str:
-    """Tell how to permit a camera, of whatever maker."""
-    how = ALLOW.get(sys.platform, ALLOW["linux"])
+    """Return the remedy for missing permission, with the camera's own vendor id."""
+    how = PERMISSION_REMEDIES.get(sys.platform, PERMISSION_REMEDIES["linux"])
     return how.replace(f"{FLIR:04x}", f"{camera.idVendor:04x}")
 
 
 def galvo_card() -> Iterator[Finding]:
-    """See that NI's driver is installed, and which cards it knows."""
+    """Check that NI's driver is installed, and list its cards."""
     from nidaqmx.errors import Error
     from nidaqmx.system import System
 
@@ -98,11 +100,11 @@ def galvo_card() -> Iterator[Finding]:
         return
     yield ok(f"NI-DAQmx {driver.major_version}.{driver.minor_version}; cards: {', '.join(cards) or 'none'}")
     if not cards:
-        yield warning("NI's driver knows no card", "plug it in and see that NI MAX shows it")
+        yield warning("NI's driver lists no card", "plug it in and see that NI MAX shows it")
 
 
 def rigs() -> Iterator[Finding]:
-    """See that every rig's file can be read."""
+    """Check that every rig file can be read."""
     files = rig_files()
     yield ok(f"rigs: {', '.join(['simulated', *sorted(files)])} (files in {rig_folder()})")
     for name in sorted(files):
@@ -113,3 +115,4 @@ def rigs() -> Iterator[Finding]:
 
 
 CHECKS = (usb, galvo_card, rigs)
+"""Checks of this module, in order."""

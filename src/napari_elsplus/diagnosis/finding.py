@@ -1,4 +1,4 @@
-"""What a check found: how grave it is, what it is, and how to mend it."""
+"""A finding of a check: severity, subject, remedy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Level(StrEnum):
-    """How grave a finding is."""
+    """Severity of a finding."""
 
     OK = "ok"
     WARNING = "warning"
@@ -18,16 +18,16 @@ class Level(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that a check found.
+    """A finding of a check.
 
     Parameters
     ----------
     level : Level
-        How grave it is.
+        Severity.
     what : str
         What was found, with its value.
     remedy : str, default ""
-        The command, or what else to do; every finding that is not ok has one.
+        Command or action; every finding that is not ok has one.
 
     Examples
     --------
@@ -40,20 +40,20 @@ class Finding:
     remedy: str = ""
 
     def __str__(self) -> str:
-        said = f"{self.what}: {self.remedy}" if self.remedy else self.what
-        return f"{self.level:<8} {said}"
+        text = f"{self.what}: {self.remedy}" if self.remedy else self.what
+        return f"{self.level:<8} {text}"
 
 
 def ok(what: str) -> Finding:
-    """Say that something is as it should be."""
+    """Return a finding of no fault, with `what` was found."""
     return Finding(Level.OK, what)
 
 
 def warning(what: str, remedy: str) -> Finding:
-    """Say that something cannot be used, and how it could."""
+    """Return a finding that a part cannot be used: `what`, and its remedy."""
     return Finding(Level.WARNING, what, remedy)
 
 
 def problem(what: str, remedy: str) -> Finding:
-    """Say that the software cannot be relied on, and how it could."""
+    """Return a finding that the software cannot be relied on: `what`, and its remedy."""
     return Finding(Level.PROBLEM, what, remedy)

@@ -1,7 +1,7 @@
 """Checks for the first hour at a real rig: ``python -m napari_elsplus.diagnosis.first_light CHECK``.
 
-Each settles a question that no virtual device can answer, without light on anything: the mirror stays parked
-throughout. What to do with the answers: docs/first-light.md.
+Each settles a question that no virtual device can answer, without light on the bundle: the galvo stays parked
+throughout. How to use the results: docs/first-light.md.
 """
 
 from __future__ import annotations
@@ -32,12 +32,15 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.rig import Rig
 
 HEIGHTS: Final = (SENSOR_SHAPE[0], SENSOR_SHAPE[0] // 2)
+"""Rows of the two regions whose shortest frame periods give the line period."""
 WARM_UP_FRAMES: Final = 10
-FEWEST_FRAMES: Final = 8
+"""Frames before the measurement; chosen."""
+MIN_FRAMES: Final = 8
+"""Frames of a measurement; chosen: four at the beginning and four at the end."""
 
 
 def examine_camera(device: Device) -> Iterator[str]:
-    """Say how a camera shows itself on the bus, and what the Flea3's registers of uncertain meaning hold.
+    """Report USB ids and endpoints of a camera, and the Flea3's registers of uncertain meaning.
 
     Parameters
     ----------
@@ -86,7 +89,21 @@ def examine_camera(device: Device) -> Iterator[str]:
 
 
 def stream(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
-    """Stream a preset for a while, and say whether the computer kept up.
+    """Stream a preset, and report rate, lost frames and processor time.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open rig.
+    preset_name : str
+        Region and frame rate.
+    seconds : float
+        Duration.
+
+    Yields
+    ------
+    str
+        One finding each.
 
     Raises
     ------
@@ -115,7 +132,21 @@ def stream(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
 
 
 def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
-    """Let the strobe start a ramp that never leaves the parking position, and count ramps against frames.
+    """Count ramps against frames, with a ramp that never leaves the parking voltage.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open rig.
+    preset_name : str
+        Region and frame rate.
+    seconds : float
+        Duration.
+
+    Yields
+    ------
+    str
+        One finding each.
 
     Raises
     ------
@@ -151,7 +182,7 @@ def _configure(rig: Rig, preset_name: str, seconds: float) -> int:
     rate_hz = chosen.optics.frame_rate_hz
     region = Region(*chosen.sensor_origin, *chosen.frame_shape)
     rig.camera.configure(region, slit_rows=3, frame_rate_hz=rate_hz)
-    if not FEWEST_FRAMES <= seconds * rate_hz < inf:
+    if not MIN_FRAMES <= seconds * rate_hz < inf:
         raise InputError(f"{seconds} s", "take at least a tenth of a second")
     return round(seconds * rate_hz)
 
@@ -163,14 +194,14 @@ SECONDS = click.option("--seconds", default=10.0, show_default=True)
 
 @click.group()
 def first_light() -> None:
-    """Check a rig, the mirror parked."""
+    """Check a rig, the galvo parked."""
 
 
 @first_light.command("camera")
 @click.option("--serial", default="", help="Serial number, where several cameras are connected.")
 def _camera(serial: str) -> None:
-    """How the camera shows itself, and its line period."""
-    _say(examine_camera(choose_camera(serial)))
+    """Report the camera's identity, and its line period."""
+    _print(examine_camera(choose_camera(serial)))
 
 
 @first_light.command("stream")
@@ -178,9 +209,9 @@ def _camera(serial: str) -> None:
 @PRESET
 @SECONDS
 def _stream(name: str, mode: str, seconds: float) -> None:
-    """Whether the computer keeps up with the camera."""
+    """Report if the computer keeps up with the camera."""
     with open_rig(name) as rig:
-        _say(stream(rig, mode, seconds))
+        _print(stream(rig, mode, seconds))
 
 
 @first_light.command("strobe")
@@ -188,12 +219,12 @@ def _stream(name: str, mode: str, seconds: float) -> None:
 @PRESET
 @SECONDS
 def _strobe(name: str, mode: str, seconds: float) -> None:
-    """Whether the strobe reaches the card, and starts it every time."""
+    """Report if the strobe reaches the card and starts every ramp."""
     with open_rig(name) as rig:
-        _say(strobe(rig, mode, seconds))
+        _print(strobe(rig, mode, seconds))
 
 
-def _say(findings: Iterator[str]) -> None:
+def _print(findings: Iterator[str]) -> None:
     for finding in findings:
         click.echo(finding)
 

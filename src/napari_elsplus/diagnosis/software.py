@@ -1,4 +1,4 @@
-"""Whether the packages are there, fit together, and can do what is asked of them."""
+"""Checks of the installed packages."""
 
 from __future__ import annotations
 
@@ -17,19 +17,21 @@ if TYPE_CHECKING:
     from napari_elsplus.diagnosis.finding import Finding
 
 NAMED_FIRST = ("napari", "numpy", "scikit-image", "opencv-contrib-python-headless", "numba", "pyusb", "nidaqmx")
+"""Packages whose versions are reported."""
 OPENCV = "opencv-contrib-python-headless"
 OTHER_OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python")
+"""Distributions that write into the same folder as `OPENCV`."""
 QT_BINDINGS = {"PyQt6": ("PyQt6",), "PySide6": ("PySide6", "PySide6-Essentials")}
 """Each Qt binding that we test with, and the distributions that bring it."""
 
 
 def python() -> Iterator[Finding]:
-    """Say which Python and which of us this is."""
+    """Report the versions of Python and of this package."""
     yield ok(f"Python {platform.python_version()} on {platform.platform()}, napari-elsplus {__version__}")
 
 
 def packages() -> Iterator[Finding]:
-    """Compare what is installed with what the package says it requires."""
+    """Compare the installed packages with the requirements."""
     try:
         stated = [Requirement(line) for line in requires("napari-elsplus") or ()]
     except PackageNotFoundError:
@@ -45,7 +47,7 @@ def packages() -> Iterator[Finding]:
 
 
 def one_opencv() -> Iterator[Finding]:
-    """See that no other OpenCV wheel has written into the same folder."""
+    """Check that no other OpenCV wheel has written into the same folder."""
     others = [name for name in OTHER_OPENCV if installed_version(name)]
     remedy = f"pip uninstall --yes {' '.join([*others, OPENCV])}, then pip install {OPENCV}"
     try:
@@ -61,7 +63,7 @@ def one_opencv() -> Iterator[Finding]:
 
 
 def qt_binding() -> Iterator[Finding]:
-    """See that there is a Qt for napari's windows."""
+    """Check that a Qt binding is installed."""
     present = {
         binding: found
         for binding, names in QT_BINDINGS.items()
@@ -74,7 +76,7 @@ def qt_binding() -> Iterator[Finding]:
 
 
 def plugin() -> Iterator[Finding]:
-    """See that napari would find the plugin."""
+    """Check that napari finds the plugin."""
     if any(entry.value == "napari_elsplus:napari.yaml" for entry in entry_points(group="napari.manifest")):
         yield ok("napari finds the plugin")
     else:
@@ -82,7 +84,7 @@ def plugin() -> Iterator[Finding]:
 
 
 def kernel_cache() -> Iterator[Finding]:
-    """See that compiled kernels are kept between runs."""
+    """Check that compiled kernels are kept between runs."""
     from napari_elsplus.processing.compiled import kernel
 
     folder = kernel(_plus_one).stats.cache_path  # type: ignore[attr-defined]
@@ -96,7 +98,7 @@ def kernel_cache() -> Iterator[Finding]:
 
 
 def installed_version(distribution: str) -> str | None:
-    """Version of an installed distribution, or None."""
+    """Return the version of an installed distribution, or None."""
     try:
         return version(distribution)
     except PackageNotFoundError:
@@ -116,3 +118,4 @@ def _plus_one(number: int) -> int:
 
 
 CHECKS = (python, packages, one_opencv, qt_binding, plugin, kernel_cache)
+"""Checks of this module, in order."""

@@ -1,8 +1,8 @@
-"""A process that holds nothing but an order: park the mirror if the process that drives it dies.
+"""A process with a single task: park the galvo if the process that drives it dies.
 
 ``kill -9``, a crash in a driver or the system's memory killer leave no time for clean-up, while the card goes on
-sweeping the laser, or leaves it standing on one line of tissue. The guardian waits on a pipe; when it ends without a
-farewell, whoever held the other end is dead, and the guardian parks.
+sweeping the laser, or leaves it on one line of tissue. The guardian waits on a pipe; when it ends without a
+farewell, the process at the other end is dead, and the guardian parks.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 READY: Final = "ready"
 FAREWELL: Final = "farewell"
+"""Messages of the pipe."""
 
 
 class Guardian:
@@ -49,7 +50,7 @@ class Guardian:
         self._say(json.dumps(asdict(order)))
         if cast("IO[str]", self._process.stdout).readline().strip() != READY:
             self.dismiss()
-            raise DeviceError("the mirror's guardian did not start", "see the messages above")
+            raise DeviceError("the galvo's guardian did not start", "see the messages above")
 
     def revise(self, order: ParkOrder) -> None:
         """Give it another order in place of the one before.
@@ -62,10 +63,10 @@ class Guardian:
         try:
             self._say(json.dumps(asdict(order)))
         except BrokenPipeError:
-            raise DeviceError("the mirror's guardian has ended", "connect to the rig again") from None
+            raise DeviceError("the galvo's guardian has ended", "connect to the rig again") from None
 
     def dismiss(self) -> None:
-        """Let the guardian go; the mirror was parked by whoever drove it."""
+        """End the guardian; the galvo was parked by the caller."""
         with suppress(BrokenPipeError):  # it is gone already
             self._say(FAREWELL)
         for pipe in (self._process.stdin, self._process.stdout):
@@ -86,12 +87,19 @@ class Guardian:
 
 
 def guard(orders: TextIO, answers: TextIO) -> None:
-    """Take orders, and carry out the last one if they end without a farewell.
+    """Read park orders, and carry out the last one if they end without a farewell.
+
+    Parameters
+    ----------
+    orders : file
+        One order as JSON per line.
+    answers : file
+        Receives `READY`.
 
     Raises
     ------
     DeviceError
-        If the mirror could not be parked.
+        If the galvo could not be parked.
     """
     order = ParkOrder(**json.loads(orders.readline()))
     rehearse(order)

@@ -1,4 +1,4 @@
-"""Parking the mirror from outside: what has to be known, and how it is done when whoever drove it is dead."""
+"""Park the galvo from another process, after the one that drove it died."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.daq.errors import told_by_the_card
+from napari_elsplus.hardware.daq.errors import translate_daq_errors
 from napari_elsplus.hardware.daq.output import CardSettings, Output, open_options
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
@@ -18,20 +18,21 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.daq.scanner import DaqScanner
 
 RETRY_S: Final = 0.02
+"""Seconds between two attempts; chosen: some task set-up times of the driver."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParkOrder:
-    """All that is needed to park the mirror from another process.
+    """Output and voltage by which another process parks the galvo.
 
     Parameters
     ----------
     device, output : str
         The card and its output.
     volts : float
-        Where to park.
+        Parking voltage.
     min_v, max_v : float
-        The output's range.
+        Range of the output in volts.
     address : str
         ``host:port`` of a gRPC device server; empty: the driver on this computer.
     """
@@ -45,19 +46,19 @@ class ParkOrder:
 
 
 def park_order(scanner: DaqScanner) -> ParkOrder:
-    """Say what parks a scanner's mirror."""
+    """Return the order that parks the galvo of a scanner."""
     card, limits = scanner.card, scanner.limits
     return ParkOrder(card.device, card.output, scanner.park_v, limits.min_v, limits.max_v, card.address)
 
 
-def carry_out(order: ParkOrder, patience_s: float = 2.0) -> None:
+def carry_out(order: ParkOrder, timeout_s: float = 2.0) -> None:
     """Take the output over and park: a card goes on repeating its waveform after its program died.
 
     Parameters
     ----------
     order : ParkOrder
         What to do.
-    patience_s : float
+    timeout_s : float
         How long to try.
 
     Raises
@@ -69,7 +70,7 @@ def carry_out(order: ParkOrder, patience_s: float = 2.0) -> None:
         CardSettings(order.volts, device=order.device, output=order.output, address=order.address),
         GalvoLimits(min_v=order.min_v, max_v=order.max_v),
     )
-    until = time.monotonic() + patience_s
+    until = time.monotonic() + timeout_s
     while True:
         try:
             output.put(order.volts)
@@ -84,21 +85,15 @@ def carry_out(order: ParkOrder, patience_s: float = 2.0) -> None:
 
 
 def rehearse(order: ParkOrder) -> None:
-    """Load all that `carry_out` needs, and reach the driver once, so that it is quick when it matters.
-
-    Raises
-    ------
-    DeviceError
-        If the driver cannot be reached.
-    """
+    """Load all modules that parking by an `order` needs, and call the driver once, so that it is fast later."""
     import nidaqmx.stream_writers  # noqa: F401 - for later
 
-    with told_by_the_card(order.device):
+    with translate_daq_errors(order.device):
         _ = _system(order).driver_version
 
 
 def _abort_what_runs(order: ParkOrder) -> None:
-    with suppress(DeviceError), told_by_the_card(order.device):  # tried again until the patience ends
+    with suppress(DeviceError), translate_daq_errors(order.device):  # tried again until the patience ends
         _system(order).devices[order.device].reset_device()
 
 

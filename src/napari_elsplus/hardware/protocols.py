@@ -1,7 +1,7 @@
-"""What the software asks of a camera and of a mirror, and no more.
+"""Protocols of a camera and of a scanner.
 
-Anything that keeps these two protocols can be driven: the USB3 Vision camera and the National Instruments card of this
-package, their virtual stand-ins, or a driver of the user's own.
+Anything that implements these two can be driven: the USB3 Vision camera and the National Instruments card of this
+package, their virtual counterparts, or a driver of the user's own.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class Region:
     Parameters
     ----------
     row, col : int
-        Sensor pixel where it begins.
+        First sensor pixel.
     rows, cols : int
-        Its size.
+        Size.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:
-    """When a frame was taken, and which one it is.
+    """Number and times of a frame.
 
     Parameters
     ----------
@@ -95,18 +95,29 @@ class Camera(Protocol):
         """Frames lost since `start`, by cause."""
 
     def configure(self, region: Region, *, slit_rows: int, frame_rate_hz: float, gain_db: float = 0.0) -> None:
-        """Set region, exposure (the rolling slit's width in rows), frame rate and gain; switch the strobe output on.
+        """Set region, exposure, frame rate and gain; switch the strobe output on.
+
+        Parameters
+        ----------
+        region : Region
+            Part of the sensor that is read.
+        slit_rows : int
+            Exposure in line periods, which is the width of the rolling slit in rows.
+        frame_rate_hz : float
+            Frames per second.
+        gain_db : float
+            Gain in dB.
 
         Raises
         ------
         InputError
-            If the camera cannot do that; says which limit it has.
+            If the camera cannot do that; the message contains its limit.
         DeviceError
             If the camera is streaming, or does not answer.
         """
 
     def start(self) -> None:
-        """Begin to stream.
+        """Start streaming.
 
         Raises
         ------
@@ -115,14 +126,14 @@ class Camera(Protocol):
         """
 
     def read_into(self, buffer: NDArray[np.uint8], timeout_s: float) -> FrameInfo:
-        """Fill the caller's buffer with the oldest frame that was not read yet.
+        """Fill the caller's buffer with the oldest unread frame.
 
         Parameters
         ----------
         buffer : numpy.ndarray
             C-contiguous uint8 of `frame_shape`; written only when the call succeeds.
         timeout_s : float
-            How long to wait.
+            Time to wait for a frame.
 
         Raises
         ------
@@ -133,10 +144,10 @@ class Camera(Protocol):
         """
 
     def stop(self) -> None:
-        """End the stream; frames not read yet are discarded. Does nothing if the camera does not stream."""
+        """End the stream; unread frames are discarded. Does nothing if the camera does not stream."""
 
     def close(self) -> None:
-        """Stop, and let the camera go. Never raises because the camera is gone."""
+        """Stop, and release the camera. Never raises because the camera is gone."""
 
     def __enter__(self) -> Self:
         """Return the camera."""
@@ -147,10 +158,10 @@ class Camera(Protocol):
 
 @runtime_checkable
 class Scanner(Protocol):
-    """A mirror that puts the laser line onto a row. A context manager: leaving it parks the mirror and lets it go.
+    """The galvo that positions the laser line. A context manager: leaving it parks and releases the galvo.
 
-    After a fault the scanner has stopped and parked by itself;
-    `check` says what happened, until the next `hold` or `scan`.
+    After a fault the scanner has stopped and parked by itself; `check` raises the fault until the next `hold` or
+    `scan`.
     """
 
     @property
@@ -159,10 +170,15 @@ class Scanner(Protocol):
 
     @property
     def park_v(self) -> float:
-        """Voltage at which the mirror parks: the rig's, until `park_at` says another."""
+        """Voltage at which the galvo parks: the rig's, until `park_at` sets another."""
 
     def park_at(self, volts: float) -> None:
-        """Park there from now on; a mirror that is parked goes there at once.
+        """Set the parking voltage; a parked galvo moves there at once.
+
+        Parameters
+        ----------
+        volts : float
+            Drive in volts.
 
         Raises
         ------
@@ -173,7 +189,12 @@ class Scanner(Protocol):
         """
 
     def hold(self, volts: float) -> None:
-        """Let the line stand; after the rig's time limit the mirror parks by itself.
+        """Hold the line at a voltage; after the rig's time limit the galvo parks by itself.
+
+        Parameters
+        ----------
+        volts : float
+            Drive in volts.
 
         Raises
         ------
@@ -200,7 +221,7 @@ class Scanner(Protocol):
         Raises
         ------
         DeviceError
-            Strobe lost, underrun, card gone, or a hold that went on too long; the mirror was parked.
+            Strobe lost, underrun, card gone, or a hold that went on too long; the galvo was parked.
         """
 
     def park(self) -> None:
@@ -213,7 +234,7 @@ class Scanner(Protocol):
         """
 
     def close(self) -> None:
-        """Park, and let the card go. Never raises because the card is gone."""
+        """Park, and release the card. Never raises because the card is gone."""
 
     def __enter__(self) -> Self:
         """Return the scanner."""

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.virtual.card.process import RemoteCard
 
 SIMULATED: Final = "simulated"
+"""Name of the simulated rig."""
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""A user's own rigs: one readable TOML file each, in the user's configuration folder."""
+"""Rigs of the user: one TOML file each, in the user's configuration folder."""
 
 from __future__ import annotations
 
@@ -23,10 +23,12 @@ if TYPE_CHECKING:
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Volts = Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False)]
 RESERVED = ("simulated",)
+"""Names that no file may take."""
 
 
 CAMERA_KINDS: Final = ("flea3", "genicam")
 SCANNER_KINDS: Final = ("nidaqmx",)
+"""Drivers of this package."""
 DRIVER: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 """``package.module:Class``: a driver outside this package."""
 
@@ -101,7 +103,7 @@ class GalvoTable(_Table):
 
 
 class RigSettings(_Table):
-    """Everything in a rig's file.
+    """Content of a rig file.
 
     Examples
     --------

@@ -171,7 +171,7 @@ def test_out_of_range_is_refused_before_the_card_sees_it(cards, ramp) -> None:
     with DaqScanner(bench.settings, bench.limits) as scanner:
         before = bench.card.version
         for volts in (2.01, -2.5, float("nan"), float("inf")):
-            with pytest.raises(InputError, match="V asked of the mirror"):
+            with pytest.raises(InputError, match="V for the galvo"):
                 scanner.hold(volts)
         wild = Waveform(ramp.volts * 20, 1, ramp.sample_rate_hz, PERIOD_S)
         with pytest.raises(InputError, match="limits"):

@@ -125,7 +125,7 @@ def test_slew_and_acceleration_of_every_accepted_scan_keep_the_limits(calibratio
 
 
 def test_a_voltage_outside_the_limits_is_refused_before_the_card_sees_it(calibration) -> None:
-    with pytest.raises(InputError, match="V asked of the scan"):
+    with pytest.raises(InputError, match="V for the scan"):
         els_waveform(calibration(), HZ240, GalvoLimits(max_v=0.2))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import runpy
 
-from napari_elsplus.diagnosis.machine import WITHOUT_SCREEN, ask_for_screen
+from napari_elsplus.diagnosis.machine import WITHOUT_SCREEN, probe_screen
 from napari_elsplus.errors import DeviceError
 
 
@@ -16,7 +16,7 @@ def open_window() -> None:
     DeviceError
         If no screen answers.
     """
-    screen = ask_for_screen()
+    screen = probe_screen()
     if not screen.answers:
         raise DeviceError(f"no window can be opened ({screen.detail})", WITHOUT_SCREEN)
     runpy.run_module("napari_elsplus._window", run_name="__main__")

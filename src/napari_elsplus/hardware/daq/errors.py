@@ -1,4 +1,4 @@
-"""What the card's driver complains of, in our words and with a remedy."""
+"""Errors of the card's driver as `DeviceError`, with a remedy."""
 
 from __future__ import annotations
 
@@ -32,11 +32,17 @@ CODES: Final = {
     -201003: GONE,
     -88710: GONE,
 }
+"""DAQmx status codes with problem and remedy, after NI's list of errors."""
 
 
 @contextmanager
-def told_by_the_card(device: str) -> Iterator[None]:
-    """Turn what nidaqmx raises into a `DeviceError` with a remedy.
+def translate_daq_errors(device: str) -> Iterator[None]:
+    """Turn nidaqmx's exceptions into a `DeviceError` with a remedy.
+
+    Parameters
+    ----------
+    device : str
+        Name of the card, for the message.
 
     Raises
     ------

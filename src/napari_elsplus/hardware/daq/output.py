@@ -8,7 +8,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.daq.errors import told_by_the_card
+from napari_elsplus.hardware.daq.errors import translate_daq_errors
 
 if TYPE_CHECKING:
     from nidaqmx import GrpcSessionOptions, Task
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CardSettings:
-    """Which card, and what is wired to it.
+    """Card and wiring.
 
     Parameters
     ----------
     device, output, counter, strobe : str
         Names as NI MAX shows them.
     falling : bool
-        Whether the strobe's falling edge starts the ramp, as on the authors' rig.
+        The strobe's falling edge starts the ramp, as on the authors' rig.
     park_v : float
         Voltage at which the line clears the lit bundle; never assumed, always measured or confirmed by the user.
     hold_limit_s : float
-        How long the line may stand on the bundle.
+        Longest time for which the line may be held on the bundle, in seconds.
     address : str
         ``host:port`` of an NI gRPC device server; empty: the driver on this computer.
 
@@ -56,7 +56,7 @@ class CardSettings:
 
 
 def open_options(address: str) -> GrpcSessionOptions | None:
-    """Return what nidaqmx needs to reach a card elsewhere; None for the driver on this computer."""
+    """Return nidaqmx's session options for a card at an address; None for the driver on this computer."""
     if not address:
         return None
     import grpc
@@ -66,7 +66,15 @@ def open_options(address: str) -> GrpcSessionOptions | None:
 
 
 class Output:
-    """The card's analog output and its clock, as nidaqmx tasks; one of them holds the output at any time."""
+    """The card's analog output and its clock, as nidaqmx tasks; one of them reserves the output at any time.
+
+    Parameters
+    ----------
+    card : CardSettings
+        Card and wiring.
+    limits : GalvoLimits
+        Range of the output.
+    """
 
     def __init__(self, card: CardSettings, limits: GalvoLimits) -> None:
         self.card, self.limits = card, limits
@@ -75,17 +83,17 @@ class Output:
         self._still: Task | None = None
 
     def put(self, volts: float) -> None:
-        """Put one voltage out, now."""
+        """Put a voltage out, in volts, now."""
         from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
         try:
-            with told_by_the_card(self.card.device):
+            with translate_daq_errors(self.card.device):
                 if self._still is None:
                     self.clear()
                     self._still, _ = self._voltage_task()
                 AnalogSingleChannelWriter(self._still.out_stream, auto_start=True).write_one_sample(volts)
         except DeviceError:
-            with contextlib.suppress(DeviceError):  # what is raised says more
+            with contextlib.suppress(DeviceError):  # the first error is raised
                 self.clear()
             raise
 
@@ -96,7 +104,7 @@ class Output:
 
         card, rate = self.card, waveform.sample_rate_hz
         edge = Edge.FALLING if card.falling else Edge.RISING
-        with told_by_the_card(card.device):
+        with translate_daq_errors(card.device):
             self.clear()
             clock = self._task()
             clock.co_channels.add_co_pulse_chan_freq(f"{card.device}/{card.counter}", freq=rate)
@@ -115,21 +123,21 @@ class Output:
             clock.start()
 
     def samples_done(self) -> int:
-        """Count the samples put out since `repeat`; raise what stopped the output, if anything did."""
-        with told_by_the_card(self.card.device):
+        """Count the samples put out since `repeat`; raise the error that stopped the output, if any."""
+        with translate_daq_errors(self.card.device):
             for task in self._tasks:
                 task.is_task_done()
             return int(self._tasks[-1].out_stream.total_samp_per_chan_generated)
 
     def clear(self) -> None:
-        """Let the output go; the card keeps the last voltage. Every task is let go, whatever happens to the others."""
+        """Delete every task, whatever errors others raise; the card keeps the last voltage."""
         tasks, self._tasks, self._still = self._tasks, [], None
-        with contextlib.ExitStack() as each, told_by_the_card(self.card.device):
+        with contextlib.ExitStack() as each, translate_daq_errors(self.card.device):
             for task in reversed(tasks):
                 each.callback(task.close)
 
     def close(self) -> None:
-        """Let the output go, and hang up on a card elsewhere before its server ends."""
+        """Delete every task, and close the channel to a card elsewhere before its server ends."""
         try:
             self.clear()
         finally:

@@ -2,7 +2,7 @@
 
 A retriggerable counter, started by the strobe, gives one burst of sample clocks per frame; the analog output repeats
 the waveform from the card's own memory, so no buffer can run dry. A watch thread sees to it that the line never stands
-on the bundle: strobe lost, underrun, or a hold that goes on too long, and the mirror is parked.
+on the bundle: strobe lost, underrun, or a hold that goes on too long, and the galvo is parked.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
 
 WATCH_EVERY_S: Final = 0.02
+"""Seconds between two checks of the card; chosen: a small part of the 0.5 s in which the galvo has to park."""
 LOST_AFTER_FRAMES: Final = 6
 LOST_AFTER_S: Final = 0.08
 """A strobe counts as lost when it is late by this many frames, and by so long at least."""
 
 
 class DaqScanner:
-    """The mirror behind a National Instruments card; see `napari_elsplus.hardware.protocols.Scanner`.
+    """The galvo behind a National Instruments card; see `napari_elsplus.hardware.protocols.Scanner`.
 
-    Opening it parks the mirror. It parks on leaving the context, on `close`, and when the interpreter ends.
+    Opening it parks the galvo. It parks on leaving the context, on `close`, and when the interpreter ends.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ class DaqScanner:
         self._seen, self._seen_at_s = 0, 0.0
         self._closing = threading.Event()
         self._output.put(card.park_v)
-        self._watch = threading.Thread(target=self._keep_watch, name="mirror watch", daemon=True)
+        self._watch = threading.Thread(target=self._keep_watch, name="galvo watch", daemon=True)
         self._watch.start()
         atexit.register(self.close)
 
@@ -74,11 +75,11 @@ class DaqScanner:
 
     @property
     def park_v(self) -> float:
-        """Where the mirror parks."""
+        """Where the galvo parks."""
         return self._park_v
 
     def park_at(self, volts: float) -> None:
-        """Park there from now on; a mirror that is parked goes there at once."""
+        """Set the parking voltage; see :meth:`napari_elsplus.hardware.protocols.Scanner.park_at`."""
         self.limits.check(volts, "the parking position")
         with self._lock:
             parked = self._waveform is None and self._volts == self._park_v
@@ -87,7 +88,7 @@ class DaqScanner:
                 self.park()
 
     def hold(self, volts: float) -> None:
-        """Let the line stand; after the time limit the mirror parks by itself."""
+        """Hold the line at a voltage; see :meth:`napari_elsplus.hardware.protocols.Scanner.hold`."""
         self.limits.check(volts)
         with self._lock:
             self._begin()
@@ -143,7 +144,7 @@ class DaqScanner:
 
     def _begin(self) -> None:
         if self._closing.is_set():
-            raise DeviceError("the mirror was closed", "open the rig again")
+            raise DeviceError("the galvo was closed", "open the rig again")
         self._waveform, self._fault = None, None
 
     def _go_to(self, volts: float) -> None:
@@ -161,7 +162,7 @@ class DaqScanner:
         self._volts = volts
 
     def _try_to_park(self) -> None:
-        with contextlib.suppress(DeviceError):  # what brought us here is raised already, and says more
+        with contextlib.suppress(DeviceError):  # the first error is raised
             self.park()
 
     def _keep_watch(self) -> None:
@@ -180,7 +181,7 @@ class DaqScanner:
             stands = self._waveform is not None or self._volts != self._park_v
             if stands and now - self._seen_at_s > self.card.hold_limit_s:
                 return DeviceError(
-                    f"the line stood on one place for {self.card.hold_limit_s:g} s, so the mirror was parked",
+                    f"the line stood on one place for {self.card.hold_limit_s:g} s, so the galvo was parked",
                     "start again; the limit is hold_limit_s in the rig's file",
                 )
         if self._waveform is None:
@@ -194,7 +195,7 @@ class DaqScanner:
         late = now - self._seen_at_s
         if self._seen and late > max(LOST_AFTER_S, LOST_AFTER_FRAMES * self._waveform.frame_period_s):
             return DeviceError(
-                f"no strobe for {late * 1e3:.0f} ms, so the mirror was parked",
+                f"no strobe for {late * 1e3:.0f} ms, so the galvo was parked",
                 f"check that the camera runs and that its strobe reaches {self.card.strobe}",
             )
         return None

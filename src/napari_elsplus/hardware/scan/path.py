@@ -1,4 +1,4 @@
-"""Where the line is at each moment of a scan: on the slit, or on its smooth way back."""
+"""Position of the laser line during a scan: on the slit while rows are exposed, then on a smooth flyback."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 TURN_S: Final = 0.9e-3
 LEAD_IN_S: Final = 0.5e-3
-"""With time to spare the mirror turns, rests above the image and runs up again, instead of flying through."""
+"""Seconds of the turn after the last row and of the run-up before the first.
+
+Where both fit, the galvo turns, rests above the image and runs up again instead of flying through; chosen: some
+settling times of a 1 kHz galvo."""
 
 
 class ScanPath:
@@ -26,11 +29,11 @@ class ScanPath:
     Parameters
     ----------
     begin_s, end_s : float
-        When the ramp begins and ends, after the strobe.
+        Beginning and end of the ramp, in seconds after the strobe.
     timing : ScanTiming
-        When which row is exposed.
+        Exposure times of the rows.
     shifts_rows : tuple of float
-        Of the ramps that take turns.
+        Shifts in rows of the ramps that alternate.
 
     Raises
     ------
@@ -51,7 +54,7 @@ class ScanPath:
             )
 
     def __call__(self, times_s: Series) -> tuple[Series, Series, Series]:
-        """Row, rows per second, rows per second squared."""
+        """Return row, rows per second and rows per second squared at each time."""
         period = self.timing.frame_period_s
         frame = np.floor((times_s - self.begin_s) / period)
         t = times_s - frame * period  # from begin_s on

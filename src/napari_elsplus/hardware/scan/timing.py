@@ -1,4 +1,4 @@
-"""When which row is exposed, counted from the camera's strobe."""
+"""Exposure time of each row, relative to the camera's strobe."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class StrobePhase(StrEnum):
-    """What the camera's strobe marks: the first row's exposure, or its readout."""
+    """Event that the camera's strobe marks: exposure or readout of the first row."""
 
     EXPOSURE = "exposure"
     READOUT = "readout"
@@ -22,7 +22,7 @@ class StrobePhase(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ScanTiming:
-    """When which row is exposed, counted from the strobe.
+    """Exposure time of each row, relative to the strobe.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class ScanTiming:
     slit_rows : int
         Exposure in line periods.
     strobe : StrobePhase
-        What the strobe marks.
+        Event that the strobe marks.
     """
 
     line_period_s: float
@@ -46,7 +46,7 @@ class ScanTiming:
 
     @property
     def row_zero_s(self) -> float:
-        """Readout of row 0 after the strobe's edge."""
+        """Readout of row 0, in seconds after the strobe."""
         return self.slit_rows * self.line_period_s if self.strobe is StrobePhase.EXPOSURE else 0.0
 
     def slit_row(self, time_s: Seconds) -> Seconds:
@@ -54,5 +54,5 @@ class ScanTiming:
         return (time_s - self.row_zero_s) / self.line_period_s + self.slit_rows / 2
 
     def time_s(self, slit_row: float) -> float:
-        """When the slit is centred on a row, after the strobe."""
+        """Return when the slit is centred on a row `slit_row`, in seconds after the strobe."""
         return self.row_zero_s + (slit_row - self.slit_rows / 2) * self.line_period_s

@@ -1,10 +1,10 @@
-"""The mirror's voltage over one frame: a ramp while anything is exposed, a smooth flyback while nothing is.
+"""The galvo's drive over one frame: a ramp while anything is exposed, a smooth flyback while nothing is.
 
 Row r is read at t0 + r T and exposed over the E = N T before, so the slit's centre is at row(t) = (t - t0 + E/2) / T;
-the line has to be there from the first exposed row of either image to the last. What is left of the frame period is
-the galvo's time to fly back: ``line_periods_per_frame - (diameter + |offset_rows| + slit_rows)`` line periods. The
-drive runs ahead of the galvo by its lag; where the galvo's resonance is known, the drive also carries what that
-resonance takes away, so that the line is on the slit from the first row on.
+the line has to be there from the first exposed row of either image to the last. The rest of the frame period,
+``line_periods_per_frame - (diameter + |offset_rows| + slit_rows)`` line periods, is available for the flyback. The
+drive leads the galvo by its lag; where the galvo's resonance is given, the drive also compensates its response, so
+that the line is on the slit from the first row on.
 """
 
 from __future__ import annotations
@@ -28,30 +28,31 @@ if TYPE_CHECKING:
     Volts = NDArray[np.float64]
 
 SAMPLE_RATE_HZ: Final = 250_000.0
-"""Analog output rate of the authors' card."""
+"""Hz; analog output rate of the authors' card."""
 MIN_SAMPLE_RATE_HZ: Final = 20_000.0
-"""Steps of the output must be far faster than the mirror's resonance, which then smooths them away."""
+"""Hz; chosen: 20 steps of the output per period of a 1 kHz galvo, whose response smooths them."""
 REARM_S: Final = 16e-6
-"""The counter is deaf for so long before the next strobe; the last sample is held."""
+"""Seconds before a strobe in which the counter cannot be triggered (chosen: 4 samples); the last sample is held."""
 BRIDGE_SAMPLES: Final = 24
+"""Samples changed before the hold; chosen: six times the hold, so that each changes little."""
 
 
 @dataclass(frozen=True, slots=True)
 class GalvoLimits:
-    """What mirror and card may be asked for; outside it the software refuses before anything is put out.
+    """Limits of galvo and card; drives beyond them are refused before anything is put out.
 
     Parameters
     ----------
     min_v, max_v : float
-        Range of the drive.
+        Range of the drive in volts.
     max_slew_v_per_s, max_acceleration_v_per_s2 : float
-        Of the mirror's motion, in drive volts.
+        Of the galvo's motion, in drive volts.
     card_samples : int
-        Samples that the card keeps and repeats by itself.
+        Samples that the card stores and regenerates by itself.
     natural_hz : float, optional
-        The mirror's resonance (small angle); unknown: only its lag is compensated.
+        Resonance of the galvo (small angle); None: only its lag is compensated.
     damping : float
-        Of that resonance.
+        Damping ratio of that resonance.
     """
 
     min_v: float = -2.0
@@ -64,13 +65,20 @@ class GalvoLimits:
 
     def __post_init__(self) -> None:
         if not (isfinite(self.min_v) and isfinite(self.max_v) and -10 <= self.min_v < self.max_v <= 10):
-            raise InputError(f"the mirror's range is {self.min_v} to {self.max_v} V", "it must lie within -10 to 10 V")
+            raise InputError(f"the galvo's range is {self.min_v} to {self.max_v} V", "it must lie within -10 to 10 V")
         for name in ("max_slew_v_per_s", "max_acceleration_v_per_s2", "card_samples", "damping"):
             if not (isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError(f"{name} is {getattr(self, name)}", "it must be a positive number")
 
-    def check(self, volts: float | Volts, what: str = "the mirror") -> None:
-        """Refuse what lies outside the range.
+    def check(self, volts: float | Volts, what: str = "the galvo") -> None:
+        """Refuse voltages outside the range.
+
+        Parameters
+        ----------
+        volts : float or numpy.ndarray
+            Drive in volts.
+        what : str
+            Subject of the message.
 
         Raises
         ------
@@ -81,21 +89,21 @@ class GalvoLimits:
         if not (low >= self.min_v and high <= self.max_v):
             worst = high if high > self.max_v else low
             raise InputError(
-                f"{worst:.4g} V asked of {what}",
+                f"{worst:.4g} V for {what}",
                 f"the rig's limits are {self.min_v:g} to {self.max_v:g} V: check the calibration, or the rig's file",
             )
 
 
 @dataclass(frozen=True, slots=True)
 class Waveform:
-    """What the card repeats: one ramp after each strobe.
+    """Samples that the card regenerates: one ramp after each strobe.
 
     Parameters
     ----------
     volts : numpy.ndarray
         Samples of all ramps, one after the other.
     ramps : int
-        1: every frame alike; 2: ELSA's confocal and residual ramp in turn.
+        1: the same ramp in every frame; 2: ELSA's confocal and residual ramp in turn.
     sample_rate_hz : float
         Samples per second.
     frame_period_s : float
@@ -109,12 +117,12 @@ class Waveform:
 
     @property
     def samples_per_ramp(self) -> int:
-        """Samples after one strobe."""
+        """Number of samples after one strobe."""
         return len(self.volts) // self.ramps
 
 
 def exposed_rows(bundle: BundleSection, *, residual: bool = True) -> tuple[float, float]:
-    """First and last row on which either bundle image lies, of the confocal one alone without `residual`."""
+    """Return the first and last row of both bundle images, without `residual` of the confocal one alone."""
     centres = [bundle.confocal_centre[0]] + ([bundle.residual_centre[0]] if residual else [])
     radius = bundle.diameter_px / 2
     return min(centres) - radius, max(centres) + radius
@@ -137,11 +145,12 @@ def els_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLimi
     CalibrationError
         If the galvo or the bundle was not measured.
     InputError
-        If the flyback does not fit the time in which neither image is exposed; says by how much, and which offset or
-        frame rate would fit.
+        If the flyback does not fit the time in which neither image is exposed; the message contains the time that is
+        missing, and the offset or frame rate that would fit.
 
     Examples
     --------
+    >>> from napari_elsplus.hardware.scan.timing import ScanTiming
     >>> from napari_elsplus.instrument.calibration import Calibration
     >>> bundle = {"diameter_px": 650, "confocal_centre": [540, 330], "residual_centre": [510, 990],
     ...           "residual_to_confocal": [[1, 0, 30], [0, 1, -660]]}
@@ -165,6 +174,15 @@ def els_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLimi
 
 def elsa_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLimits) -> Waveform:
     """Build ELSA's two ramps on the confocal image: line on the slit, then `offset_rows` away, in successive frames.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        With galvo, bundle and offset sections.
+    timing : ScanTiming
+        From the camera.
+    limits : GalvoLimits
+        From the rig.
 
     Raises
     ------
@@ -190,7 +208,20 @@ def ramp_waveform(
     limits: GalvoLimits,
     shifts_rows: tuple[float, ...] = (0.0,),
 ) -> Waveform:
-    """Build ramps over given rows: the line on the slit, shifted by so many rows, one ramp per shift.
+    """Build ramps over given rows: the line on the slit, shifted by a number of rows, one ramp per shift.
+
+    Parameters
+    ----------
+    galvo : GalvoSection
+        Volts per row, volts at row 0, and lag.
+    rows : tuple of float
+        First and last exposed row.
+    timing : ScanTiming
+        From the camera.
+    limits : GalvoLimits
+        From the rig.
+    shifts_rows : tuple of float
+        One shift per ramp.
 
     Raises
     ------
@@ -209,7 +240,7 @@ def ramp_waveform(
     carried = 2 * limits.damping / natural if natural else 0.0  # the lag that the resonance itself causes
     begin, end = timing.time_s(rows[0] - 0.5 * timing.slit_rows), timing.time_s(rows[1] + 0.5 * timing.slit_rows)
     spare = period - (end - begin) - TURN_S - LEAD_IN_S
-    guard = min(max(galvo.lag_s, 0.0), max(spare, 0.0) / 5)  # the ramp goes on while the mirror forgets the flyback
+    guard = min(max(galvo.lag_s, 0.0), max(spare, 0.0) / 5)  # the ramp goes on until the flyback has no influence
     path = ScanPath(begin - 4 * guard, end + guard, timing, shifts_rows)
     fine = ceil(period * rate)  # samples of a card that were never deaf
     middles = (np.arange(fine) + 0.5) / rate  # a sample's value stands for its middle
@@ -225,10 +256,10 @@ def ramp_waveform(
 
 
 def _bridge(drive: Volts, samples: int, period: float) -> Volts:
-    """Cut each ramp to the samples that there is time for, without a jolt where the last one is held until the strobe.
+    """Cut each ramp to the samples that fit, without a jolt where the last one is held until the strobe.
 
-    The last samples before are changed, as little as possible, so that the drive's mean and first two moments over them
-    and the hold are what they would have been: a mirror slower than the hold does not notice the difference.
+    The last samples are changed by least squares so that the drive's mean and first two moments over them and the hold
+    stay the same: a galvo slower than the hold follows the same path.
     """
     fine, first = drive.shape[1], samples - BRIDGE_SAMPLES
     starts = np.arange(first, fine)
@@ -247,16 +278,27 @@ def _refuse_too_fast(slew: float, acceleration: float, limits: GalvoLimits) -> N
     if slew > limits.max_slew_v_per_s or acceleration > limits.max_acceleration_v_per_s2:
         raise InputError(
             f"the flyback would need {slew:.3g} V/s and {acceleration:.3g} V/s2",
-            f"the mirror's limits are {limits.max_slew_v_per_s:.3g} V/s and {limits.max_acceleration_v_per_s2:.3g} "
+            f"the galvo's limits are {limits.max_slew_v_per_s:.3g} V/s and {limits.max_acceleration_v_per_s2:.3g} "
             "V/s2: choose a lower frame rate",
         )
 
 
 def flyback_rows(galvo: GalvoSection, exposed: float, limits: GalvoLimits, timing: ScanTiming) -> float:
-    """Line periods that the mirror needs to fly back over a number of exposed rows, slit included.
+    """Return the line periods that the galvo needs to fly back over a number of exposed rows, slit included.
 
     The path is the least-jerk one, whose peak speed is 15/8 and whose peak acceleration is 10/sqrt(3) of way over time
-    and way over time squared; the way is seen from the moving slit, so it grows with the time taken.
+    and way over time squared; the way is relative to the moving slit, so it grows with the time taken.
+
+    Parameters
+    ----------
+    galvo : GalvoSection
+        Volts per row.
+    exposed : float
+        Rows from the first to the last exposed one, plus the slit's.
+    limits : GalvoLimits
+        From the rig.
+    timing : ScanTiming
+        From the camera.
     """
     line, slope = timing.line_period_s, abs(galvo.volts_per_row)
     speed = 1 / line
@@ -277,7 +319,7 @@ def _refuse_without_time(
     if free >= needed:
         return
     wrong = (
-        f"the mirror needs {needed:.1f} rows ({needed * timing.line_period_s * 1e3:.2f} ms) to fly back and has "
+        f"the galvo needs {needed:.1f} rows ({needed * timing.line_period_s * 1e3:.2f} ms) to fly back and has "
         f"{free:.1f} ({free * timing.line_period_s * 1e3:.2f} ms) while neither image is exposed"
     )
     slower = floor(1 / (timing.line_period_s * (exposed + needed))) if isfinite(needed) else 0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.u3v import stream as streaming
 from napari_elsplus.hardware.u3v.control import MODEL, SERIAL, Control
-from napari_elsplus.hardware.u3v.discovery import endpoints, refuse_slow_link, told_by_usb
+from napari_elsplus.hardware.u3v.discovery import endpoints, refuse_slow_link, translate_usb_errors
 from napari_elsplus.hardware.u3v.stream import U3vStream
 
 if TYPE_CHECKING:
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.protocols import FrameInfo, Region
 
 INVALID_AFTER_CHANGE: Final = 2
-"""Frames that a camera of this make spoils after its region was changed."""
+"""Frames that are invalid after the region was changed; the maker's statement for another model of the series."""
 
 
 class Features(Protocol):
-    """What differs from make to make: how region, exposure, gain, rate and strobe are set."""
+    """Features that differ between makes: how region, exposure, gain, rate and strobe are set."""
 
     @property
     def line_period_s(self) -> float:
@@ -32,10 +32,22 @@ class Features(Protocol):
 
     @property
     def frame_rate_hz(self) -> float:
-        """The rate at which the camera says it runs."""
+        """Frame rate that the camera reports, in Hz."""
 
     def configure(self, region: Region, exposure_s: float, frame_rate_hz: float, gain_db: float) -> None:
-        """Set everything, with the strobe on while the sensor is exposed."""
+        """Set the camera, with the strobe active while the sensor is exposed.
+
+        Parameters
+        ----------
+        region : Region
+            Part of the sensor that is read.
+        exposure_s : float
+            Exposure of each row in seconds.
+        frame_rate_hz : float
+            Frames per second.
+        gain_db : float
+            Gain in dB.
+        """
 
     def start(self) -> None:
         """Begin to acquire."""
@@ -50,11 +62,11 @@ class U3vCamera:
     Parameters
     ----------
     device : usb.core.Device
-        The camera on the bus.
+        Camera on the bus.
     features : callable
-        Makes the features of this make from the control channel.
+        Called with the control channel, returns the `Features` of this make.
     wait_for_reader : bool
-        Whether a full queue holds the camera up instead of dropping frames; no real camera can wait.
+        Hold the camera up while the queue is full instead of dropping frames; only a simulated camera can wait.
 
     Raises
     ------
@@ -106,7 +118,7 @@ class U3vCamera:
         return dict(self._stream.dropped) if self._stream else self._dropped
 
     def configure(self, region: Region, *, slit_rows: int, frame_rate_hz: float, gain_db: float = 0.0) -> None:
-        """Set region, exposure, frame rate and gain; switch the strobe output on."""
+        """Set the camera; see :meth:`napari_elsplus.hardware.protocols.Camera.configure`."""
         if self._stream is not None:
             raise DeviceError("the camera streams", "stop it before changing its settings")
         if slit_rows < 1:
@@ -119,14 +131,14 @@ class U3vCamera:
         if self._stream is not None:
             return
         region = self._configured()
-        sizes = streaming.arrange(self._control, region.shape)
+        sizes = streaming.negotiate_transfers(self._control, region.shape)
         self._control.write_number(self._control.sirm + streaming.ENABLE, 1)
         self._stream = U3vStream(
             self._device,
             self._ends.stream_in,
             sizes,
             region.shape,
-            patience_s=0.5 + 2 / self._rate_hz,
+            timeout_s=0.5 + 2 / self._rate_hz,
             skip=INVALID_AFTER_CHANGE if region != self._streamed else 0,
             wait_for_reader=self._wait,
         )
@@ -138,7 +150,10 @@ class U3vCamera:
             raise
 
     def read_into(self, buffer: NDArray[np.uint8], timeout_s: float) -> FrameInfo:
-        """Fill the caller's buffer with the oldest frame that was not read yet."""
+        """Fill a buffer with the oldest unread frame.
+
+        See :meth:`napari_elsplus.hardware.protocols.Camera.read_into`.
+        """
         if self._stream is None:
             raise DeviceError("the camera does not stream", "start it first")
         shape = self.frame_shape
@@ -161,7 +176,7 @@ class U3vCamera:
             self._dropped = dict(stream.dropped)
 
     def close(self) -> None:
-        """Stop, and let the camera go."""
+        """Stop, and release the camera."""
         from usb import util
         from usb.core import USBError
 
@@ -185,7 +200,7 @@ class U3vCamera:
     def _claim(self) -> None:
         from usb import util
 
-        with told_by_usb("the camera"):
+        with translate_usb_errors("the camera"):
             self._device.get_active_configuration()
             for interface in (self._ends.control_interface, self._ends.stream_interface):
                 if self._kernel_has(interface):

@@ -1,4 +1,4 @@
-"""The control channel: reading and writing a camera's registers, patiently but not for ever."""
+"""The control channel: read and write the registers of a camera, with retries and a time limit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from array import array
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.u3v.discovery import told_by_usb
+from napari_elsplus.hardware.u3v.discovery import translate_usb_errors
 from napari_elsplus.hardware.u3v.packets import (
     HEADER,
     Ack,
@@ -31,14 +31,19 @@ MODEL, SERIAL, MANIFEST, SBRM = 0x0044, 0x0144, 0x01D0, 0x01D8
 MAX_COMMAND, MAX_ACK, SIRM = 0x14, 0x18, 0x20
 
 ACK_BYTES: Final = 1024
+"""Bytes of the acknowledgement buffer; chosen: one packet of a USB 3 bulk endpoint."""
 SAFE_PAYLOAD: Final = 64
-"""Every device takes so much in one command; how much more, it says itself."""
+"""Bytes that every device accepts in one command; its registers state how many more."""
 MAX_PAYLOAD: Final = ACK_BYTES - HEADER.size - 8
+"""Bytes read or written at once at most; derived from `ACK_BYTES`."""
 TOP: Final = 1 << 64
-TRIES: Final = 3
+"""End of the 64-bit address space."""
+MAX_ATTEMPTS: Final = 3
+"""Times that a command is sent; chosen: a single lost packet is made up for."""
 TIMEOUT_MS: Final = 500
-PATIENCE_S: Final = 10.0
-"""A device may ask for time with PENDING_ACK, but not for more than this."""
+"""Milliseconds per transfer; chosen: far above the time of a register access, short for a person."""
+PENDING_TIMEOUT_S: Final = 10.0
+"""Seconds that a device may delay its answer by PENDING_ACK; chosen, longer than any region change."""
 STATUS_WORDS: Final = {
     0x8001: "not implemented",
     0x8002: "invalid parameter",
@@ -48,10 +53,11 @@ STATUS_WORDS: Final = {
     0x8007: "busy",
     0x800B: "timed out",
 }
+"""GenCP status codes in words (EMVA GenCP 1.1, table 9)."""
 
 
 class RegisterError(DeviceError):
-    """The camera refused a register."""
+    """Access to a register that the camera refused."""
 
 
 class Control:
@@ -60,14 +66,14 @@ class Control:
     Parameters
     ----------
     device : usb.core.Device
-        The device, opened.
+        Open device.
     ends : Endpoints
         Its endpoints.
 
     Raises
     ------
     DeviceError
-        If the device does not answer, or answers nonsense.
+        If the device does not answer, or sends no valid acknowledgement.
     """
 
     def __init__(self, device: Device, ends: Endpoints) -> None:
@@ -84,7 +90,7 @@ class Control:
         self.sirm = self.read_number(self.sbrm + SIRM, 8)
 
     def read(self, address: int, count: int) -> bytes:
-        """Read memory.
+        """Read `count` bytes of memory from an `address` on.
 
         Raises
         ------
@@ -105,7 +111,7 @@ class Control:
         return b"".join(parts)
 
     def write(self, address: int, data: bytes) -> None:
-        """Write memory.
+        """Write data to memory from an `address` on.
 
         Raises
         ------
@@ -116,30 +122,30 @@ class Control:
             self._exchange(CommandPacket.WRITE, address + done, data[done : done + self._write_payload])
 
     def read_number(self, address: int, size: int = 4) -> int:
-        """Read an unsigned number, little-endian."""
+        """Return the unsigned little-endian number of `size` bytes at an `address`."""
         return int.from_bytes(self.read(address, size), "little")
 
     def write_number(self, address: int, value: int) -> None:
-        """Write a 32-bit unsigned number, little-endian."""
+        """Write a value as 32-bit unsigned number, little-endian, to an `address`."""
         self.write(address, struct.pack("<I", value))
 
     def read_float(self, address: int) -> float:
-        """Read a 32-bit float, little-endian."""
+        """Return the 32-bit little-endian float at an `address`."""
         return float(struct.unpack("<f", self.read(address, 4))[0])
 
     def write_float(self, address: int, value: float) -> None:
-        """Write a 32-bit float, little-endian."""
+        """Write a value as 32-bit little-endian float to an `address`."""
         self.write(address, struct.pack("<f", value))
 
     def read_text(self, address: int) -> str:
-        """Read one of the bootstrap's texts."""
+        """Return the text of the bootstrap registers at an `address`, 64 bytes at most."""
         return self.read(address, 64).split(b"\0")[0].decode("ascii", "replace").strip()
 
     def _exchange(self, command: CommandPacket, address: int, what: int | bytes) -> bytes:
         from usb.core import USBTimeoutError
 
-        with self._lock, told_by_usb("the camera"):
-            for _ in range(TRIES):
+        with self._lock, translate_usb_errors("the camera"):
+            for _ in range(MAX_ATTEMPTS):
                 self._request_id = self._request_id % 0xFFFF + 1
                 request = (
                     read_command(address, what, self._request_id)
@@ -156,20 +162,20 @@ class Control:
                     raise RegisterError(f"the camera refused register {address:#x}: {word}", "restart the camera")
                 return ack.data
         raise DeviceError(
-            f"the camera did not answer {TRIES} times (register {address:#x})",
+            f"the camera did not answer {MAX_ATTEMPTS} times (register {address:#x})",
             "plug it in again, then open the rig again",
         )
 
     def _await_answer(self, command: CommandPacket) -> Ack:
         """Read until the answer to the last request comes; answers to older requests are passed over."""
-        timeout_ms, until = TIMEOUT_MS, time.monotonic() + PATIENCE_S
+        timeout_ms, until = TIMEOUT_MS, time.monotonic() + PENDING_TIMEOUT_S
         while time.monotonic() < until:
             count = self._device.read(self._ends.control_in, self._answer, timeout_ms)
             ack = parse_ack(self._answer[:count].tobytes())
             if ack.request_id != self._request_id:
                 continue
             if ack.command == CommandPacket.PENDING_ACK:
-                timeout_ms = min(pending_ms(ack) + TIMEOUT_MS, int(PATIENCE_S * 1000))
+                timeout_ms = min(pending_ms(ack) + TIMEOUT_MS, int(PENDING_TIMEOUT_S * 1000))
                 continue
             if ack.command == command + 1:
                 return ack

@@ -1,6 +1,6 @@
-"""Finding USB3 Vision cameras by their class, and saying why one cannot be used.
+"""Find USB3 Vision cameras by their device class, and name the reason why one cannot be used.
 
-The product id is never asked: the same Flea3 has two, and with the older firmware it is no USB3 Vision camera at all.
+Cameras are not matched by product id: the same Flea3 has two, and with the older firmware it is no USB3 Vision camera.
 """
 
 from __future__ import annotations
@@ -20,23 +20,32 @@ if TYPE_CHECKING:
     from usb.core import Device
 
 MISCELLANEOUS, COMMON, ASSOCIATION = 0xEF, 0x02, 0x01
+"""USB class triple of devices with interface associations."""
 USB3_VISION: Final = 0x05
+"""Interface subclass."""
 CONTROL, STREAM = 0x00, 0x02
+"""Interface protocols of the control and the stream channel."""
 VENDOR_CLASS: Final = 0xFF
+"""Interface class of the older IIDC firmware."""
 FLIR: Final = 0x1E10
+"""USB vendor id of the Flea3's maker (FLIR, formerly Point Grey)."""
 SPEED_SUPER: Final = 4
+"""libusb's code of USB 3.0; smaller ones are slower links."""
 UDEV_RULE: Final = f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{FLIR:04x}", MODE="0666"'
-ALLOW: Final = {
+"""Rule by which Linux lets every user open cameras of that maker."""
+PERMISSION_REMEDIES: Final = {
     "linux": f"write {UDEV_RULE} into /etc/udev/rules.d/99-elsplus.rules, run `sudo udevadm control --reload && "
     "sudo udevadm trigger`, plug it in again",
     "win32": "give it the WinUSB driver with Zadig (the maker's own viewer then stops working with it)",
 }
+"""What permits access to the camera, by ``sys.platform``."""
 UNPLUGGED: Final = (errno.ENODEV, errno.EIO, errno.ESHUTDOWN, errno.EPIPE)
+"""System errors of a device that is gone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Endpoints:
-    """Where control and stream of a USB3 Vision device are."""
+    """Interfaces and endpoints of a USB3 Vision device's control and stream channels."""
 
     control_interface: int
     control_out: int
@@ -46,8 +55,13 @@ class Endpoints:
 
 
 @contextmanager
-def told_by_usb(what: str) -> Iterator[None]:
-    """Turn what pyusb raises into a `DeviceError` with a remedy; time-outs pass through.
+def translate_usb_errors(what: str) -> Iterator[None]:
+    """Turn pyusb's exceptions into a `DeviceError` with a remedy; time-outs pass through.
+
+    Parameters
+    ----------
+    what : str
+        Device or bus, as the message names it.
 
     Raises
     ------
@@ -63,10 +77,10 @@ def told_by_usb(what: str) -> Iterator[None]:
     except NoBackendError as error:
         raise DeviceError("libusb is not installed, so no camera can be reached", "install libusb 1.0") from error
     except NotImplementedError as error:  # libusb's word on Windows for "another driver has it"
-        raise DeviceError(f"{what} has no driver that libusb can use", ALLOW["win32"]) from error
+        raise DeviceError(f"{what} has no driver that libusb can use", PERMISSION_REMEDIES["win32"]) from error
     except USBError as error:
         if error.errno == errno.EACCES:
-            remedy = ALLOW.get(sys.platform, "run it from an account that may use USB devices")
+            remedy = PERMISSION_REMEDIES.get(sys.platform, "run it from an account that may use USB devices")
             raise DeviceError(f"no permission to open {what}", remedy) from error
         if error.errno == errno.EBUSY:
             raise DeviceError(f"{what} is open in another program", "close that program, then try again") from error
@@ -78,6 +92,11 @@ def told_by_usb(what: str) -> Iterator[None]:
 def find_cameras(backend: IBackend | None = None) -> list[Device]:
     """Return every USB3 Vision device on the bus.
 
+    Parameters
+    ----------
+    backend : usb.backend.IBackend, optional
+        Bus; libusb by default.
+
     Raises
     ------
     DeviceError
@@ -85,21 +104,27 @@ def find_cameras(backend: IBackend | None = None) -> list[Device]:
     """
     from usb import core
 
-    with told_by_usb("the bus"):
+    with translate_usb_errors("the bus"):
         return [device for device in core.find(find_all=True, backend=backend) if is_usb3_vision(device)]
 
 
 def find_iidc(backend: IBackend | None = None) -> list[Device]:
-    """Return cameras of the Flea3's maker whose firmware speaks IIDC and not USB3 Vision."""
+    """Return cameras of the Flea3's maker whose firmware implements IIDC and not USB3 Vision.
+
+    Parameters
+    ----------
+    backend : usb.backend.IBackend, optional
+        Bus; libusb by default.
+    """
     from usb import core
 
-    with told_by_usb("the bus"):
+    with translate_usb_errors("the bus"):
         found = core.find(find_all=True, backend=backend, idVendor=FLIR)
         return [d for d in found if not is_usb3_vision(d) and VENDOR_CLASS in {i[0] for i in _interface_classes(d)}]
 
 
 def is_usb3_vision(device: Device) -> bool:
-    """Whether a device's class, and one of its interfaces, say USB3 Vision."""
+    """Return True if class and interfaces of a device are those of USB3 Vision."""
     classes = device.bDeviceClass, device.bDeviceSubClass, device.bDeviceProtocol
     return classes == (MISCELLANEOUS, COMMON, ASSOCIATION) and (MISCELLANEOUS, USB3_VISION, CONTROL) in (
         _interface_classes(device)
@@ -107,7 +132,14 @@ def is_usb3_vision(device: Device) -> bool:
 
 
 def choose_camera(serial: str = "", backend: IBackend | None = None) -> Device:
-    """Return the camera with that serial number, or the only one.
+    """Return the camera with a serial number, or the only one.
+
+    Parameters
+    ----------
+    serial : str
+        Empty where only one camera is connected.
+    backend : usb.backend.IBackend, optional
+        Bus; libusb by default.
 
     Raises
     ------
@@ -116,7 +148,7 @@ def choose_camera(serial: str = "", backend: IBackend | None = None) -> Device:
     """
     cameras = find_cameras(backend)
     if serial:
-        with told_by_usb("the camera"):
+        with translate_usb_errors("the camera"):
             cameras = [camera for camera in cameras if camera.serial_number == serial]
     if len(cameras) == 1:
         return cameras[0]
@@ -126,12 +158,12 @@ def choose_camera(serial: str = "", backend: IBackend | None = None) -> Device:
         raise DeviceError(
             "the camera's firmware speaks IIDC, not USB3 Vision", "update the firmware with the maker's software"
         )
-    wanted = f"no USB3 Vision camera with serial {serial}" if serial else "no USB3 Vision camera is connected"
-    raise DeviceError(wanted, "plug it into a USB 3 port, then see `napari-elsplus doctor`")
+    missing = f"no USB3 Vision camera with serial {serial}" if serial else "no USB3 Vision camera is connected"
+    raise DeviceError(missing, "plug it into a USB 3 port, then see `napari-elsplus doctor`")
 
 
 def refuse_slow_link(device: Device) -> None:
-    """Refuse a camera on a USB 2 link.
+    """Refuse a camera `device` on a USB 2 link.
 
     Raises
     ------
@@ -146,14 +178,14 @@ def refuse_slow_link(device: Device) -> None:
 
 
 def endpoints(device: Device) -> Endpoints:
-    """Find the endpoints of control and stream in a device's descriptors.
+    """Return the endpoints of control and stream in the descriptors of a device.
 
     Raises
     ------
     DeviceError
         If one is missing.
     """
-    with told_by_usb("the camera"):
+    with translate_usb_errors("the camera"):
         interfaces = {i.bInterfaceProtocol: i for i in device[0] if i.bInterfaceSubClass == USB3_VISION}
         pipes = {
             (protocol, e.bEndpointAddress >= 0x80): e.bEndpointAddress

@@ -1,6 +1,6 @@
-"""The Flea3 FL3-U3-13S2M's registers: USB3 Vision around what were IIDC registers.
+"""Registers of the Flea3 FL3-U3-13S2M: USB3 Vision around IIDC registers.
 
-Addresses from the maker's public register reference and the authors' code; no camera has confirmed them yet, see
+Addresses are from the maker's public register reference and the authors' code; no camera has confirmed them yet, see
 docs/first-light.md.
 """
 
@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.u3v.control import Control
 
 IIDC: Final = 0xFFFF_F000_0000
+"""Base of the IIDC register space; strobe registers are given relative to it."""
 BASE: Final = 0xFFFF_F0F0_0000
+"""Address of the camera's command registers; all below are relative to it."""
 STROBE_OFFSET: Final = 0x48C
 FRAME_RATE_MODE, EXPOSURE_MODE, GAIN_MODE = 0x83C, 0x81C, 0x820
 EXPOSURE_MIN, EXPOSURE_MAX, EXPOSURE = 0x910, 0x914, 0x918
@@ -26,7 +28,9 @@ RATE_MIN, RATE_MAX, RATE = 0x960, 0x964, 0x968
 MAX_SIZE, UNIT_SIZE, OFFSET, SIZE = 0xA00, 0xA04, 0xA08, 0xA0C
 GPIO_MODE, LINE_FREQUENCY, ACQUISITION, PIXEL_CODING = 0x1110, 0x1AF4, 0x4030, 0x4070
 STROBE_CONTROL, STROBE_TIMES = 0x300, 0x400
+"""Offsets from the strobe block: on, polarity; delay, duration."""
 AUTO, ON, ACQUIRE, STROBE_ON, GPIO_STROBE = 1 << 24, 1 << 25, 1 << 31, 1 << 20, 3 << 16
+"""Bits of the registers above."""
 UNIT_PX: Final = (2, 4)
 """Rows and columns in which the region moves; the sizes' unit is read from the camera."""
 
@@ -37,16 +41,16 @@ class Flea3:
     Parameters
     ----------
     control : Control
-        The camera's control channel.
+        Control channel of the camera.
     line_rate_hz : float
-        Rows per second, where the camera does not tell.
+        Rows per second, used where the camera's own register holds no plausible rate.
     strobe_line : int
         GPIO that carries the strobe.
     """
 
     def __init__(self, control: Control, *, line_rate_hz: float = LINE_RATE_HZ, strobe_line: int = 1) -> None:
         self._control, self._strobe_line = control, strobe_line
-        self._line_rate_hz = self._told_line_rate(line_rate_hz)
+        self._line_rate_hz = self._reported_line_rate(line_rate_hz)
 
     @property
     def line_period_s(self) -> float:
@@ -55,11 +59,11 @@ class Flea3:
 
     @property
     def frame_rate_hz(self) -> float:
-        """The rate at which the camera says it runs."""
+        """Frame rate that the camera reports, in Hz."""
         return self._control.read_float(BASE + RATE)
 
     def configure(self, region: Region, exposure_s: float, frame_rate_hz: float, gain_db: float) -> None:
-        """Set everything, with the strobe on while the sensor is exposed."""
+        """Set the camera; see :meth:`napari_elsplus.hardware.u3v.camera.Features.configure`."""
         self._set_region(region)
         control = self._control
         control.write_number(BASE + PIXEL_CODING, 0)
@@ -109,15 +113,15 @@ class Flea3:
             raise InputError(f"{name} of {value:.6g} {unit}", f"the camera allows {least:.6g} to {most:.6g} {unit}")
         control.write_float(BASE + register, value)
 
-    def _told_line_rate(self, expected_hz: float) -> float:
-        """Read the line rate, if the camera's register holds a believable one."""
+    def _reported_line_rate(self, expected_hz: float) -> float:
+        """Return the line rate of the camera's register if it is within 5 % of the one expected, else that one."""
         try:
-            told = float(self._control.read_number(BASE + LINE_FREQUENCY))
+            reported = float(self._control.read_number(BASE + LINE_FREQUENCY))
         except RegisterError:
             return expected_hz
-        return told if abs(told / expected_hz - 1) < 0.05 else expected_hz
+        return reported if abs(reported / expected_hz - 1) < 0.05 else expected_hz
 
 
 def _halves(word: int) -> tuple[int, int]:
-    """Rows and columns of a register that holds columns in its upper half, rows in its lower one."""
+    """Return rows and columns of a register that holds columns in its upper half, rows in its lower one."""
     return word & 0xFFFF or 1, word >> 16 or 1

@@ -18,10 +18,15 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.u3v.control import Control
 
 MAX_FILE: Final = 4 << 20
+"""Bytes of a description, packed; chosen: several times the usual size."""
 MAX_TEXT: Final = 16 << 20
+"""Bytes of a description, unpacked; chosen: four times `MAX_FILE`."""
 MAX_ENTRIES: Final = 16
+"""Descriptions in a camera's table; chosen: cameras have one or two."""
 ZIPPED: Final = 1
+"""File type of a packed description (GenCP 1.1, manifest entry)."""
 CHUNK: Final = 1 << 16
+"""Bytes unpacked at once."""
 UNREADABLE: Final = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
     OSError, EOFError, ValueError, LookupError, RuntimeError,
@@ -30,7 +35,12 @@ UNREADABLE: Final = (
 
 
 def read_description(control: Control) -> bytes:
-    """Read a camera's GenICam description, unpacked.
+    """Read the GenICam description of a camera, unpacked.
+
+    Parameters
+    ----------
+    control : Control
+        Control channel of the camera.
 
     Raises
     ------
@@ -53,7 +63,7 @@ def read_description(control: Control) -> bytes:
 
 
 def _unzip(data: bytes) -> bytes:
-    """Unpack the only file of an archive, up to a limit, whatever its directory says."""
+    """Unpack the only file of an archive, up to a limit, whatever its directory states."""
     text = bytearray()
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive, archive.open(archive.namelist()[0]) as file:
@@ -74,9 +84,9 @@ class GenicamFeatures:
     Parameters
     ----------
     control : Control
-        The camera's control channel.
+        Control channel of the camera.
     line_rate_hz : float
-        Rows per second; no standard feature tells it.
+        Rows per second; there is no standard feature for it.
     strobe_line : int
         Line that carries the strobe.
 
@@ -109,11 +119,11 @@ class GenicamFeatures:
 
     @property
     def frame_rate_hz(self) -> float:
-        """The rate at which the camera says it runs."""
+        """Frame rate that the camera reports, in Hz."""
         return float(self._node("AcquisitionFrameRate", "AcquisitionFrameRateAbs").value)
 
     def configure(self, region: Region, exposure_s: float, frame_rate_hz: float, gain_db: float) -> None:
-        """Set everything, with the strobe on while the sensor is exposed."""
+        """Set the camera; see :meth:`napari_elsplus.hardware.u3v.camera.Features.configure`."""
         for name in ("OffsetX", "OffsetY"):
             self._set(0, name)
         self._set(region.cols, "Width")
@@ -160,7 +170,7 @@ class GenicamFeatures:
 
 
 def _port(genapi: Any, control: Control) -> Any:
-    """Let the reader reach the camera's registers."""
+    """Return a port through which the GenApi reader reaches the camera's registers."""
 
     class Port(genapi.AbstractPort):  # type: ignore[misc] # known at run time only
         def get_access_mode(self) -> int:

@@ -1,6 +1,6 @@
 """USB3 Vision packets, to and from bytes.
 
-Whatever a device sends is parsed by fixed-size structures with their lengths checked; what does not fit raises
+Packets of a device are parsed by fixed-size structures with their lengths checked; anything else raises
 `PacketError`. AIA USB3 Vision 1.0, tables 4-2 to 5-6; EMVA GenCP 1.1.
 """
 
@@ -12,14 +12,19 @@ from enum import IntEnum
 from typing import Final
 
 COMMAND_MAGIC, LEADER_MAGIC, TRAILER_MAGIC = b"U3VC", b"U3VL", b"U3VT"
+"""First four bytes of control packets, leaders and trailers."""
 REQUEST_ACK: Final = 0x4000
+"""Flag of a command that is acknowledged."""
 IMAGE: Final = 0x0001
+"""Payload type of an image leader."""
 MONO8: Final = 0x01080001
+"""Pixel format code (PFNC) of 8-bit grey levels."""
 HEADER: Final = struct.Struct("<4sHHHH")
 READ: Final = struct.Struct("<QHH")
 PENDING: Final = struct.Struct("<HH")
 LEADER: Final = struct.Struct("<4sHHQHHQIIIIIHH")
 TRAILER: Final = struct.Struct("<4sHHQHHQI")
+"""Packet layouts, little-endian."""
 
 
 class CommandPacket(IntEnum):
@@ -36,7 +41,7 @@ class PacketError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """An acknowledgement: status, what it answers, and its payload."""
+    """Acknowledgement: status, command acknowledged, and payload."""
 
     status: int
     command: int
@@ -46,7 +51,7 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Leader:
-    """Announces a frame."""
+    """Leader of a frame."""
 
     block_id: int
     timestamp_ns: int
@@ -59,7 +64,7 @@ class Leader:
 
 @dataclass(frozen=True, slots=True)
 class Trailer:
-    """Ends a frame, and says whether it is whole."""
+    """Trailer of a frame, with its status and number of valid bytes."""
 
     block_id: int
     status: int
@@ -67,7 +72,17 @@ class Trailer:
 
 
 def read_command(address: int, count: int, request_id: int) -> bytes:
-    """Ask for memory."""
+    """Return the packet that requests memory.
+
+    Parameters
+    ----------
+    address : int
+        First byte.
+    count : int
+        Bytes.
+    request_id : int
+        16 bit, repeated in the acknowledgement.
+    """
     return (
         HEADER.pack(COMMAND_MAGIC, REQUEST_ACK, CommandPacket.READ, READ.size, request_id)
         + READ.pack(address, 0, count)
@@ -75,7 +90,17 @@ def read_command(address: int, count: int, request_id: int) -> bytes:
 
 
 def write_command(address: int, data: bytes, request_id: int) -> bytes:
-    """Write memory."""
+    """Return the packet that writes memory.
+
+    Parameters
+    ----------
+    address : int
+        First byte.
+    data : bytes
+        What is written.
+    request_id : int
+        16 bit, repeated in the acknowledgement.
+    """
     return (
         HEADER.pack(COMMAND_MAGIC, REQUEST_ACK, CommandPacket.WRITE, 8 + len(data), request_id)
         + struct.pack("<Q", address) + data
@@ -83,12 +108,12 @@ def write_command(address: int, data: bytes, request_id: int) -> bytes:
 
 
 def parse_ack(packet: bytes) -> Ack:
-    """Parse an acknowledgement.
+    """Parse a packet as an acknowledgement.
 
     Raises
     ------
     PacketError
-        If it is none, or shorter than it says.
+        If it is none, or shorter than its header states.
     """
     if len(packet) < HEADER.size:
         raise PacketError(f"an acknowledgement of {len(packet)} bytes")
@@ -100,12 +125,12 @@ def parse_ack(packet: bytes) -> Ack:
 
 
 def pending_ms(ack: Ack) -> int:
-    """Return how long a device asks to wait.
+    """Return the waiting time in milliseconds that a PENDING_ACK `ack` requests.
 
     Raises
     ------
     PacketError
-        If it does not say.
+        If the packet is too short.
     """
     if len(ack.data) < PENDING.size:
         raise PacketError(f"a PENDING_ACK with {len(ack.data)} bytes")
@@ -113,7 +138,7 @@ def pending_ms(ack: Ack) -> int:
 
 
 def parse_leader(packet: bytes) -> Leader:
-    """Parse the leader of an image.
+    """Parse a packet as the leader of an image.
 
     Raises
     ------
@@ -129,7 +154,7 @@ def parse_leader(packet: bytes) -> Leader:
 
 
 def parse_trailer(packet: bytes) -> Trailer:
-    """Parse the trailer of an image.
+    """Parse a packet as the trailer of an image.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The stream: one thread that reads frames into buffers made beforehand, and a queue that cannot grow."""
+"""The stream: a thread that reads frames into buffers made beforehand, and a queue of fixed length."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.protocols import FrameInfo
-from napari_elsplus.hardware.u3v.discovery import told_by_usb
+from napari_elsplus.hardware.u3v.discovery import translate_usb_errors
 from napari_elsplus.hardware.u3v.packets import (
     MONO8,
     TRAILER_MAGIC,
@@ -34,22 +34,36 @@ INFO, ENABLE, PAYLOAD_BYTES, LEADER_BYTES, TRAILER_BYTES = 0x00, 0x04, 0x08, 0x1
 MAX_LEADER, TRANSFER_BYTES, TRANSFER_COUNT, FINAL_1, FINAL_2, MAX_TRAILER = 0x18, 0x1C, 0x20, 0x24, 0x28, 0x2C
 
 TRANSFER: Final = 1 << 20
+"""Bytes of one bulk transfer; chosen: 1 MiB, few enough calls at 167 MB/s."""
 SMALL: Final = 1024
-"""Buffers for leader and trailer; a whole packet of a USB 3 bulk endpoint."""
+"""Bytes of the buffers for leader and trailer: a whole packet of a USB 3 bulk endpoint."""
 POLL_MS: Final = 50
+"""Milliseconds until a reading thread notices that the stream is being stopped; chosen."""
 DEPTH: Final = 32
 """Frames that wait for their reader: an eighth of a second at 240 Hz, for a computer that is busy elsewhere."""
 SURPLUS: Final = 1 << 16
-"""How much more than the image a device may ask for; anything beyond is no frame of ours."""
+"""Bytes by which a device's payload may exceed the image; chosen: padding and chunk data fit, no second image does."""
 
 
-def arrange(control: Control, frame_shape: tuple[int, int]) -> list[int]:
-    """Agree with the device on the sizes of a frame's transfers, and return them.
+def negotiate_transfers(control: Control, frame_shape: tuple[int, int]) -> list[int]:
+    """Write the sizes of a frame's transfers to the device, and return them.
+
+    Parameters
+    ----------
+    control : Control
+        Control channel.
+    frame_shape : tuple of int
+        Rows and columns.
+
+    Returns
+    -------
+    list of int
+        Bytes of each transfer.
 
     Raises
     ------
     DeviceError
-        If the device wants leaders, trailers or payloads that cannot be right.
+        If leaders, trailers or payload of the device have impossible sizes.
     """
     sirm, image = control.sirm, frame_shape[0] * frame_shape[1]
     unit = 1 << min(control.read_number(sirm + INFO) >> 24, 16)
@@ -71,7 +85,7 @@ def arrange(control: Control, frame_shape: tuple[int, int]) -> list[int]:
 
 
 class _Slot:
-    """One frame's transfers, and what is known of it."""
+    """Transfers of one frame, and its number and times."""
 
     def __init__(self, sizes: list[int]) -> None:
         self.transfers = [array("B", bytes(size)) for size in sizes]
@@ -92,19 +106,19 @@ class U3vStream:
     Parameters
     ----------
     device : usb.core.Device
-        The device, opened.
+        Open device.
     endpoint : int
         Its stream endpoint.
     sizes : list of int
-        Of a frame's transfers, as arranged.
+        Bytes of a frame's transfers, from `negotiate_transfers`.
     frame_shape : tuple of int
         Rows and columns.
-    patience_s : float
-        How long the rest of a frame may take after its leader.
+    timeout_s : float
+        Time in which the rest of a frame must follow its leader.
     skip : int
-        So many frames at the start are invalid.
+        Number of invalid frames at the start.
     wait_for_reader : bool
-        Whether a full queue holds the device up instead of dropping frames; only sensible where the device can wait.
+        Hold the device up while the queue is full instead of dropping frames; only a simulated device can wait.
     """
 
     def __init__(
@@ -114,12 +128,12 @@ class U3vStream:
         sizes: list[int],
         frame_shape: tuple[int, int],
         *,
-        patience_s: float = 0.5,
+        timeout_s: float = 0.5,
         skip: int = 0,
         wait_for_reader: bool = False,
     ) -> None:
         self._device, self._endpoint, self._frame_shape = device, endpoint, frame_shape
-        self._patience_ms = max(POLL_MS, round(patience_s * 1000))
+        self._patience_ms = max(POLL_MS, round(timeout_s * 1000))
         self._skip, self._wait = skip, wait_for_reader
         self._free = deque(_Slot(sizes) for _ in range(DEPTH))
         self._ready: deque[_Slot] = deque()
@@ -134,7 +148,7 @@ class U3vStream:
         self._thread.start()
 
     def read_into(self, buffer: NDArray[np.uint8], timeout_s: float) -> FrameInfo:
-        """Fill a buffer with the oldest frame; see `napari_elsplus.hardware.protocols.Camera`."""
+        """Fill a buffer with the oldest frame; see :meth:`napari_elsplus.hardware.protocols.Camera.read_into`."""
         with self._changed:
             self._changed.wait_for(lambda: self._ready or self._fault, timeout_s)
             if not self._ready:
@@ -150,7 +164,7 @@ class U3vStream:
         return info
 
     def stop(self) -> None:
-        """End the thread; it never outlives a poll."""
+        """End the thread, within `POLL_MS`."""
         self._stopping.set()
         with self._changed:
             self._changed.notify_all()
@@ -158,10 +172,10 @@ class U3vStream:
 
     def _run(self) -> None:
         try:
-            with told_by_usb("the camera"):
+            with translate_usb_errors("the camera"):
                 while not self._stopping.is_set():
                     self._read_frame()
-        except Exception as error:  # noqa: BLE001 - whoever reads shall hear of it, not wait for ever
+        except Exception as error:  # noqa: BLE001 - raised by the next read
             with self._changed:
                 self._fault = error
                 self._changed.notify_all()
@@ -196,7 +210,7 @@ class U3vStream:
             self._resynchronise()
 
     def _read_payload(self, slot: _Slot) -> bool:
-        """Read a frame's transfers; whether so many bytes came as the image has."""
+        """Read a frame's transfers; return True if they hold all bytes of the image."""
         came = 0
         for transfer in slot.transfers:
             count = self._read_transfer(transfer, self._patience_ms)
@@ -227,7 +241,7 @@ class U3vStream:
             return self._free.popleft() if self._free else self._spill
 
     def _read_small(self) -> bytes | None:
-        """Read a leader or trailer; None if nothing came within a poll. Empty packets are passed over."""
+        """Return a leader or trailer; None if none came within `POLL_MS`, or the packet was empty."""
         count = self._read_transfer(self._small)
         return self._small[:count].tobytes() if count else None
 
@@ -242,7 +256,7 @@ class U3vStream:
         return None
 
     def _read_transfer(self, buffer: array[int], timeout_ms: int = POLL_MS) -> int:
-        """Read one transfer; 0 if nothing came in time, or the stream is being stopped."""
+        """Read one transfer and return its bytes; 0 if none came in time, or the stream is being stopped."""
         from usb.core import USBTimeoutError
 
         for _ in range(-(-timeout_ms // POLL_MS)):

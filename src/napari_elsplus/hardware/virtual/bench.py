@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 
 from napari_elsplus.hardware.virtual.frame_source import Circle, FrameSource
-from napari_elsplus.hardware.virtual.galvo import FORGETS_S, STEP_S, GalvoModel
+from napari_elsplus.hardware.virtual.galvo import SETTLED_AFTER_S, STEP_S, GalvoModel
 from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain, mean_volts
 from napari_elsplus.instrument.optics import PRESETS, Preset
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
 _STEADY_AFTER: Final = 10
-"""Frames after which the mirror repeats itself."""
+"""Frames after which the galvo's motion is periodic."""
 
 
 class Card(Protocol):
-    """The virtual card as the bench sees it, in this process or in one of its own."""
+    """The virtual card as the bench uses it, in this process or in one of its own."""
 
     @property
     def last_volts(self) -> float:
@@ -45,24 +45,24 @@ class Card(Protocol):
 
 @dataclass(frozen=True)
 class Simulation:
-    """What the simulated rig looks at, and how it behaves.
+    """Scene, motion and devices of the simulated rig.
 
     Parameters
     ----------
     scene : Scene
-        What lies before the probe.
+        Specimen in front of the probe.
     trajectory : Trajectory
-        How the probe moves, from the start of each stream on; a closed one is rendered once and played again.
+        Motion of the probe, from the start of each stream on; a closed one is rendered once and replayed.
     offset_um : float
         Slit offset at the bundle, signed.
     galvo : GalvoModel
-        The mirror.
+        The galvo.
     seed : int
-        Of the camera's noise.
+        Seed of the camera's noise.
     real_time : bool
-        Whether frames come at the camera's rate; otherwise as fast as they are read, and none is ever lost.
+        Frames come at the camera's rate; otherwise as fast as they are read, and none is ever lost.
     own_process : bool
-        Whether the card lives in a process of its own, so that it outlives this one; needs `real_time`.
+        The card lives in a process of its own, so that it outlives this one; needs `real_time`.
     instrument : dict
         Further fields of `Instrument`.
     """
@@ -78,16 +78,16 @@ class Simulation:
 
 
 class OpticalBench:
-    """Renders what the camera sees while the mirror does what the card tells it.
+    """Renders camera frames with the laser line where card and galvo place it.
 
     Parameters
     ----------
     simulation : Simulation
-        Scene, optics, mirror.
+        Scene, optics, galvo.
     card : Card
         The virtual card.
     clock : BenchClock
-        The clock of both.
+        Clock of both.
     """
 
     def __init__(self, simulation: Simulation, card: Card, clock: BenchClock) -> None:
@@ -96,60 +96,70 @@ class OpticalBench:
         self._frames: FrameSource | None = None
 
     def show(self, scene: Scene, trajectory: Trajectory | None = None) -> None:
-        """Put another scene before the probe, from the next frame on."""
+        """Replace the scene, and the trajectory (at rest by default), from the next frame on."""
         with self._lock:
             self.simulation = replace(self.simulation, scene=scene, trajectory=trajectory or Still())
 
     def instrument(self, preset: Preset, slit_rows: float = 3.0, gain_db: float = 0.0) -> Instrument:
-        """Return the optics of the bench in one of the camera's settings."""
+        """Return the optics of the bench in one of the camera's settings.
+
+        Parameters
+        ----------
+        preset : Preset
+            Region and frame rate.
+        slit_rows : float
+            Slit width in rows.
+        gain_db : float
+            Gain in dB.
+        """
         known = Instrument.of(preset.name if preset.name in PRESETS else "120hz", offset_um=self.simulation.offset_um)
         changed = replace(known, preset=preset, slit_rows=slit_rows, **self.simulation.instrument)
         return changed.with_gain_db(gain_db) if gain_db else changed
 
     def calibration(self, preset: Preset, slit_rows: float = 3.0) -> Calibration:
-        """Return what a perfect calibration of this bench would say, the galvo's lag included."""
+        """Return the true calibration for a preset and a slit of `slit_rows`, the galvo's lag included."""
         perfect = true_calibration(self.instrument(preset, slit_rows))
         assert perfect.galvo is not None
         galvo = perfect.galvo.model_copy(update={"lag_s": self.simulation.galvo.lag_s})
         return perfect.model_copy(update={"galvo": galvo})
 
     def line_row_now(self, preset: Preset) -> float:
-        """Row of the left image on which the card's voltage holds the line, once the mirror is there."""
+        """Return the row of the confocal view, in a preset's frame, on which the card's voltage holds the line."""
         instrument = self.instrument(preset)
         return (self.card.last_volts - instrument.volts_at_row_zero) / instrument.volts_per_row
 
     def line_rows(self, shot: Shot) -> NDArray[np.float64]:
-        """Row of the left image on which the line stands in the middle of each row's exposure."""
+        """Return the row of the confocal view on which the line is in the middle of each row's exposure of a shot."""
         return self._rows_by(self.card.programs(), shot)
 
     def _rows_by(self, programs: Sequence[Program], shot: Shot) -> NDArray[np.float64]:
         instrument = self._instrument_of(shot)
-        before = round(FORGETS_S / STEP_S)
+        before = round(SETTLED_AFTER_S / STEP_S)
         steps = before + int((shot.read_out_s - shot.strobe_s) / STEP_S) + 2
         begins = np.asarray(shot.strobe_s + STEP_S * (np.arange(steps) - before), np.float64)
-        mirror = self.simulation.galvo.follow(mean_volts(_since(programs, begins[0]), begins, STEP_S))
+        galvo = self.simulation.galvo.follow(mean_volts(_since(programs, begins[0]), begins, STEP_S))
         exposed = shot.row_zero_s + np.arange(shot.region[2]) * shot.line_period_s - shot.exposure_s / 2
-        volts = np.interp(exposed, begins + STEP_S, mirror)
+        volts = np.interp(exposed, begins + STEP_S, galvo)
         return np.asarray((volts - instrument.volts_at_row_zero) / instrument.volts_per_row)
 
     # The camera's side.
 
     def strobe(self, train: StrobeTrain | None) -> None:
-        """Pass the camera's strobe on to the card."""
+        """Pass the camera's strobe train on to the card."""
         self.card.strobe(train)
 
     def prepare(self, shot: Shot) -> None:
-        """Build, compile and, for a closed path, render ahead, so that the first frame comes in time."""
+        """Build, compile and, for a closed path, render ahead, so that the first frame of a shot comes in time."""
         with self._lock:
             self._source(shot).render_ahead(self._steady_rows(shot))
 
     def expose(self, shot: Shot, out: NDArray[np.uint8]) -> None:
-        """Fill a frame."""
+        """Fill the frame `out` of a shot."""
         with self._lock:
             self._source(shot).fill(shot.frame, out, self.line_rows(shot))
 
     def _steady_rows(self, shot: Shot) -> NDArray[np.float64]:
-        """Where the line will stand in each row when the stream that is about to start has gone on for a while."""
+        """Return the line's row during each row's exposure once the stream about to start is periodic."""
         train = StrobeTrain(shot.strobe_s, shot.frame_period_s)
         program = replace(self.card.programs()[-1], since_s=shot.strobe_s - shot.frame_period_s, strobe=train)
         later = replace(shot, frame=_STEADY_AFTER, strobe_s=shot.strobe_s + _STEADY_AFTER * shot.frame_period_s)

@@ -19,22 +19,24 @@ if TYPE_CHECKING:
 
     Frame = NDArray[np.uint8]
 
-SAME_ROWS: Final = 0.05
-"""Lines that are nowhere farther apart give the same frame, to less than its noise."""
+SAME_LINE_ROWS: Final = 0.05
+"""Rows; lines that differ by less give the same frame to within its noise (chosen: a sixtieth of the smallest slit)."""
 STILL_FRAMES: Final = 64
+"""Frames kept of a scene at rest; chosen: their noise does not recur visibly."""
 EDGE_ROWS: Final = 0.5
+"""Rows beyond the bundle's radius in which the line still matters; chosen: half a pixel."""
 
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """The probe goes round in a circle, for ever.
+    """The probe moves along a circle, without end.
 
     Parameters
     ----------
     diameter_um : float
-        Of the circle.
+        Diameter.
     period_s : float
-        Time for one round.
+        Seconds for one round.
     """
 
     diameter_um: float = 500.0
@@ -47,20 +49,20 @@ class Circle:
 
 
 class FrameSource:
-    """Frames of one scene, path and setting of the camera.
+    """Frames of one scene, trajectory and camera setting.
 
     Parameters
     ----------
     instrument : Instrument
         Optics and camera.
     scene : Scene
-        What lies before the probe.
+        Specimen in front of the probe.
     trajectory : Trajectory
-        How it moves.
+        Motion of the probe.
     seed : int
-        Of the noise.
+        Seed of the noise.
     ahead : bool
-        Whether frames that come again are kept.
+        Keep frames that recur.
     """
 
     def __init__(self, instrument: Instrument, scene: Scene, trajectory: Trajectory, seed: int, *, ahead: bool) -> None:
@@ -76,19 +78,28 @@ class FrameSource:
         self._dark = (self._rows < min(centres) - reach) | (self._rows > max(centres) + reach)
 
     def shows(self, instrument: Instrument, scene: Scene, trajectory: Trajectory) -> bool:
-        """Whether these are the frames wanted."""
+        """Return True if the frames are those of an instrument, a scene and a trajectory."""
         return self._made_for == (instrument, scene, trajectory)
 
     def render_ahead(self, line_rows: NDArray[np.float64]) -> None:
-        """Render what will come again if the line goes on moving so; at least once, to have everything compiled."""
+        """Render the frames that recur while the line is on `line_rows`; at least one, to compile everything."""
         first = np.empty(self._kept.shape[1:], np.uint8)
         for k in (0, *range(max(1, len(self._kept)))):  # a frame is kept once the line was the same before
             self.fill(k, first, line_rows)
 
     def fill(self, frame: int, out: Frame, line_rows: NDArray[np.float64]) -> None:
-        """Fill a frame, with the line on those rows; where neither image lies it does not matter where the line is.
+        """Fill a frame; outside both images the line's row does not matter.
 
-        While the line moves alike in every frame, frames are kept, and answered from memory when they come again.
+        While the line moves alike in every frame, frames are kept, and copied from memory when they recur.
+
+        Parameters
+        ----------
+        frame : int
+            Number of the frame in its stream.
+        out : numpy.ndarray
+            (rows, cols) uint8.
+        line_rows : numpy.ndarray
+            Row of the confocal view on which the line is, for each row of the frame.
         """
         seen = np.where(self._dark, self._rows, line_rows)
         if not _alike(seen, self._kept_for):
@@ -107,11 +118,11 @@ class FrameSource:
 
 
 def _alike(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    return bool(np.abs(a - b).max() < SAME_ROWS)
+    return bool(np.abs(a - b).max() < SAME_LINE_ROWS)
 
 
 def _frames_per_round(trajectory: Trajectory, rate_hz: float) -> int:
-    """Frames after which the probe is where it was; 0 if it never is at the beginning of a frame."""
+    """Return the frames after which the probe is at the same place; 0 if it never is at the beginning of a frame."""
     if isinstance(trajectory, Still):
         return STILL_FRAMES
     if isinstance(trajectory, Circle):

@@ -1,4 +1,4 @@
-"""The virtual mirror: a damped resonance behind the drive."""
+"""The virtual galvo: a damped resonance behind the drive."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 STEP_S: Final = 4e-6
-FORGETS_S: Final = 3e-3
-"""After so long, thirteen time constants of the mirror, it does not matter where it came from."""
+"""Seconds; one sample of the card at 250 kHz."""
+SETTLED_AFTER_S: Final = 3e-3
+"""Seconds, thirteen time constants of the galvo, after which its earlier position has no influence."""
 
 
 @dataclass(frozen=True, slots=True)
 class GalvoModel:
-    """A second-order mirror, described in drive volts.
+    """A second-order galvo, in drive volts.
 
     Parameters
     ----------
     natural_hz : float
-        Its resonance.
+        Resonance.
     damping : float
-        Of the resonance; the lag behind a ramp is ``damping / (pi natural_hz)``.
+        Damping ratio; the lag behind a ramp is ``damping / (pi natural_hz)``.
 
     Examples
     --------
@@ -42,17 +43,17 @@ class GalvoModel:
 
     @property
     def lag_s(self) -> float:
-        """How far the mirror is behind a steady ramp."""
+        """Lag behind a steady ramp, in seconds."""
         return self.damping / (pi * self.natural_hz)
 
     def follow(self, drive_v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Mirror position (volts) at the end of each step of `STEP_S`, for a drive that is constant within each."""
+        """Return the position (volts) at the end of each step of `STEP_S`, for a drive constant in each."""
         return np.asarray(follow_drive(drive_v, _step(self.natural_hz, self.damping)))
 
 
 @cache
 def _step(natural_hz: float, damping: float) -> NDArray[np.float64]:
-    """Exact step of position and speed, for a constant drive: rows of (position, speed, drive)."""
+    """Return the exact step of position and speed for a constant drive: rows of (position, speed, drive)."""
     w = 2 * pi * natural_hz
     system = np.zeros((3, 3))
     system[0, 1] = 1.0
@@ -62,7 +63,15 @@ def _step(natural_hz: float, damping: float) -> NDArray[np.float64]:
 
 @kernel
 def follow_drive(drive_v: NDArray[np.float64], step: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Run the resonance through a drive, from rest at its first voltage."""
+    """Apply the resonance to a drive, from rest at its first voltage.
+
+    Parameters
+    ----------
+    drive_v : numpy.ndarray
+        Drive in volts, one value per step.
+    step : numpy.ndarray
+        (2, 3), from `_step`.
+    """
     out = np.empty_like(drive_v)
     x, v = drive_v[0], 0.0
     for k in range(len(drive_v)):

@@ -1,4 +1,4 @@
-"""The simulated rig: the real drivers on virtual devices."""
+"""The simulated rig: the unmodified drivers on virtual devices."""
 
 from __future__ import annotations
 
@@ -30,17 +30,18 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.virtual.card.process import RemoteCard
 
 SERIAL = "virtual-1"
+"""Serial number of the virtual camera."""
 
 
 def simulated_rig(simulation: Simulation | None, held: ExitStack) -> Rig:
-    """Put the virtual devices together and open them with the real drivers.
+    """Open the drivers on virtual devices.
 
     Parameters
     ----------
     simulation : Simulation, optional
-        What it looks at.
+        Scene, motion and devices.
     held : contextlib.ExitStack
-        Keeps what has to be let go.
+        Closes the devices.
 
     Raises
     ------

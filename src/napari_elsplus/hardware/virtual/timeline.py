@@ -1,6 +1,6 @@
 """Strobes and output voltages as functions of time.
 
-So they need no thread of their own, and another process can know what the output does without asking for every sample.
+They need no thread of their own, and another process can evaluate the output without a request per sample.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 class BenchClock:
-    """What time it is on the bench: the computer's time, or one that only moves when something waits for it.
+    """Clock of the bench: the computer's time, or one that only advances when something waits for it.
 
     Parameters
     ----------
     real_time : bool
-        Whether the clock is that of `time.perf_counter`, which all processes of a computer share.
+        Use `time.perf_counter`, which all processes of a computer share.
     """
 
     def __init__(self, real_time: bool = True) -> None:
@@ -39,7 +39,7 @@ class BenchClock:
         return time.perf_counter() if self.real_time else self._now_s
 
     def wait_until(self, time_s: float) -> None:
-        """Sleep, or move the clock on."""
+        """Sleep until a time `time_s`, or advance the clock to it."""
         if self.real_time:
             time.sleep(max(0.0, time_s - time.perf_counter()))
         else:
@@ -48,7 +48,7 @@ class BenchClock:
 
 @dataclass(frozen=True, slots=True)
 class StrobeTrain:
-    """Edges on the strobe's line: one every `period_s` from `start_s` to `end_s`, but for those that are `missing`."""
+    """Edges on the strobe's line: one every `period_s` from `start_s` to `end_s`, except those `missing`."""
 
     start_s: float
     period_s: float
@@ -56,28 +56,28 @@ class StrobeTrain:
     missing: frozenset[int] = frozenset()
 
     def first_after(self, time_s: float) -> int:
-        """Index of the first edge at or after a time."""
+        """Index of the first edge at or after a time in seconds."""
         return max(0, ceil((time_s - self.start_s) / self.period_s - 1e-9))
 
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """What the output does from `since_s` on: one standing voltage, or bursts of samples started by strobes.
+    """Output from `since_s` on: one standing voltage, or bursts of samples started by strobes.
 
     Parameters
     ----------
     since_s : float
-        When it began; edges before do not count.
+        Beginning; earlier edges do not count.
     resting_v : float
         Voltage before the first burst.
     samples : numpy.ndarray
-        Repeated over and over, `burst` of them after each edge; empty: the resting voltage stays.
+        Repeated cyclically, `burst` of them after each edge; empty: the resting voltage stays.
     burst : int
         Samples after an edge.
     rate_hz : float
         Samples per second.
     strobe : StrobeTrain, optional
-        The edges that it hears.
+        Edges that start bursts.
     begun : int
         Samples that were put out before `since_s`, whole bursts.
     """
@@ -93,19 +93,19 @@ class Program:
     def samples_by(self, times_s: Times) -> NDArray[np.int64]:
         """Count the samples put out by each time.
 
-        An edge that comes during a burst is not heard, as with a counter that is retriggered too soon.
+        An edge that comes during a burst has no effect, as with a counter that is retriggered too soon.
         """
         return self._progress(times_s)[0]
 
     def volts(self, times_s: Times) -> Volts:
-        """Voltage at each time."""
+        """Return the voltage at each time."""
         if not len(self.samples):
             return np.full(len(times_s), self.resting_v)
         done = self.samples_by(times_s)
         return np.where(done > self.begun, self.samples[(done - 1) % len(self.samples)], self.resting_v)
 
     def last_change_s(self, times_s: Times) -> Times:
-        """When the sample that is out at each time was put out."""
+        """Return when the sample that is out at each time was put out."""
         return self._progress(times_s)[1]
 
     def _progress(self, times_s: Times) -> tuple[NDArray[np.int64], Times]:
@@ -115,8 +115,8 @@ class Program:
             return np.full(len(times_s), self.begun), np.full(len(times_s), self.since_s)
         first = train.first_after(self.since_s)
         stride = max(1, ceil(self.burst / self.rate_hz / train.period_s - 1e-9))
-        heard_by = np.minimum(times_s, train.end_s)
-        edge = np.floor((heard_by - train.start_s) / train.period_s + 1e-9).astype(np.int64)
+        detected_by = np.minimum(times_s, train.end_s)
+        edge = np.floor((detected_by - train.start_s) / train.period_s + 1e-9).astype(np.int64)
         edge = first + (edge - first) // stride * stride
         count = (edge - first) // stride + 1
         for lost in sorted(train.missing, reverse=True):
@@ -130,7 +130,7 @@ class Program:
 
 
 def volts_at(programs: Sequence[Program], times_s: Times) -> Volts:
-    """Voltage at increasing times, from programs that took over from one another; before the first it is its own."""
+    """Return the voltage at increasing times from successive programs; before the first, that one applies."""
     volts = programs[0].volts(times_s)
     for program in programs[1:]:
         later = times_s >= program.since_s
@@ -140,7 +140,17 @@ def volts_at(programs: Sequence[Program], times_s: Times) -> Volts:
 
 
 def mean_volts(programs: Sequence[Program], starts_s: Times, step_s: float) -> Volts:
-    """Mean voltage over increasing steps, each shorter than a sample."""
+    """Return the mean voltage over increasing steps, each shorter than a sample.
+
+    Parameters
+    ----------
+    programs : sequence of Program
+        Oldest first.
+    starts_s : numpy.ndarray
+        Beginning of each step.
+    step_s : float
+        Length of a step.
+    """
     before, after = volts_at(programs, starts_s + 1e-9), volts_at(programs, starts_s + step_s - 1e-9)
     changed_s = programs[0].last_change_s(starts_s + step_s - 1e-9)
     for program in programs[1:]:

@@ -1,4 +1,4 @@
-"""A virtual USB bus: a pyusb backend on which virtual cameras hang."""
+"""A virtual USB bus: a pyusb backend with virtual cameras."""
 
 from __future__ import annotations
 
@@ -20,14 +20,18 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.virtual.camera.device import VirtualCamera
 
 CONTROL_OUT, CONTROL_IN, STREAM_IN = 0x01, 0x81, 0x82
+"""Endpoint addresses."""
 BULK: Final = 2
+"""Transfer type."""
 PACKET: Final = 1024
+"""Bytes of a USB 3 bulk packet."""
 STRINGS: Final = ("", "napari-elsplus", "virtual camera")
+"""String descriptors: language, maker, product; the serial number follows."""
 
 
 @dataclass
 class Plug:
-    """A device on the bus, and what is wrong with it.
+    """A device on the bus, and its faults.
 
     Parameters
     ----------
@@ -36,7 +40,7 @@ class Plug:
     speed : int
         4: USB 3; 3: USB 2.
     iidc : bool
-        Whether it has the old firmware, which is no USB3 Vision.
+        It has the old firmware, which is not USB3 Vision.
     forbidden, busy, unplugged : bool
         Faults.
     """
@@ -51,23 +55,23 @@ class Plug:
 
 
 class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
-    """The bus; see `usb.backend.IBackend` for what its methods mean.
+    """The bus; its methods are those of `usb.backend.IBackend`.
 
     Parameters
     ----------
     *plugs : Plug
-        What hangs on it.
+        Devices on the bus.
     """
 
     def __init__(self, *plugs: Plug) -> None:
         self.plugs = list(plugs)
 
     def enumerate_devices(self) -> Iterator[Plug]:
-        """Every device that is plugged in."""
+        """Return every device that is plugged in; see :meth:`usb.backend.IBackend.enumerate_devices`."""
         return iter([plug for plug in self.plugs if not plug.unplugged])
 
     def get_device_descriptor(self, dev: Plug) -> SimpleNamespace:
-        """Describe a device."""
+        """Describe a device; see :meth:`usb.backend.IBackend.get_device_descriptor`."""
         device, sub, protocol = (0, 0, 0) if dev.iidc else (MISCELLANEOUS, COMMON, ASSOCIATION)
         return SimpleNamespace(
             bLength=18, bDescriptorType=1, bcdUSB=0x0300, bDeviceClass=device, bDeviceSubClass=sub,
@@ -77,7 +81,7 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
         )  # fmt: skip
 
     def get_configuration_descriptor(self, dev: Plug, config: int) -> SimpleNamespace:
-        """Describe the configuration."""
+        """Describe the configuration; see :meth:`usb.backend.IBackend.get_configuration_descriptor`."""
         if config:
             raise IndexError(config)
         return SimpleNamespace(
@@ -86,7 +90,7 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
         )  # fmt: skip
 
     def get_interface_descriptor(self, dev: Plug, intf: int, alt: int, config: int) -> SimpleNamespace:
-        """Describe an interface: control, or stream."""
+        """Describe the control or the stream interface; see :meth:`usb.backend.IBackend.get_interface_descriptor`."""
         if alt or config or intf > 1:
             raise IndexError(intf)
         kind, sub, protocol = (VENDOR_CLASS, 0, 0) if dev.iidc else (MISCELLANEOUS, USB3_VISION, 2 * intf)
@@ -97,7 +101,7 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
         )  # fmt: skip
 
     def get_endpoint_descriptor(self, dev: Plug, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
-        """Describe an endpoint."""
+        """Describe an endpoint; see :meth:`usb.backend.IBackend.get_endpoint_descriptor`."""
         del dev, alt, config
         address = STREAM_IN if intf else (CONTROL_OUT, CONTROL_IN)[ep]
         return SimpleNamespace(
@@ -106,51 +110,51 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
         )  # fmt: skip
 
     def open_device(self, dev: Plug) -> Plug:
-        """Open a device."""
+        """Open a device; see :meth:`usb.backend.IBackend.open_device`."""
         self._reach(dev)
         if dev.forbidden:
             raise USBError("Access denied (insufficient permissions)", -3, errno.EACCES)
         return dev
 
     def close_device(self, dev_handle: Plug) -> None:
-        """Close it; a camera that loses its host stops."""
+        """Close a device; a camera that loses its host stops; see :meth:`usb.backend.IBackend.close_device`."""
         dev_handle.camera.close()
 
     def get_configuration(self, dev_handle: Plug) -> int:
-        """Return the active configuration."""
+        """Return the active configuration; see :meth:`usb.backend.IBackend.get_configuration`."""
         self._reach(dev_handle)
         return 1
 
     def set_configuration(self, dev_handle: Plug, config_value: int) -> None:
-        """Set the only configuration."""
+        """Set the only configuration; see :meth:`usb.backend.IBackend.set_configuration`."""
         del config_value
         self._reach(dev_handle)
 
     def set_interface_altsetting(self, dev_handle: Plug, intf: int, altsetting: int) -> None:
-        """Set the only setting."""
+        """Set the only setting; see :meth:`usb.backend.IBackend.set_interface_altsetting`."""
         del intf, altsetting
         self._reach(dev_handle)
 
     def claim_interface(self, dev_handle: Plug, intf: int) -> None:
-        """Claim an interface."""
+        """Claim an interface; see :meth:`usb.backend.IBackend.claim_interface`."""
         self._reach(dev_handle)
         if dev_handle.busy or intf in dev_handle.interfaces:
             raise USBError("Resource busy", -6, errno.EBUSY)
         dev_handle.interfaces.add(intf)
 
     def release_interface(self, dev_handle: Plug, intf: int) -> None:
-        """Release it."""
+        """Release an interface; see :meth:`usb.backend.IBackend.release_interface`."""
         dev_handle.interfaces.discard(intf)
 
     def is_kernel_driver_active(self, dev_handle: Plug, intf: int) -> bool:
-        """No driver of the system wants a virtual camera."""
+        """Return False: the system has no driver; see :meth:`usb.backend.IBackend.is_kernel_driver_active`."""
         del dev_handle, intf
         return False
 
     def ctrl_transfer(
         self, dev_handle: Plug, request_type: int, request: int, value: int, index: int, data: Any, timeout: int
     ) -> int:
-        """Answer requests for texts; nothing else comes here."""
+        """Answer requests for texts; see :meth:`usb.backend.IBackend.ctrl_transfer`."""
         del request_type, request, index, timeout
         self._reach(dev_handle)
         text = value & 0xFF
@@ -160,14 +164,14 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
         return len(packet)
 
     def bulk_write(self, dev_handle: Plug, ep: int, intf: int, data: array[int], timeout: int) -> int:
-        """Take a control command."""
+        """Execute a control command; see :meth:`usb.backend.IBackend.bulk_write`."""
         del ep, intf, timeout
         self._reach(dev_handle)
         dev_handle.camera.command(data.tobytes())
         return len(data)
 
     def bulk_read(self, dev_handle: Plug, ep: int, intf: int, buff: array[int], timeout: int) -> int:
-        """Give an answer, or the next packet of the stream."""
+        """Return an acknowledgement, or the next packet of the stream; see :meth:`usb.backend.IBackend.bulk_read`."""
         del intf
         self._reach(dev_handle)
         if ep == STREAM_IN:

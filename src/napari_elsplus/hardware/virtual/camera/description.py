@@ -1,4 +1,4 @@
-"""The virtual camera's GenICam description: ours, with the features that a line scan needs, by their standard names."""
+"""GenICam description of the virtual camera: the features that a line scan needs, by their standard names."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROOT: Final = """<Category Name="Root"><pFeature>DeviceVendorName</pFeature><pFe
 
 
 def describe() -> bytes:
-    """Write the description."""
+    """Return the description, as XML."""
     halves = {"Width": (flea3.SIZE, 16, 31), "Height": (flea3.SIZE, 0, 15)}
     halves |= {"OffsetX": (flea3.OFFSET, 16, 31), "OffsetY": (flea3.OFFSET, 0, 15)}
     limits = {"Width": (16, 16), "Height": (4, 4), "OffsetX": (0, 4), "OffsetY": (0, 2)}

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.virtual.timeline import BenchClock
 
 BYTES_KEPT: Final = 32 << 20
-"""What the camera itself can keep while the computer is late; older frames are lost."""
+"""Bytes that the camera buffers while the computer is late (chosen); older frames are lost."""
 IDLE: Final = LINE_RATE_HZ / 240 / 524
-"""Shortest frame over the rows read, as in the paper's modes."""
+"""Shortest frame period over the time in which its rows are read, as in the paper's modes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """How one frame is taken: the strobe's edge, and when its rows are read."""
+    """Timing, region and gain of one frame: the strobe's edge, and when its rows are read."""
 
     frame: int
     strobe_s: float
@@ -45,36 +45,44 @@ class Shot:
 
     @property
     def row_zero_s(self) -> float:
-        """Readout of the first row."""
+        """Readout of the first row, in seconds."""
         return self.strobe_s + self.exposure_s
 
     @property
     def read_out_s(self) -> float:
-        """Readout of the last row."""
+        """Readout of the last row, in seconds."""
         return self.row_zero_s + self.region[2] * self.line_period_s
 
 
 class Bench(Protocol):
-    """What the camera looks at, and who listens to its strobe."""
+    """Clock and scene of the camera, and receiver of its strobe."""
 
     clock: BenchClock
 
     def strobe(self, train: StrobeTrain | None) -> None:
-        """Hear a train of edges."""
+        """Receive a train of edges."""
 
     def prepare(self, shot: Shot) -> None:
-        """Get ready for frames like this one."""
+        """Prepare for frames like a shot."""
 
     def expose(self, shot: Shot, out: NDArray[np.uint8]) -> None:
-        """Fill a frame."""
+        """Fill the frame `out` of a shot."""
 
 
 @dataclass
 class CameraFaults:
-    """Switches: what goes wrong from now on.
+    """Faults to inject.
 
-    ``pending_acks`` so many answers are preceded by PENDING_ACK; ``lose_acks`` so many are lost; ``short_frames`` and
-    ``bad_trailers`` and ``drop_frames`` spoil so many frames; ``strobe_off`` cuts the strobe's wire.
+    Parameters
+    ----------
+    pending_acks, lose_acks : int
+        Number of answers that follow a PENDING_ACK, and of answers that are lost.
+    short_frames, bad_trailers, drop_frames : int
+        Number of frames cut short, ended by a bad trailer, or lost.
+    empty_packets : bool
+        End payloads with an empty packet.
+    strobe_off : bool
+        Cut the strobe's wire.
     """
 
     pending_acks: int = 0
@@ -87,14 +95,14 @@ class CameraFaults:
 
 
 class VirtualCamera:
-    """A Flea3 that speaks USB3 Vision, its sensor on the bench.
+    """A Flea3 with USB3 Vision firmware, its sensor on the bench.
 
     Parameters
     ----------
     bench : Bench
         Clock, strobe and scene.
     serial : str
-        Its serial number.
+        Serial number.
     line_rate_hz : float
         Rows per second.
     """
@@ -116,7 +124,7 @@ class VirtualCamera:
     # Control endpoint.
 
     def command(self, packet: bytes) -> None:
-        """Take a control command, and queue the answer."""
+        """Execute a control command `packet`, and queue the acknowledgement."""
         if len(packet) < packets.HEADER.size:
             return
         _, _, command, _, request_id = packets.HEADER.unpack_from(packet)
@@ -143,7 +151,12 @@ class VirtualCamera:
         self._answers.append(_ack(status, command + 1, request_id, data))
 
     def answer(self, timeout_s: float) -> bytes:
-        """Give the next answer.
+        """Return the next acknowledgement.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Time to wait for it.
 
         Raises
         ------
@@ -158,7 +171,19 @@ class VirtualCamera:
     # Stream endpoint.
 
     def stream_into(self, buffer: array[int], timeout_s: float) -> int:
-        """Send the next packet: leader, part of the payload, or trailer.
+        """Put the next packet into the buffer: leader, part of the payload, or trailer.
+
+        Parameters
+        ----------
+        buffer : array.array
+            Bytes; a packet that is longer is an overflow.
+        timeout_s : float
+            Time to wait for a packet to be due.
+
+        Returns
+        -------
+        int
+            Bytes of the packet.
 
         Raises
         ------
@@ -245,7 +270,7 @@ class VirtualCamera:
             self._acquire(bool(self.memory.get(address) & flea3.ACQUIRE))
 
     def _settle(self) -> None:
-        """Let limits and payload follow the region and the exposure."""
+        """Adapt limits and payload to the region and the exposure."""
         base, memory = flea3.BASE, self.memory
         size = memory.get(base + flea3.SIZE)
         rows, cols = size & 0xFFFF, size >> 16
@@ -266,8 +291,8 @@ class VirtualCamera:
                 self.bench.prepare(self._shot(0, StrobeTrain(0.0, period_s)))
                 self._train = StrobeTrain(clock.now_s() + 2e-3, period_s)
                 self._frame, self._sent = 0, -1
-                heard = self._train if self._strobe_is_on() and not self.faults.strobe_off else None
-                self.bench.strobe(heard)
+                train = self._train if self._strobe_is_on() and not self.faults.strobe_off else None
+                self.bench.strobe(train)
                 return
             assert self._train is not None
             ended = StrobeTrain(self._train.start_s, self._train.period_s, clock.now_s())
@@ -315,7 +340,7 @@ def _leader(shot: Shot) -> bytes:
 
 
 def _put(buffer: array[int], data: bytes | NDArray[np.uint8]) -> int:
-    """Copy a packet; a buffer too small for it is what libusb calls an overflow."""
+    """Copy a packet into the buffer; one that is longer than the buffer is libusb's overflow."""
     if len(data) > len(buffer):
         raise USBError("Overflow", None, errno.EOVERFLOW)
     np.frombuffer(buffer, np.uint8)[: len(data)] = np.frombuffer(data, np.uint8)

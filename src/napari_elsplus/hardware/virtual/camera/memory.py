@@ -1,4 +1,4 @@
-"""The virtual camera's memory: bootstrap registers, the Flea3's registers, and a description of our own writing."""
+"""The virtual camera's memory: bootstrap registers, the Flea3's registers, and this package's own description."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 SBRM, SIRM, MANIFEST, XML = 0x1_0000, 0x2_0000, 0x3_0000, 0x4_0000
+"""Addresses of the register blocks; arbitrary."""
 STROBE: Final = flea3.BASE + 0x5000
+"""Address of the strobe registers; arbitrary."""
 REGISTERS: Final = 0x6000
+"""Bytes of the block at `flea3.BASE`."""
 MAX_ACK: Final = 1024
 
 
@@ -28,7 +31,7 @@ class Memory:
     Parameters
     ----------
     serial : str
-        The camera's serial number.
+        Serial number of the camera.
     line_rate_hz : float
         Rows per second.
     """
@@ -56,7 +59,7 @@ class Memory:
         self._put_floats({base + flea3.EXPOSURE_MIN: 1e-6, base + flea3.EXPOSURE: 0.005, base + flea3.RATE: 30.0})
 
     def read(self, address: int, count: int) -> bytes:
-        """Read bytes.
+        """Read `count` bytes from an address on.
 
         Raises
         ------
@@ -67,7 +70,7 @@ class Memory:
         return bytes(block[at : at + count])
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes.
+        """Write data from an address on.
 
         Raises
         ------
@@ -78,23 +81,23 @@ class Memory:
         block[at : at + len(data)] = data
 
     def get(self, address: int) -> int:
-        """Read a 32-bit number."""
+        """Return the 32-bit number at an address."""
         return int.from_bytes(self.read(address, 4), "little")
 
     def get_float(self, address: int) -> float:
-        """Read a 32-bit float."""
+        """Return the 32-bit float at an address."""
         return float(struct.unpack("<f", self.read(address, 4))[0])
 
     def put(self, address: int, value: int) -> None:
-        """Write a 32-bit number."""
+        """Write a value as 32-bit number to an address."""
         self.write(address, struct.pack("<I", value))
 
     def put_float(self, address: int, value: float) -> None:
-        """Write a 32-bit float."""
+        """Write a value as 32-bit float to an address."""
         self.write(address, struct.pack("<f", value))
 
     def put64(self, address: int, value: int) -> None:
-        """Write a 64-bit number."""
+        """Write a value as 64-bit number to an address."""
         self.write(address, struct.pack("<Q", value))
 
     def _find(self, address: int, count: int) -> tuple[bytearray, int]:

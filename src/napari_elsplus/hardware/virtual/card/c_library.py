@@ -1,7 +1,7 @@
-"""The virtual card behind nidaqmx's production interpreter: functions that take the place of NI's C library.
+"""The virtual card behind nidaqmx's production interpreter: functions in place of NI's C library.
 
-They check every argument against the types that nidaqmx declares, as ctypes would, and answer from the same virtual
-card as the gRPC server.
+They check every argument against the types that nidaqmx declares, as ctypes would, and are answered by the same
+virtual card as the gRPC server.
 """
 
 from __future__ import annotations
@@ -22,12 +22,15 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.virtual.card.card import VirtualCard
 
 DRIVER_VERSION: Final = {0x1272: 25, 0x1923: 0, 0x2F22: 0}
+"""Major, minor and update version by attribute."""
 DEVICE_NAMES, SAMPLES_DONE = 0x193B, 0x192B
+"""Attribute codes of NIDAQmx.h."""
 PRODUCT: Final = b"virtual card"
+"""Product type of the card."""
 
 
 class Function:
-    """A function of the library: a status code comes back, results go into the caller's memory."""
+    """A function of the library: returns a status code; results go into the caller's memory."""
 
     def __init__(self, answer: Callable[..., int | None]) -> None:
         self._answer = answer
@@ -36,7 +39,7 @@ class Function:
         self.last_error = 0
 
     def __call__(self, *arguments: Any) -> int:
-        """Check and unpack the arguments, and answer."""
+        """Check and unpack the arguments, and call the card."""
         for kind, argument in zip(self.argtypes or [], arguments, strict=False):
             kind.from_param(argument)
         try:
@@ -60,7 +63,7 @@ class VirtualLibrary:
     Parameters
     ----------
     card : VirtualCard
-        Who answers.
+        The card.
     """
 
     def __init__(self, card: VirtualCard) -> None:
@@ -69,7 +72,7 @@ class VirtualLibrary:
         self._functions: dict[str, Function] = {}
 
     def __getattr__(self, name: str) -> Function:
-        """Return the function of that name; what is not there raises, as in a library."""
+        """Return the function of that name; an absent one raises, as in a library."""
         if name not in self._functions:
             answer = getattr(type(self), "_" + name.removeprefix("DAQmx"), None)
             if not name.startswith("DAQmx") or answer is None:
@@ -88,7 +91,7 @@ class VirtualLibrary:
         return call
 
     def _SetRuntimeEnvironment(self, *_: object) -> None:
-        """Take note of nothing."""
+        """Do nothing."""
 
     def _GetSystemInfoAttribute(self, attribute: int, out: Any, size: int = -1) -> int:
         if attribute == DEVICE_NAMES:
@@ -167,7 +170,7 @@ class VirtualLibrary:
 
 
 def _give_text(text: bytes, out: Any, size: int) -> int:
-    """Say how long a text is, or give it."""
+    """Return the length of a text if `size` is 0, else copy it."""
     if not size:
         return len(text) + 1
     out.value = text
@@ -175,8 +178,8 @@ def _give_text(text: bytes, out: Any, size: int) -> int:
 
 
 @contextmanager
-def in_place_of_nis(card: VirtualCard) -> Iterator[None]:
-    """Let nidaqmx find the virtual library instead of NI's."""
+def replacing_ni_library(card: VirtualCard) -> Iterator[None]:
+    """Let nidaqmx find a library that drives the virtual card instead of NI's."""
     names = ("_windll", "_cdll", "_encoding")
     before = {name: getattr(lib_importer, name) for name in names}
     library = DaqFunctionImporter(VirtualLibrary(card))

@@ -14,8 +14,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 POWER_ON_V: Final = 0.0
-REMEMBERED: Final = 64
+"""Volts of the output when the card is switched on."""
+MAX_PROGRAMS: Final = 64
+"""Programs kept; chosen: more than a frame of holds, 1 ms each."""
 ON_DEMAND, CONTINUOUS, FINITE = 10390, 10123, 10178
+"""Sample modes of NIDAQmx.h."""
 MESSAGES: Final = {
     -50103: "The specified resource is reserved. The operation could not be completed as specified.",
     -200088: "Task specified is invalid or does not exist.",
@@ -28,10 +31,11 @@ MESSAGES: Final = {
     -200621: "Onboard device memory underflow.",
     -201003: "Device cannot be accessed. It may have been disconnected.",
 }
+"""NI's text of each status code."""
 
 
 class CardError(Exception):
-    """What the driver would answer: a DAQmx status code."""
+    """A DAQmx status code, as the driver would return it."""
 
     def __init__(self, code: int) -> None:
         super().__init__(MESSAGES.get(code, "unknown"))
@@ -58,14 +62,14 @@ class VirtualTask:
 
 
 class VirtualCard:
-    """One card with an analog output and a counter, and the strobe's wire on one of its terminals.
+    """A card with an analog output and a counter, one of its terminals wired to the strobe.
 
     Parameters
     ----------
     clock : BenchClock, optional
-        The bench's clock; that of the computer by default.
+        Clock of the bench; that of the computer by default.
     device : str
-        Its name.
+        Name of the card.
     """
 
     def __init__(self, clock: BenchClock | None = None, device: str = "Dev1") -> None:
@@ -81,7 +85,7 @@ class VirtualCard:
     # The bench's side.
 
     def strobe(self, train: StrobeTrain | None) -> None:
-        """Wire a train of edges to the strobe's terminal; a change of a train keeps the train's start."""
+        """Wire a train of edges to the strobe's terminal; a train changed in its end only goes on."""
         with self._lock:
             self._strobe = train
             running = self._programs[-1]
@@ -96,7 +100,7 @@ class VirtualCard:
             self._append(replace(running, since_s=now, resting_v=self.last_volts, strobe=train, begun=begun))
 
     def programs(self) -> list[Program]:
-        """Return what the output did lately, oldest first."""
+        """Return the last programs of the output, oldest first."""
         with self._lock:
             return list(self._programs)
 
@@ -107,9 +111,10 @@ class VirtualCard:
             return float(volts_at(self._programs, np.array([self.clock.now_s()]))[0])
 
     def break_with(self, code: int) -> None:
-        """Let the card fail.
+        """Inject a fault by its status code.
 
-        -200621 and -200290 stop the output, -201003 unplugs the card, -50103 lends it to another program, 0 heals it.
+        -200621 and -200290 stop the output, -201003 unplugs the card, -50103 lends it to another program; 0 ends the
+        fault.
         """
         with self._lock:
             self._fault = code
@@ -119,28 +124,38 @@ class VirtualCard:
     # The driver's side.
 
     def create_task(self, name: str) -> int:
-        """Create a task, and return its handle."""
+        """Create a task of that name, and return its handle."""
         with self._lock:
             self._last_handle += 1
             self._tasks[self._last_handle] = VirtualTask(name or f"_unnamedTask<{self._last_handle}>")
             return self._last_handle
 
     def clear_task(self, handle: int) -> None:
-        """Stop and forget a task."""
+        """Stop and delete the task of a handle."""
         with self._lock:
             task = self.task(handle)
             self._stop(task)
             del self._tasks[handle]
 
     def task(self, handle: int) -> VirtualTask:
-        """Return a task."""
+        """Return the task of a handle."""
         try:
             return self._tasks[handle]
         except KeyError:
             raise CardError(-200088) from None
 
     def add_output(self, handle: int, channel: str, low_v: float, high_v: float) -> None:
-        """Put the analog output into a task."""
+        """Add the analog output to a task.
+
+        Parameters
+        ----------
+        handle : int
+            The task.
+        channel : str
+            ``device/ao0``.
+        low_v, high_v : float
+            Range in volts.
+        """
         self._find(channel, "ao0")
         if not -10 <= low_v < high_v <= 10:
             raise CardError(-200077)
@@ -148,13 +163,23 @@ class VirtualCard:
         task.output, task.low_v, task.high_v = True, low_v, high_v
 
     def add_counter(self, handle: int, channel: str, rate_hz: float) -> None:
-        """Put the counter's pulses into a task."""
+        """Add the counter's pulses to a task.
+
+        Parameters
+        ----------
+        handle : int
+            The task.
+        channel : str
+            ``device/ctr0``.
+        rate_hz : float
+            Pulses per second.
+        """
         self._find(channel, "ctr0")
         task = self.task(handle)
         task.counter, task.rate_hz = True, rate_hz
 
     def start_task(self, handle: int) -> None:
-        """Start a task; bursts begin once both the output and its clock run."""
+        """Start the task of a handle; bursts begin once both the output and its clock run."""
         with self._lock:
             task = self.task(handle)
             self._reach()
@@ -171,12 +196,22 @@ class VirtualCard:
                 self._append(Program(now, resting, ramp.volts.copy(), clock.samples, clock.rate_hz, self._strobe))
 
     def stop_task(self, handle: int) -> None:
-        """Stop a task; the output keeps its voltage."""
+        """Stop the task of a handle; the output keeps its voltage."""
         with self._lock:
             self._stop(self.task(handle))
 
     def write(self, handle: int, volts: NDArray[np.float64], auto_start: bool) -> int:
-        """Write samples, put out at once by a task without timing."""
+        """Write samples, which a task without timing puts out at once.
+
+        Parameters
+        ----------
+        handle : int
+            The task.
+        volts : numpy.ndarray
+            Samples.
+        auto_start : bool
+            Start the task.
+        """
         with self._lock:
             task = self.task(handle)
             self._reach()
@@ -190,20 +225,20 @@ class VirtualCard:
             return len(volts)
 
     def is_done(self, handle: int) -> bool:
-        """Whether a task has ended; raises what ended it."""
+        """Return True if the task of a handle has ended; raise the status code that ended it."""
         with self._lock:
             self._reach()
             return not self.task(handle).running
 
     def samples_done(self, handle: int) -> int:
-        """Count the samples that a task put out."""
+        """Count the samples that the task of a handle put out."""
         with self._lock:
             self.task(handle)
             self._reach()
             return int(self._programs[-1].samples_by(np.array([self.clock.now_s()]))[0])
 
     def reset(self, device: str) -> None:
-        """Abort every task of the card; the output keeps its voltage."""
+        """Abort every task of the device; the output keeps its voltage."""
         with self._lock:
             self._find(device, "")
             if self._fault == -201003:
@@ -223,7 +258,7 @@ class VirtualCard:
         if self._fault in (-200621, -200290, -201003):
             code = self._fault
             if code != -201003:
-                self._fault = 0  # told once; the next task starts anew
+                self._fault = 0  # reported once; the next task starts anew
             raise CardError(code)
 
     def _stop(self, task: VirtualTask) -> None:
@@ -236,5 +271,5 @@ class VirtualCard:
             self._append(Program(self.clock.now_s(), self.last_volts))
 
     def _append(self, program: Program) -> None:
-        self._programs = [*self._programs[1 - REMEMBERED :], program]
+        self._programs = [*self._programs[1 - MAX_PROGRAMS :], program]
         self.version += 1

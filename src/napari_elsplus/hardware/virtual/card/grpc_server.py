@@ -20,14 +20,17 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.virtual.card.card import VirtualCard
 
 SERVICE: Final = "nidaqmx_grpc.NiDAQmx"
+"""Name of NI's gRPC service."""
 DRIVER_VERSION: Final = {0x1272: 25, 0x1923: 0, 0x2F22: 0}
+"""Major, minor and update version by attribute."""
 PRODUCT_NAME: Final = "virtual card"
+"""Product type of the card."""
 
 
 class DaemonPool(futures.Executor):
-    """Threads that do not keep the interpreter alive, and that still answer while it ends.
+    """Threads that do not keep the interpreter alive, and that still serve while it ends.
 
-    So the mirror can park when the interpreter ends.
+    So the galvo can be parked when the interpreter ends.
     """
 
     def __init__(self, threads: int = 4) -> None:
@@ -37,13 +40,13 @@ class DaemonPool(futures.Executor):
             threading.Thread(target=self._serve, name="virtual card", daemon=True).start()
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> futures.Future[Any]:
-        """Queue a call."""
+        """Queue a call; see :meth:`concurrent.futures.Executor.submit`."""
         future: futures.Future[Any] = futures.Future()
         self._work.put((future, lambda: fn(*args, **kwargs)))
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Let the threads end once the queued calls are done; nobody waits for them."""
+        """End the threads after the queued calls, without waiting; see :meth:`concurrent.futures.Executor.shutdown`."""
         del wait, cancel_futures
         for _ in range(self._threads):
             self._work.put(None)
@@ -53,12 +56,12 @@ class DaemonPool(futures.Executor):
             future, call = work
             try:
                 future.set_result(call())
-            except BaseException as error:  # noqa: BLE001 - handed to whoever waits for the future
+            except BaseException as error:  # noqa: BLE001 - passed on through the future
                 future.set_exception(error)
 
 
 def answers(card: VirtualCard) -> dict[str, tuple[type, Callable[[Any], Any]]]:
-    """For each RPC its request, and how the card answers it."""
+    """Return the RPCs by name, each with its request and the function of the card that answers it."""
 
     def done(response: type) -> Callable[[Any], Any]:
         return lambda _: response()

@@ -1,7 +1,6 @@
 """The virtual card in a process of its own, which outlives the one that drives it, as a real card does.
 
-Run as ``python -m napari_elsplus.hardware.virtual.card.process``; it prints where it can be
-reached, as one line of JSON.
+Run as ``python -m napari_elsplus.hardware.virtual.card.process``; it prints its address as one line of JSON.
 """
 
 from __future__ import annotations
@@ -22,18 +21,20 @@ from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
 from napari_elsplus.hardware.virtual.timeline import Program, StrobeTrain
 
 LINGER_S: Final = 3.0
-"""Alone for so long, the card ends itself."""
+"""Seconds without a holder after which the card ends; chosen: longer than a guardian takes to come."""
 START_S: Final = 30.0
+"""Seconds in which the first holder must come; chosen for a busy computer."""
 Place = dict[str, Any]
+"""Address of the gRPC server, port and key of the bench's connection."""
 
 
 class RemoteCard:
-    """A virtual card in another process; the bench's side of it.
+    """A virtual card in another process, as the bench uses it.
 
     Parameters
     ----------
     place : dict
-        Where it is, as it printed.
+        Its address, as it was printed.
     """
 
     def __init__(self, place: Place) -> None:
@@ -44,7 +45,7 @@ class RemoteCard:
 
     @property
     def last_volts(self) -> float:
-        """The voltage on the output now."""
+        """Voltage on the output now."""
         return float(self._ask("last_volts"))
 
     def strobe(self, train: StrobeTrain | None) -> None:
@@ -52,18 +53,18 @@ class RemoteCard:
         self._ask("strobe", train)
 
     def programs(self) -> list[Program]:
-        """Return what the output did lately; asked for anew only if it changed."""
+        """Return the last programs of the output; transferred only if they changed."""
         version, programs = self._ask("programs", self._version)
         if programs is not None:
             self._version, self._programs = version, programs
         return self._programs
 
     def break_with(self, code: int) -> None:
-        """Let the card fail."""
+        """Inject a fault; see :meth:`napari_elsplus.hardware.virtual.card.card.VirtualCard.break_with`."""
         self._ask("break_with", code)
 
     def close(self) -> None:
-        """Let go of the card; it ends when nobody holds it."""
+        """Release the card, which ends when it has no holder."""
         self._wire.close()
 
     def __enter__(self) -> Self:
@@ -103,7 +104,7 @@ def start_card() -> RemoteCard:
 
 
 def serve() -> None:
-    """Serve a card until nobody holds it."""
+    """Serve a card until it has no holder."""
     key = secrets.token_bytes(16)
     card = VirtualCard()
     held = _Holders()
@@ -116,7 +117,7 @@ def serve() -> None:
 
 
 class _Holders:
-    """How many hold the card, and since when nobody does."""
+    """Number of connections that hold the card, and the time since there is none."""
 
     def __init__(self) -> None:
         self._count, self._changed_s = 0, time.monotonic() + START_S - LINGER_S
