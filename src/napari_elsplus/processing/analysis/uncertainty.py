@@ -68,12 +68,13 @@ def clustered(scores: Floats, curvature: Floats, clusters: NDArray[np.intp], cou
     Returns
     -------
     numpy.ndarray
-        Shape (count, parameters), float64; zero for clusters without samples.
+        Shape (count, parameters), float64; zero for clusters without samples, not finite without curvature.
     """
     sums = np.stack([np.bincount(clusters, weights=column, minlength=count) for column in scores.T], axis=1)
     filled = np.count_nonzero(np.bincount(clusters, minlength=count))
     freedom = filled / max(filled - scores.shape[1] / 2, 1.0)
-    return np.asarray(np.sqrt(freedom) * (sums @ np.linalg.pinv(curvature)), np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):  # a diverged fit has no curvature: not finite, as it should be
+        return np.asarray(np.sqrt(freedom) * (sums @ np.linalg.pinv(curvature)), np.float64)
 
 
 def in_line(influence: Floats, neighbours: int) -> float:
