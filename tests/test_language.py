@@ -23,6 +23,7 @@ RETIRED = [line for line in (PROJECT / "docs" / "retired-names.txt").read_text("
 DOCUMENTED: tuple[str, ...] = (
     "diagnosis",
     "hardware",
+    "processing/mosaicing",
 )
 """Folders of which every public function documents its parameters."""
 LONGEST_MODULE = 400

@@ -1,4 +1,4 @@
-"""Frames that are kept: near one another while there is room, never more than there is room for."""
+"""Keyframe store: dense while memory allows, never above its capacity."""
 
 from __future__ import annotations
 
@@ -19,61 +19,61 @@ def pose(row: float, col: float, segment: int = 0) -> Pose:
 
 def test_grey_levels_come_back_within_a_thirty_second_and_exposed() -> None:
     image = np.random.default_rng(0).uniform(-300, 1300, (40, 40)).astype(np.float32)
-    kept = KeyframeStore(DIAMETER, 5)
-    assert kept.add(0, pose(0, 0), image, exposure=1.25)
-    back = kept.frames[0].image(np.empty_like(image))
+    store = KeyframeStore(DIAMETER, 5)
+    assert store.add(0, pose(0, 0), image, exposure=1.25)
+    back = store.frames[0].image(np.empty_like(image))
     assert np.abs(back - 1.25 * image).max() <= 1 / 32 + 1e-3
 
 
 def test_what_is_passed_again_and_again_takes_no_more_room_and_the_newest_stay() -> None:
-    kept = KeyframeStore(DIAMETER, capacity=80)
+    store = KeyframeStore(DIAMETER, capacity=80)
     for frame in range(2000):
         t = 2 * np.pi * frame / 100
-        kept.add(frame, pose(80 * np.sin(t), 80 * np.cos(t)), IMAGE)
-        if kept.needs_thinning:
-            kept.thin(lambda one: one.pose)
-    assert len(kept.frames) <= 80
-    assert not kept.full
-    assert kept.spacing == MIN_SPACING
-    assert min(one.frame for one in kept.frames) > 1800
+        store.add(frame, pose(80 * np.sin(t), 80 * np.cos(t)), IMAGE)
+        if store.needs_thinning:
+            store.thin(lambda one: one.pose)
+    assert len(store.frames) <= 80
+    assert not store.full
+    assert store.spacing == MIN_SPACING
+    assert min(one.frame for one in store.frames) > 1800
 
 
 def test_memory_grows_with_the_area_and_not_with_time() -> None:
-    kept = KeyframeStore(DIAMETER, capacity=100_000)
+    store = KeyframeStore(DIAMETER, capacity=100_000)
     most = 0
     for frame in range(6000):
         t = 2 * np.pi * frame / 100
-        kept.add(frame, pose(200 * np.sin(t), 200 * np.cos(t)), IMAGE)
-        if kept.needs_thinning:
-            kept.thin(lambda one: one.pose)
-        most = max(most, len(kept.frames))
+        store.add(frame, pose(200 * np.sin(t), 200 * np.cos(t)), IMAGE)
+        if store.needs_thinning:
+            store.thin(lambda one: one.pose)
+        most = max(most, len(store.frames))
     assert most <= 1000
-    assert kept.spacing == MIN_SPACING
+    assert store.spacing == MIN_SPACING
 
 
 def test_a_long_way_is_kept_more_and_more_sparsely_until_it_would_have_gaps() -> None:
-    kept = KeyframeStore(DIAMETER, capacity=100)
+    store = KeyframeStore(DIAMETER, capacity=100)
     spacings = []
     frame = 0
-    while not kept.full:
-        kept.add(frame, pose(0.0, 5.0 * frame), IMAGE)
-        if kept.needs_thinning:
-            kept.thin(lambda one: one.pose)
-            spacings.append(kept.spacing)
+    while not store.full:
+        store.add(frame, pose(0.0, 5.0 * frame), IMAGE)
+        if store.needs_thinning:
+            store.thin(lambda one: one.pose)
+            spacings.append(store.spacing)
         frame += 1
     assert spacings == sorted(spacings)
     assert spacings[-1] == MAX_SPACING
-    cols = np.array([one.pose.col for one in kept.frames])
+    cols = np.array([one.pose.col for one in store.frames])
     assert np.diff(cols).max() <= 2 * MAX_SPACING * DIAMETER
     assert 5.0 * frame > 75 * MAX_SPACING * DIAMETER
-    assert not kept.add(frame, pose(0.0, 1e6), IMAGE)
+    assert not store.add(frame, pose(0.0, 1e6), IMAGE)
 
 
 @pytest.mark.parametrize("always", [False, True])
 def test_a_frame_near_the_last_one_is_kept_only_where_it_must_be(always: bool) -> None:
-    kept = KeyframeStore(DIAMETER, 10)
-    kept.add(0, pose(0, 0), IMAGE)
-    assert kept.add(1, pose(0, 1), IMAGE, always=always) == always
-    assert kept.add(2, pose(0, 1, segment=1), IMAGE)
-    kept.discard({1})
-    assert {one.pose.segment for one in kept.frames} == {0}
+    store = KeyframeStore(DIAMETER, 10)
+    store.add(0, pose(0, 0), IMAGE)
+    assert store.add(1, pose(0, 1), IMAGE, always=always) == always
+    assert store.add(2, pose(0, 1, segment=1), IMAGE)
+    store.discard({1})
+    assert {one.pose.segment for one in store.frames} == {0}

@@ -41,7 +41,7 @@ def miss(mosaic: Mosaic) -> float:
 
 @pytest.mark.parametrize("insertion", list(Insertion))
 @pytest.mark.parametrize("velocity", [Velocity(0.0, 0.0), Velocity(30.0, -25.0), Velocity(-20.0, 8.0)])
-def test_frames_are_unsheared_and_laid_to_a_fraction_of_a_pixel(insertion: Insertion, velocity: Velocity) -> None:
+def test_frames_are_unsheared_and_inserted_to_a_fraction_of_a_pixel(insertion: Insertion, velocity: Velocity) -> None:
     mosaic = Mosaic(GRID, insertion)
     for row, col in ((3.4, -7.7), (20.9, 15.2), (-500.0, 700.25)):
         mosaic.insert(seen(row, col, velocity), row, col, velocity)
@@ -131,7 +131,7 @@ def test_tiles_cover_the_plane_once() -> None:
 
 
 def test_mosaic_of_a_fast_recording_is_the_scene() -> None:
-    """Correlation with the true scene at least 0.98; frames laid down sheared reach about 0.7."""
+    """Correlation with the true scene at least 0.98; frames inserted sheared reach about 0.7."""
     truth = record(texture(1200, 8, 3.0), smooth_path(40, 33.0, 1200, 8))
     pairs = RawPairs(truth.frames, "els")
     found = {}

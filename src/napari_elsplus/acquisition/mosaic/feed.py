@@ -30,7 +30,7 @@ class TileCopy(TiledCanvas):
                     there = part.intersection(at).slices(at)
                     target, source = self._store.tile(*key), tiles[key]
                     target.value[there], target.weight[there] = source.value[there], source.weight[there]
-            self._touched(part)
+            self._mark_drawn(part)
 
 
 def _drawn(key: tuple[int, int], tile: Tile) -> Rectangle | None:

@@ -1,4 +1,4 @@
-"""How often each place of a mosaic was seen, and how well the frames that saw it were tracked."""
+"""Coverage maps of a mosaic: number of frames over each cell, and their mean tracking score."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.tiles import Rectangle
 
 CELL_PX: Final = 8
-"""Rows and columns of the mosaic that make one cell of the maps."""
+"""Side of a cell of the maps, pixels of the mosaic; chosen: about 1/30 of a frame, so that maps show single discs."""
 
 
 class Coverage:
-    """Counts the frames over each cell of a mosaic, and sums up their scores.
+    """Count of frames over each cell of a mosaic, and mean of their scores.
 
     Parameters
     ----------
     part : Rectangle
-        The part of the mosaic that the maps cover.
+        Part of the mosaic that the maps cover.
     radius : float
-        Of what is used of a frame, pixels of the mosaic.
+        Radius of the disc that is used of a frame, pixels of the mosaic.
     cell_px : int
-        Pixels of the mosaic along a side of a cell.
+        Side of a cell, pixels of the mosaic.
 
     Examples
     --------
@@ -44,47 +44,59 @@ class Coverage:
         shape = tuple(ceil(length / cell_px) for length in part.shape)
         self._frames, self._scored, self._total = (np.zeros(shape, np.float32) for _ in range(3))
 
-    def add(self, places: NDArray[np.float64], scores: NDArray[np.float64]) -> None:
-        """Count some frames.
+    def add(self, centres: NDArray[np.float64], scores: NDArray[np.float64]) -> None:
+        """Add frames to the maps.
 
         Parameters
         ----------
-        places : numpy.ndarray
-            (m, 2) centres of the frames that were laid down, (row, col) in pixels of the mosaic.
+        centres : numpy.ndarray
+            (m, 2) float64 centres of inserted frames, (row, col) in pixels of the mosaic.
         scores : numpy.ndarray
-            (m,) correlation of each with the frame that it was linked to; NaN for one that was the first.
+            (m,) float64 correlation of each with the frame that it was registered to; NaN for a first frame.
         """
         corner = np.array([self.part.top, self.part.left], np.float64)
-        where = (np.asarray(places, np.float64).reshape(-1, 2) - corner) / self._cell_px - 0.5
+        cells = (np.asarray(centres, np.float64).reshape(-1, 2) - corner) / self._cell_px - 0.5
         stamp_discs(
-            where, np.ascontiguousarray(scores, np.float64), self._radius / self._cell_px,
+            cells, np.ascontiguousarray(scores, np.float64), self._radius / self._cell_px,
             self._frames, self._scored, self._total,
         )  # fmt: skip
 
     @property
     def frames(self) -> NDArray[np.float32]:
-        """(rows, cols) frames whose disc covers the cell's middle."""
+        """Number of frames whose disc covers the middle of each cell, (rows, cols) float32."""
         return self._frames.copy()
 
     @property
     def quality(self) -> NDArray[np.float32]:
-        """(rows, cols) the mean of their scores; 0 where no frame with a score was."""
+        """Mean score of these frames, (rows, cols) float32; 0 where none has a score."""
         return np.divide(self._total, self._scored, out=np.zeros_like(self._total), where=self._scored > 0)
 
 
 @kernel
 def stamp_discs(
-    where: NDArray[np.float64],
+    centres: NDArray[np.float64],
     scores: NDArray[np.float64],
     radius: float,
     frames: NDArray[np.float32],
     scored: NDArray[np.float32],
     total: NDArray[np.float32],
 ) -> None:
-    """Add each disc to the counts and, where it has a score, to the sums of scores."""
+    """Add each disc to the counts and, where it has a score, to the sums of scores.
+
+    Parameters
+    ----------
+    centres : numpy.ndarray
+        (m, 2) float64, (row, col) in cells.
+    scores : numpy.ndarray
+        (m,) float64; NaN where a frame has none.
+    radius : float
+        Of the discs, in cells.
+    frames, scored, total : numpy.ndarray
+        (rows, cols) float32 counts of frames and of frames with a score, and sum of the scores; modified in place.
+    """
     rows, cols = frames.shape
-    for k in range(len(where)):
-        row, col = where[k]
+    for k in range(len(centres)):
+        row, col = centres[k]
         known = scores[k] == scores[k]  # NaN is not
         score = np.float32(scores[k]) if known else np.float32(0)
         for r in range(max(0, int(np.ceil(row - radius))), min(rows, int(np.floor(row + radius)) + 1)):

@@ -1,7 +1,7 @@
-"""Frames brought to the brightness of what they overlap, so that a flickering laser leaves no seams.
+"""Exposure compensation: frames are scaled to the brightness of what they overlap, against a flickering laser's seams.
 
-The factor is the ratio of the mean grey levels in the overlap: noise does not bias it, as it would a regression, so
-that brightness does not fade along a path of many frames.
+The gain is the ratio of the mean grey levels in the overlap. Noise biases a regression but not this ratio, so that
+brightness does not fade along a path of many frames.
 """
 
 from __future__ import annotations
@@ -11,82 +11,104 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.processing.compiled import kernel
+from napari_elsplus.processing.mosaicing.footprint import rows_on_tile
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.mosaicing.footprint import Arguments
+
 MIN_OVERLAP: Final = 0.1
-"""Part of a frame's weight that must fall on what is there."""
+"""Fraction of a frame's weight that must overlap the mosaic for a gain to be estimated; chosen."""
 GAIN_LIMITS: Final = (0.5, 2.0)
-_FOLLOWED: Final = 0.9
-"""Part of the logarithm that is compensated: what is left keeps errors from adding up without bound."""
+"""Smallest and largest gain; chosen: beyond a factor of two the overlap is not of the same tissue."""
+_DAMPING: Final = 0.9
+"""Exponent of the gain; chosen: below 1, so that errors along a path decay instead of adding up without bound."""
 ROW_STEP: Final = 2
-"""Every how many rows are compared."""
+"""Step of the rows that are compared; chosen: every other row halves the time of a sum over thousands of pixels."""
 
 
 class Overlap(NamedTuple):
-    """Sums over the pixels that a frame shares with the canvas, each weighted alike for both."""
+    """Sums over the pixels that a frame shares with the canvas, with the same weights for both.
+
+    Parameters
+    ----------
+    canvas, frame : float
+        Weighted grey levels.
+    weight : float
+        Weights.
+    """
 
     canvas: float
     frame: float
     weight: float
 
 
-def exposure_gain(overlap: Overlap, whole_weight: float) -> float:
+def exposure_gain(overlap: Overlap, frame_weight: float) -> float:
     """Return the factor that brings a frame to the brightness of what it overlaps.
 
     Parameters
     ----------
     overlap : Overlap
-        What it shares with the canvas.
-    whole_weight : float
-        Weight of the whole frame.
+        Sums over the pixels that the frame shares with the canvas.
+    frame_weight : float
+        Sum of the weights of the whole frame, over the same rows.
+
+    Returns
+    -------
+    float
+        1 where the overlap is too small or dark.
 
     Examples
     --------
     >>> round(exposure_gain(Overlap(canvas=100.0, frame=80.0, weight=1.0), 2.0), 3)
     1.222
-    >>> exposure_gain(Overlap(canvas=100.0, frame=80.0, weight=0.1), 2.0)  # too little to tell
+    >>> exposure_gain(Overlap(canvas=100.0, frame=80.0, weight=0.1), 2.0)  # too small an overlap
     1.0
     """
-    if overlap.weight < MIN_OVERLAP * whole_weight or not (overlap.canvas > 0 and overlap.frame > 0):
+    if overlap.weight < MIN_OVERLAP * frame_weight or not (overlap.canvas > 0 and overlap.frame > 0):
         return 1.0
-    return float(np.clip(overlap.canvas / overlap.frame, *GAIN_LIMITS) ** _FOLLOWED)
+    return float(np.clip(overlap.canvas / overlap.frame, *GAIN_LIMITS) ** _DAMPING)
 
 
 @kernel
 def overlap_sums(
     value: NDArray[np.float32],
     weight: NDArray[np.float32],
-    tile_top: int,
-    tile_left: int,
+    top: int,
+    left: int,
     image: NDArray[np.float32],
-    image_weight: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    centre_row: float,
-    centre_col: float,
-    row: float,
-    col: float,
-    stretch: float,
-    shear: float,
+    footprint: Arguments,
 ) -> tuple[float, float, float]:
-    """Sum canvas and frame over their common pixels on one tile; every other row, nearest pixels.
+    """Sum mosaic and frame over their common pixels on one tile: every other row, nearest pixels.
 
-    The arguments are those of :func:`napari_elsplus.processing.mosaicing.mosaic.insert_rows`.
+    Parameters
+    ----------
+    value, weight : numpy.ndarray
+        The tile's arrays, float32.
+    top, left : int
+        Row and column of the mosaic of the tile's first pixel.
+    image : numpy.ndarray
+        (side, side) float32.
+    footprint : tuple
+        :attr:`Footprint.arguments` of the frame.
+
+    Returns
+    -------
+    tuple of float
+        The fields of :class:`Overlap`.
     """
+    image_weight, first, last, centre_row, centre_col, row, col, stretch, shear = footprint
     height, width = value.shape
     side = image.shape[0]
-    radius = stretch * side
     canvas, frame, both = 0.0, 0.0, 0.0
-    for r in range(
-        max(0, int(np.floor(row - radius)) - tile_top), min(height, int(np.ceil(row + radius)) + 1 - tile_top), ROW_STEP
-    ):
-        y = (r + tile_top - row) / stretch
+    begin_row, end_row = rows_on_tile(footprint, top, height)
+    for r in range(begin_row, end_row, ROW_STEP):
+        y = (r + top - row) / stretch
         at = int(np.floor(y + centre_row + 0.5))
         if at < 0 or at >= side:
             continue
-        shift = int(np.floor(tile_left + centre_col - col - shear * y + 0.5))
+        shift = int(np.floor(left + centre_col - col - shear * y + 0.5))
         for k in range(max(0, first[at] - shift), min(width, last[at] - shift)):
             had = weight[r, k]
             if had > 0:

@@ -1,4 +1,4 @@
-"""Frames kept so that a mosaic can be laid anew where they turn out to belong: bounded in memory, not in path."""
+"""Keyframes from which a mosaic is re-rendered at corrected poses: bounded in memory, not in path length."""
 
 from __future__ import annotations
 
@@ -17,29 +17,33 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.motion.pose import Pose
 
 MIN_SPACING: Final = 0.05
-"""Path between frames that are kept, in bundle diameters, to begin with."""
+"""Initial path between keyframes, bundle diameters; chosen: each place is covered by about twenty."""
 MAX_SPACING: Final = 0.4
-"""The same when memory is short; with larger ones the discs would no longer cover what they passed over."""
-_APART: Final = 0.75
-"""Part of the spacing within which a newer frame takes the place of an older one."""
-_FILLED: Final = 0.75
-_FEW: Final = 1000
-"""So many frames are kept before any are looked at again."""
-_STEPS: Final = 16
-"""Per grey level: between -2048 and 2047, where a flat field of 0.2 takes white to 1275."""
+"""Path between keyframes when memory is short, bundle diameters; derived: with more, discs of 0.9 diameters thinned out
+to every second (2 x 0.4 apart) would leave gaps."""
+_REPLACEMENT_RADIUS: Final = 0.75
+"""Distance within which a newer keyframe replaces an older one, fraction of the spacing; chosen: below 1, so that
+successive keyframes do not replace each other."""
+_TARGET_FILL: Final = 0.75
+"""Fraction of the capacity that thinning leaves at most; chosen: the next thinning is then a while away."""
+_FIRST_THINNING: Final = 1000
+"""Number of keyframes at which they are thinned for the first time; chosen: less are not worth the time."""
+_STEPS_PER_LEVEL: Final = 16
+"""Steps of the stored integers per grey level; derived: int16 then spans -2048 to 2047 grey levels, and white
+divided by a flat field of 0.2 is 1275."""
 
 
 class Keyframe(NamedTuple):
-    """A frame, and where the tracker has it.
+    """Frame with its pose, from which mosaics are re-rendered.
 
     Parameters
     ----------
     frame : int
         Its number.
     pose : Pose
-        Where the tracker has it.
+        As tracked, before any correction.
     packed : numpy.ndarray
-        (side, side) int16: sixteenths of a grey level of an 8-bit camera, which is far below its noise.
+        (side, side) int16 sixteenths of a grey level: the rounding is far below an 8-bit camera's noise.
     """
 
     frame: int
@@ -47,126 +51,130 @@ class Keyframe(NamedTuple):
     packed: NDArray[np.int16]
 
     def image(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Fill an array with the frame's grey levels, and return it."""
-        return np.multiply(self.packed, np.float32(1 / _STEPS), out=out)
+        """Write the frame's grey levels into `out`, (side, side) float32, and return it."""
+        return np.multiply(self.packed, np.float32(1 / _STEPS_PER_LEVEL), out=out)
 
 
 class KeyframeStore:
-    """Frames along a path, the nearer to one another the more memory there is.
+    """Keyframes along a path, as dense as memory allows.
 
-    One thread keeps; another one may thin them out, and read.
+    One thread adds; another one may thin and read.
 
     Parameters
     ----------
     diameter_px : float
-        Of the bundle, pixels of the tracking grid.
+        Diameter of the bundle, pixels of the tracking grid.
     capacity : int
-        Frames that memory has room for.
+        Largest number of keyframes.
 
     Attributes
     ----------
     frames : list of Keyframe
-        In their order.
+        In the order of their numbers.
+    spacing : float
+        Path between keyframes in force, bundle diameters.
     full : bool
-        Whether they are as far apart as they may be, and there is still no room for more: none are kept any more, and
-        the mosaic can no longer be laid anew from them.
+        True once they are at :data:`MAX_SPACING` and still exceed the capacity: no more are added, and the mosaic can
+        no longer be re-rendered from them.
 
     Examples
     --------
     >>> from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
-    >>> from napari_elsplus.processing.tracking.motion.pose import Pose, State
-    >>> kept, image = KeyframeStore(100.0, capacity=20), np.ones((4, 4), np.float32)
+    >>> from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+    >>> store, image = KeyframeStore(100.0, capacity=20), np.ones((4, 4), np.float32)
     >>> for frame in range(40):
-    ...     _ = kept.add(frame, Pose(0, 0.0, 3.0 * frame, Velocity(0.0, 3.0), 1.0, 0.1, State.TRACKED), image)
-    >>> len(kept.frames)
+    ...     _ = store.add(frame, Pose(0, 0.0, 3.0 * frame, Velocity(0.0, 3.0), 1.0, 0.1, TrackingState.TRACKED), image)
+    >>> len(store.frames)
     20
-    >>> kept.thin(lambda one: one.pose)
+    >>> store.thin(lambda keyframe: keyframe.pose)
     True
-    >>> len(kept.frames), kept.frames[-1].frame
+    >>> len(store.frames), store.frames[-1].frame
     (10, 38)
     """
 
     def __init__(self, diameter_px: float, capacity: int) -> None:
-        self._diameter_px, self._capacity, self._due = diameter_px, capacity, _FEW
+        self._diameter_px, self._capacity, self._due = diameter_px, capacity, _FIRST_THINNING
         self.spacing = MIN_SPACING
         self.frames: list[Keyframe] = []
         self.full = False
-        self._before: Pose | None = None
-        self._gone = 0.0
+        self._last: Pose | None = None
+        self._travelled = 0.0
 
     @property
     def needs_thinning(self) -> bool:
-        """Whether it is time to thin them out: there is no more room, or they have doubled since the last time."""
+        """True if the capacity is reached, or their number has doubled since they were last thinned."""
         return len(self.frames) >= min(self._capacity, self._due) and not self.full
 
     def add(
         self, frame: int, pose: Pose, image: NDArray[np.float32], exposure: float = 1.0, *, always: bool = False
     ) -> bool:
-        """Keep a frame if the probe has gone far enough since the last that was; whether it was kept.
+        """Add a frame if the probe has moved by the spacing since the last keyframe; return True if it was added.
 
         Parameters
         ----------
         frame : int
             Its number.
         pose : Pose
-            Where the tracker has it; tracked.
+            Pose in state tracked.
         image : numpy.ndarray
             (side, side) float32 grey levels.
         exposure : float
-            What they are multiplied by.
+            Factor by which they are multiplied.
         always : bool
-            Keep it however near it is.
+            Add it regardless of the distance.
         """
-        before, self._before = self._before, pose
+        before, self._last = self._last, pose
         begins = before is None or before.segment != pose.segment
         if before is not None and not begins:
-            self._gone += hypot(pose.row - before.row, pose.col - before.col)
-        if self.full or not (begins or always or self._gone >= self.spacing * self._diameter_px):
+            self._travelled += hypot(pose.row - before.row, pose.col - before.col)
+        if self.full or not (begins or always or self._travelled >= self.spacing * self._diameter_px):
             return False
-        self._gone = 0.0
-        steps = np.multiply(image, np.float32(_STEPS * exposure))
+        self._travelled = 0.0
+        steps = np.multiply(image, np.float32(_STEPS_PER_LEVEL * exposure))
         self.frames.append(Keyframe(frame, pose, np.rint(steps, out=steps).astype(np.int16)))
         return True
 
     def recent(self, frame: int) -> Keyframe | None:
-        """Return a frame, if it is one of the last two that were kept."""
-        return next((one for one in self.frames[-2:] if one.frame == frame), None)
+        """Return the keyframe with a frame number if it is one of the last two, otherwise None."""
+        return next((keyframe for keyframe in self.frames[-2:] if keyframe.frame == frame), None)
 
     def thin(self, place: Callable[[Keyframe], Pose], lock: AbstractContextManager[Any] | None = None) -> bool:
-        """Let go of frames that lie under newer ones, and where that is not enough, of every second; whether any went.
+        """Remove keyframes covered by newer ones, at doubled spacing if that is not enough; return True if any went.
 
         Parameters
         ----------
         place : callable
-            Returns where a frame belongs.
+            Returns the corrected pose of a keyframe.
         lock : context manager, optional
-            Held while frames are taken out, so that nobody keeps another one meanwhile.
+            Held while keyframes are removed, so that none is added meanwhile.
         """
         frames = self.frames[:]
-        places = [place(one) for one in frames]
-        left = list(range(len(frames)))
+        places = [place(keyframe) for keyframe in frames]
+        retained = list(range(len(frames)))
         while True:
-            left = _newest_apart([places[k] for k in left], left, _APART * self.spacing * self._diameter_px)
-            if len(left) <= _FILLED * self._capacity:
+            retained = _newest_apart(
+                [places[k] for k in retained], retained, _REPLACEMENT_RADIUS * self.spacing * self._diameter_px
+            )
+            if len(retained) <= _TARGET_FILL * self._capacity:
                 break
             if self.spacing >= MAX_SPACING:
                 self.full = True
                 break
             self.spacing = min(2 * self.spacing, MAX_SPACING)
-        self._due = max(_FEW, 2 * len(left))
+        self._due = max(_FIRST_THINNING, 2 * len(retained))
         with lock or nullcontext():
-            self.frames[: len(frames)] = [frames[k] for k in left]
-        return len(left) < len(frames)
+            self.frames[: len(frames)] = [frames[k] for k in retained]
+        return len(retained) < len(frames)
 
     def discard(self, segments: Container[int]) -> None:
-        """Let go of the frames of some of the tracker's segments."""
-        self.frames[:] = [one for one in self.frames if one.pose.segment not in segments]
+        """Remove the keyframes of some of the tracker's segments."""
+        self.frames[:] = [keyframe for keyframe in self.frames if keyframe.pose.segment not in segments]
 
 
 def _newest_apart(places: Sequence[Pose], numbers: Sequence[int], apart_px: float) -> list[int]:
-    """Of frames that lie nearer to one another than that in one segment, only the newest."""
+    """Return the numbers of frames with no newer one of their segment within a distance, in their order."""
     cells: dict[tuple[int, int, int], list[tuple[float, float]]] = {}
-    left = []
+    retained = []
     for place, number in zip(reversed(places), reversed(numbers), strict=True):
         row, col = int(place.row // apart_px), int(place.col // apart_px)
         around = (
@@ -177,5 +185,5 @@ def _newest_apart(places: Sequence[Pose], numbers: Sequence[int], apart_px: floa
         )
         if all(hypot(place.row - r, place.col - c) >= apart_px for r, c in around):
             cells.setdefault((place.segment, row, col), []).append((place.row, place.col))
-            left.append(number)
-    return left[::-1]
+            retained.append(number)
+    return retained[::-1]

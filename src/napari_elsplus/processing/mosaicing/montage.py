@@ -1,4 +1,4 @@
-"""One montage of the mosaics of all segments."""
+"""Montage of the mosaics of all segments in one image."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ if TYPE_CHECKING:
 
 
 def montage(mosaics: list[Mosaic], gap_px: int = 16) -> NDArray[np.float32]:
-    """Put the mosaics of all segments below one another, the largest first.
+    """Stack the mosaics of all segments vertically in one image, the largest first.
 
     Parameters
     ----------
     mosaics : list of Mosaic
-        At least one that was drawn on.
+        At least one into which a frame was inserted.
     gap_px : int
         Empty rows between them.
 
     Returns
     -------
     numpy.ndarray
-        (rows, cols) float32; 0 where nothing was drawn.
+        (rows, cols) float32; 0 where nothing was inserted.
 
     Raises
     ------
     InputError
-        If nothing was drawn.
+        If the list is empty.
     """
     images = sorted((mosaic.read()[0] for mosaic in mosaics), key=lambda image: -image.size)
     if not images:

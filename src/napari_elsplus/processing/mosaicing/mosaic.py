@@ -1,8 +1,7 @@
-"""Frames laid into a mosaic: unsheared row by row, to a fraction of a pixel, as dead leaves or blended.
+"""Insertion of frames into a mosaic: unsheared row by row, sub-pixel, as dead leaves or feathered.
 
-A frame is first freed of the stretch and shear that its own motion gave it
-(``motion.rolling_shutter``): each row of the mosaic then takes its pixels from one place between
-two rows of the frame, so that the interpolation weights of a row are constants.
+The stretch and shear that the probe's motion gave to a frame (``motion.rolling_shutter``) are undone while it is
+inserted: each row of the mosaic is interpolated between two rows of the frame, with the same weights along the row.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, exposure_gain, overlap_sums
+from napari_elsplus.processing.mosaicing.footprint import Footprint, rows_on_tile
 from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, lit_pixels
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours
@@ -24,23 +24,27 @@ from napari_elsplus.processing.tracking.registration.motion_models import turned
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.mosaicing.footprint import Arguments
     from napari_elsplus.processing.tracking.front_end.grid import Grid
 
 _RAMP: Final = 0.25
-"""Part of the radius over which the weight of a frame falls off towards its rim."""
+"""Fraction of the radius over which weights fall off towards the rim; chosen: wide enough to hide seams."""
 _RIM_WEIGHT: Final = 0.02
-_OUTWEIGHS: Final = 0.5
-"""A dead leaf covers what lies there unless its weight is less than this part of it."""
+"""Weight at the rim; chosen: small against 1, and above 0, which marks pixels where nothing was inserted."""
+_COVERING_RATIO: Final = 0.5
+"""A dead leaf covers a pixel if its weight is at least this fraction of the weight there; chosen: a rim never covers
+the inside of another frame, while frames that overlap well cover each other."""
 STILL: Final = Velocity(0.0, 0.0)
+"""Velocity of a probe at rest, pixels per frame period."""
 
 
 class Insertion(StrEnum):
-    """How a frame is laid over those before it."""
+    """Rule by which a frame is combined with what was inserted before."""
 
     DEAD_LEAF = "dead-leaf"
     """The newest frame covers the others, as in the paper, but its rim does not cover the inside of another."""
     FEATHERED = "feathered"
-    """The mean of all frames, weighted down towards their rims, each brought to the brightness of what it overlaps."""
+    """Mean of all frames, weighted down towards their rims, each brought to the brightness of what it overlaps."""
 
 
 def rim_weights(grid: Grid, line_away: float = 0.0) -> NDArray[np.float32]:
@@ -51,8 +55,8 @@ def rim_weights(grid: Grid, line_away: float = 0.0) -> NDArray[np.float32]:
     grid : Grid
         The frames' grid.
     line_away : float
-        Rows of the grid from a point to the laser line at the time at which the point's residual is read: the offset of
-        the calibration. Where the line is then outside of the bundle nothing is subtracted, and the weight is low.
+        Slit offset of the calibration in rows of the grid: distance from a point to the laser line while the point's
+        residual is read. Where the line is then outside of the bundle nothing is subtracted, and the weight is low.
 
     Returns
     -------
@@ -69,7 +73,7 @@ def rim_weights(grid: Grid, line_away: float = 0.0) -> NDArray[np.float32]:
 
 
 class Mosaic(TiledCanvas):
-    """Frames of one segment on a canvas without edges; pixels are those of the tracking grid.
+    """Mosaic of one segment on an unbounded canvas; pixels are those of the tracking grid.
 
     One thread inserts; any thread may read.
 
@@ -78,16 +82,16 @@ class Mosaic(TiledCanvas):
     grid : Grid
         The frames' grid.
     insertion : Insertion
-        How frames are laid over one another.
+        Rule by which frames are combined.
     weights : numpy.ndarray, optional
         (side, side) float32 weight of each pixel of a frame; :func:`rim_weights` by default.
     store : TileStore, optional
-        Where the tiles are kept; the heap by default.
+        Storage of the tiles; the heap by default.
 
     Attributes
     ----------
     exposure : float
-        What the last frame's grey levels were multiplied by.
+        Factor by which the grey levels of the last frame were multiplied.
     """
 
     def __init__(
@@ -104,9 +108,9 @@ class Mosaic(TiledCanvas):
         self._weights = rim_weights(grid) if weights is None else weights
         self._spans = grid.spans()
         self.exposure = 1.0
-        self._turned = np.zeros((grid.side, grid.side), np.float32)
-        self._exposed_image = np.zeros_like(self._turned)
-        self._whole_weight = float(self._weights[lit_pixels(*self._spans)].sum()) / ROW_STEP
+        self._upright = np.zeros((grid.side, grid.side), np.float32)
+        self._exposed_image = np.zeros_like(self._upright)
+        self._frame_weight = float(self._weights[lit_pixels(*self._spans)].sum()) / ROW_STEP
 
     def insert(
         self,
@@ -117,48 +121,45 @@ class Mosaic(TiledCanvas):
         angle: float = 0.0,
         scale: float = 1.0,
     ) -> Rectangle:
-        """Lay a frame down with its centre at (row, col).
+        """Insert a frame with its centre at (row, col).
 
         Parameters
         ----------
         image : numpy.ndarray
             (side, side) float32.
         row, col : float
-            Where the probe was when the bundle's middle row was read, in pixels of the grid.
+            Position of the probe when the bundle's middle row was read, pixels of the grid.
         velocity : Velocity
-            Of the probe during the frame, in pixels per frame period.
+            Velocity of the probe during the frame, pixels per frame period.
         angle : float
-            Of the probe, in radians from rows towards columns: a turned frame is turned back as a whole.
+            Rotation of the probe in radians, from rows towards columns; a rotated frame is resampled upright first.
         scale : float
             Pixels of the mosaic per pixel of the frame.
 
         Returns
         -------
         Rectangle
-            The part of the canvas that may have changed.
+            Part of the canvas that may have changed.
         """
         touched = self.extent_of(row, col, velocity, angle, scale)
-        image, stretch, shear = self._seated(image, velocity, angle, scale)
+        image, footprint = self._placed(image, row, col, velocity, angle, scale)
         blend = self.insertion is Insertion.FEATHERED
         with self._lock:
             if blend:
-                self.exposure = self._exposure(image, touched, row, col, stretch, shear)
+                self.exposure = self._exposure_gain(image, touched, footprint)
                 if self.exposure != 1:
                     image = np.multiply(image, np.float32(self.exposure), out=self._exposed_image)
             for key in touched.tiles():
                 tile, at = self._store.tile(*key), tile_rectangle(*key)
-                insert_rows(
-                    tile.value, tile.weight, at.top, at.left, image, self._weights, *self._spans,
-                    *self.grid.centre, row, col, stretch, shear, blend,
-                )  # fmt: skip
-            self._touched(touched)
+                insert_rows(*tile, at.top, at.left, image, footprint, blend)
+            self._mark_drawn(touched)
         return touched
 
     def extent_of(
         self, row: float, col: float, velocity: Velocity = STILL, angle: float = 0.0, scale: float = 1.0
     ) -> Rectangle:
-        """Return the part of the canvas that :meth:`insert` may change."""
-        stretch, shear = self._form(velocity, angle, scale)
+        """Return the part of the canvas that :meth:`insert` changes at most, given the same arguments."""
+        stretch, shear = self._stretch_and_shear(velocity, angle, scale)
         radius = 0.5 * FIELD * self.grid.diameter
         down, across = radius * stretch, radius * (1 + abs(shear))
         return Rectangle(floor(row - down), floor(col - across), ceil(row + down) + 1, ceil(col + across) + 1)
@@ -174,80 +175,98 @@ class Mosaic(TiledCanvas):
         angle: float = 0.0,
         scale: float = 1.0,
     ) -> None:
-        """Do on a tile that is not on the canvas what :meth:`insert` does there; the brightness is left as it is."""
-        image, stretch, shear = self._seated(image, velocity, angle, scale)
+        """Insert a frame into a tile beside the canvas, for re-rendering; its brightness is not adjusted.
+
+        Parameters
+        ----------
+        tile : Tile
+            Modified in place.
+        key : tuple of int
+            Row and column of the tile on the canvas.
+        image, row, col, velocity, angle, scale
+            As in :meth:`insert`.
+        """
+        image, footprint = self._placed(image, row, col, velocity, angle, scale)
         at = tile_rectangle(*key)
-        insert_rows(
-            tile.value, tile.weight, at.top, at.left, image, self._weights, *self._spans,
-            *self.grid.centre, row, col, stretch, shear, self.insertion is Insertion.FEATHERED,
-        )  # fmt: skip
+        insert_rows(*tile, at.top, at.left, image, footprint, self.insertion is Insertion.FEATHERED)
 
     def replace_tile(self, key: tuple[int, int], tile: Tile, drawn: Rectangle | None) -> None:
-        """Put another tile's content, of which some part was drawn on, in the place of the canvas's own."""
+        """Replace the content of a tile of the canvas.
+
+        Parameters
+        ----------
+        key : tuple of int
+            Row and column of the tile on the canvas.
+        tile : Tile
+            New content; copied.
+        drawn : Rectangle or None
+            Part of the canvas in which the new content has frames; extends the canvas' extent.
+        """
         with self._lock:
             own = self._store.tile(*key)
             own.value[:], own.weight[:] = tile
             if drawn is not None:
-                self._touched(drawn)
+                self._mark_drawn(drawn)
             if self.extent is not None:
                 changed = tile_rectangle(*key).intersection(self.extent)
                 self._dirty = changed if self._dirty is None else self._dirty.union(changed)
 
-    def _form(self, velocity: Velocity, angle: float, scale: float) -> tuple[float, float]:
-        """Stretch and shear that are undone row by row; a turned frame is freed of its own before."""
+    def _stretch_and_shear(self, velocity: Velocity, angle: float, scale: float) -> tuple[float, float]:
+        """Return the stretch and shear that the kernels undo: none where :meth:`_placed` resamples the whole frame."""
         r = self.grid.shutter.line_periods_per_frame
-        upright_before = angle != 0 or scale != 1
-        return (1.0, 0.0) if upright_before else (1 + velocity.row / r, velocity.col / r)
+        resampled = angle != 0 or scale != 1
+        return (1.0, 0.0) if resampled else (1 + velocity.row / r, velocity.col / r)
 
-    def _seated(
-        self, image: NDArray[np.float32], velocity: Velocity, angle: float, scale: float
-    ) -> tuple[NDArray[np.float32], float, float]:
-        """Turn a frame upright where it is turned; return it with its stretch and shear."""
+    def _placed(
+        self, image: NDArray[np.float32], row: float, col: float, velocity: Velocity, angle: float, scale: float
+    ) -> tuple[NDArray[np.float32], Arguments]:
+        """Return a frame, resampled upright if it is rotated or scaled, and its footprint."""
         if angle != 0 or scale != 1:
             matrix = turned_by(angle, scale) @ unsheared(velocity, self.grid.shutter.line_periods_per_frame)
-            image = upright(image, self._turned, self.grid.centre, matrix)
-        return (image, *self._form(velocity, angle, scale))
+            image = upright(image, self._upright, self.grid.centre, matrix)
+        stretch, shear = self._stretch_and_shear(velocity, angle, scale)
+        footprint = Footprint(self._weights, *self._spans, *self.grid.centre, row, col, stretch, shear)
+        return image, footprint.arguments
 
-    def _exposure(
-        self, image: NDArray[np.float32], touched: Rectangle, row: float, col: float, stretch: float, shear: float
-    ) -> float:
-        """Return what brings a frame to the brightness of what lies where it will lie."""
+    def _exposure_gain(self, image: NDArray[np.float32], touched: Rectangle, footprint: Arguments) -> float:
+        """Return the factor that brings a frame to the brightness of the mosaic under its footprint."""
         sums = np.zeros(3)
         for key in touched.tiles():
             tile, at = self._store.tile(*key), tile_rectangle(*key)
-            sums += overlap_sums(
-                tile.value, tile.weight, at.top, at.left, image, self._weights, *self._spans,
-                *self.grid.centre, row, col, stretch, shear,
-            )  # fmt: skip
-        return exposure_gain(Overlap(*sums.tolist()), self._whole_weight)
+            sums += overlap_sums(*tile, at.top, at.left, image, footprint)
+        return exposure_gain(Overlap(*sums.tolist()), self._frame_weight)
 
 
 @lean_kernel
 def insert_rows(
     value: NDArray[np.float32],
     weight: NDArray[np.float32],
-    tile_top: int,
-    tile_left: int,
+    top: int,
+    left: int,
     image: NDArray[np.float32],
-    image_weight: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    centre_row: float,
-    centre_col: float,
-    row: float,
-    col: float,
-    stretch: float,
-    shear: float,
+    footprint: Arguments,
     blend: bool,
 ) -> None:
-    """Draw the part of an unsheared frame that falls on one tile."""
+    """Insert into a tile the part of an upright frame that falls on it.
+
+    Parameters
+    ----------
+    value, weight : numpy.ndarray
+        The tile's arrays, float32; modified in place.
+    top, left : int
+        Row and column of the mosaic of the tile's first pixel.
+    image : numpy.ndarray
+        (side, side) float32.
+    footprint : tuple
+        :attr:`Footprint.arguments` of the frame.
+    blend : bool
+        Add up weighted grey levels and weights; otherwise replace what the frame covers.
+    """
+    image_weight, first, last, centre_row, centre_col, row, col, stretch, shear = footprint
     height, width = value.shape
     side = image.shape[0]
-    radius = stretch * side
-    begin_row = max(0, int(np.floor(row - radius)) - tile_top)
-    end_row = min(height, int(np.ceil(row + radius)) + 1 - tile_top)
-    for r in range(begin_row, end_row):
-        y = (r + tile_top - row) / stretch
+    for r in range(*rows_on_tile(footprint, top, height)):
+        y = (r + top - row) / stretch
         at = y + centre_row
         above = int(np.floor(at))
         if above < 0 or above + 1 >= side:
@@ -257,7 +276,7 @@ def insert_rows(
             low, high = first[above], last[above]
         else:
             low, high = max(first[above], first[above + 1]), min(last[above], last[above + 1])
-        shift = tile_left + centre_col - col - shear * y
+        shift = left + centre_col - col - shear * y
         whole = int(np.floor(shift))
         across = shift - whole
         begin, end = max(0, low - whole), min(width, high - whole - (1 if across > 0 else 0))
@@ -277,6 +296,6 @@ def insert_rows(
             for k in range(end - begin):
                 new = between(corners, parts, k)
                 lies, outweighs, heavy = into[k], had[k], weights[k]
-                covers = heavy >= np.float32(_OUTWEIGHS) * outweighs  # all is read before, so that this is no branch
+                covers = heavy >= np.float32(_COVERING_RATIO) * outweighs  # all is read before: no branch
                 into[k] = new if covers else lies
                 had[k] = heavy if covers else outweighs

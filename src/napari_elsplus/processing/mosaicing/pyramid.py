@@ -1,4 +1,4 @@
-"""A mosaic at halved resolutions for display: only what changed is computed anew."""
+"""Image pyramid of a growing mosaic for display: only what changed is recomputed."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 
 class Pyramid:
-    """Halves of a mosaic, each pixel the mean of those of the four below it that were drawn on.
+    """Image pyramid of a canvas: a pixel is the mean of those of the four below it that have a weight.
 
     Parameters
     ----------
     canvas : Canvas
-        Level 0; the pyramid takes its dirty rectangles.
+        Level 0; the pyramid consumes its dirty rectangles.
     levels : int
         Number of levels, the canvas itself included.
     new_store : callable
-        Makes the store of a level's tiles.
+        Returns an empty tile store, for each level.
     """
 
     def __init__(self, canvas: Canvas, levels: int, new_store: Callable[[], TileStore] = HeapTiles) -> None:
@@ -37,7 +37,7 @@ class Pyramid:
         self._count = np.empty((TILE_PX, TILE_PX), np.float32)
 
     def refresh(self) -> list[Rectangle]:
-        """Bring all levels up to date; return what changed on each, an empty list if nothing did."""
+        """Update all levels; return the rectangle that changed on each, or an empty list if nothing did."""
         dirty = self._canvas.take_dirty()
         if dirty is None:
             return []
@@ -50,7 +50,13 @@ class Pyramid:
         return changed
 
     def read(self, level: int, part: Rectangle) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Copy a part of a level: grey levels, and 0 or more where nothing or something was drawn."""
+        """Copy a part of a level.
+
+        Returns
+        -------
+        image, weight : numpy.ndarray
+            (rows, cols) float32 grey levels and weights; both 0 where nothing was drawn.
+        """
         if level == 0:
             return self._canvas.read(part)
         store = self._stores[level - 1]
@@ -65,7 +71,7 @@ class Pyramid:
         return image, weight
 
     def _halve(self, level: int, part: Rectangle) -> None:
-        """Compute a part of a level from the one below, tile by tile, so that no more than a tile is held."""
+        """Compute a part of a level from the one below, tile by tile, so that memory for one tile suffices."""
         store = self._stores[level - 1]
         existing = set(store.keys())
         for key in part.tiles():
@@ -86,7 +92,15 @@ class Pyramid:
 def halve(
     image: NDArray[np.float32], weight: NDArray[np.float32], half: NDArray[np.float32], count: NDArray[np.float32]
 ) -> bool:
-    """Write to `half` the means of those of 2 x 2 pixels that have a weight, and to `count` how many have."""
+    """Average 2 x 2 pixels, counting those that have a weight; return True if any has.
+
+    Parameters
+    ----------
+    image, weight : numpy.ndarray
+        (2 rows, 2 cols) float32.
+    half, count : numpy.ndarray
+        (rows, cols) float32, filled with the means and with how many of the four have a weight.
+    """
     any_drawn = False
     for row in range(half.shape[0]):
         for col in range(half.shape[1]):

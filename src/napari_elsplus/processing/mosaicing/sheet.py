@@ -1,4 +1,4 @@
-"""The mosaics of all segments on one sheet, below one another, each where it stays while it grows."""
+"""Layout of the mosaics of all segments on one canvas, one below the other, with room to grow."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 GAP_PX: Final = 16
-"""Empty rows between the rooms of two segments."""
+"""Empty rows between the reserved areas of two segments, pixels; chosen: narrow, but visible."""
 RESERVED_STEP_PX: Final = 64
-"""The edges of a room are multiples of this: mostly the last segment grows, and nothing lies below it."""
+"""Edges of reserved areas are multiples of this, pixels; chosen: mostly the last segment grows, with none below it."""
 
 
 class _Place(NamedTuple):
     canvas: Canvas
     row: int
     col: int
-    room: Rectangle
-    """What the segment may fill before those below it have to move, in its own pixels."""
+    reserved: Rectangle
+    """Area that the segment may fill before those below it have to move, in its own pixels."""
 
     def on_sheet(self, part: Rectangle) -> Rectangle:
         return part.translated(self.row, self.col)
 
 
 class Sheet:
-    """Canvases put below one another in the order of their numbers; itself a canvas.
+    """Canvas that shows the canvases of all segments, one below the other in the order of their numbers.
 
-    The first keeps its own pixels. Each has some room to grow, so that the others move seldom.
+    The first keeps its own pixel coordinates. Each has an area reserved for growth, so that the others move seldom.
 
     Examples
     --------
@@ -56,25 +56,25 @@ class Sheet:
 
     @classmethod
     def of(cls, canvases: Mapping[int, Canvas], like: Sheet | None = None) -> Sheet:
-        """Put canvases on a new sheet as :meth:`arrange` does, but leave what changed on them to others."""
+        """Arrange canvases on a new sheet as :meth:`arrange` does, without consuming their dirty rectangles."""
         sheet = cls()
         sheet._places = sheet._stacked(canvases) if like is None else like.placed_as(canvases)
         return sheet
 
     def arrange(self, canvases: Mapping[int, Canvas], like: Sheet | None = None) -> bool:
-        """Take the segments' canvases with what changed on them, and make room where one has grown.
+        """Update the layout and consume the dirty rectangles of the segments' canvases.
 
         Parameters
         ----------
         canvases : mapping of int to Canvas
-            The segments by their numbers.
+            Canvas of each segment, by its number.
         like : Sheet, optional
-            Put them where that sheet has those of the same numbers, which reach at least as far.
+            Sheet whose layout is copied; its segments extend at least as far as those of the same numbers here.
 
         Returns
         -------
         bool
-            Whether any that was there before has moved or is gone.
+            True if a segment that was there before has moved or is gone.
         """
         dirty = {number: canvas.take_dirty() for number, canvas in canvases.items()}
         before = self._places
@@ -83,55 +83,55 @@ class Sheet:
         for number, place in self._places.items():
             known, part = before.get(number), dirty[number]
             if known is None or known[:3] != place[:3]:
-                self._soil(place.on_sheet(place.room))
+                self._mark_dirty(place.on_sheet(place.reserved))
             elif part is not None:
-                self._soil(place.on_sheet(part))
+                self._mark_dirty(place.on_sheet(part))
         for number, known in before.items():
             now = self._places.get(number)
             if now is None or known[:3] != now[:3]:
                 moved = True
-                self._soil(known.on_sheet(known.room))
+                self._mark_dirty(known.on_sheet(known.reserved))
         return moved
 
     def origin(self, number: int) -> tuple[int, int]:
-        """Row and column of the sheet where a segment's (0, 0) lies; (0, 0) for one that is not there."""
+        """Return row and column of the sheet of pixel (0, 0) of the segment with a number; (0, 0) if it is absent."""
         found = self._places.get(number)
         return (0, 0) if found is None else (found.row, found.col)
 
     @property
     def origins(self) -> dict[int, tuple[int, int]]:
-        """Row and column of the sheet where each segment's (0, 0) lies."""
+        """Row and column of the sheet of each segment's pixel (0, 0), by its number."""
         return {number: (place.row, place.col) for number, place in self._places.items()}
 
     @property
     def extent(self) -> Rectangle | None:
-        """What may be drawn on, the segments' rooms."""
-        return bounding_rectangle(place.on_sheet(place.room) for place in self._places.values())
+        """Rectangle around the reserved areas of all segments; None if there are none."""
+        return bounding_rectangle(place.on_sheet(place.reserved) for place in self._places.values())
 
     @property
     def drawn(self) -> Rectangle | None:
-        """What has been drawn on."""
+        """Rectangle around everything that was drawn; None if nothing was."""
         extents = ((place, place.canvas.extent) for place in self._places.values())
         return bounding_rectangle(place.on_sheet(extent) for place, extent in extents if extent is not None)
 
     def take_dirty(self) -> Rectangle | None:
-        """Return what changed up to the last arrangement, or None if that was taken already."""
+        """Return the rectangle that changed up to the last :meth:`arrange`, or None; the next call returns None."""
         dirty, self._dirty = self._dirty, None
         return dirty
 
     def read(self, part: Rectangle | None = None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Copy a part of the sheet: grey levels and weights, as a mosaic's."""
+        """Copy a part of the sheet, by default all; return grey levels and weights as :meth:`TiledCanvas.read` does."""
         part = part or self.extent or Rectangle(0, 0, 0, 0)
         image, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
         for place in self._places.values():
-            shared = part.intersection(place.on_sheet(place.room))
+            shared = part.intersection(place.on_sheet(place.reserved))
             if 0 not in shared.shape:
                 here = shared.slices(part)
                 image[here], weight[here] = place.canvas.read(shared.translated(-place.row, -place.col))
         return image, weight
 
     def _stacked(self, canvases: Mapping[int, Canvas]) -> dict[int, _Place]:
-        """Put each below the one before; who was there keeps its columns and its room."""
+        """Place each segment below the one before; those already placed keep their columns and reserved areas."""
         places: dict[int, _Place] = {}
         left = below = 0
         for number in sorted(canvases):
@@ -140,30 +140,30 @@ class Sheet:
             if extent is None:
                 continue
             stays = known is not None and known.canvas is canvas
-            room = _room(extent.union(known.room) if known is not None and stays else extent)
+            reserved = _reserved(extent.union(known.reserved) if known is not None and stays else extent)
             if not places:
-                left, row, col = room.left, 0, 0
+                left, row, col = reserved.left, 0, 0
             else:
-                row, col = below - room.top, left - room.left
+                row, col = below - reserved.top, left - reserved.left
                 col = known.col if known is not None and stays else col
-            places[number] = _Place(canvas, row, col, room)
-            below = row + room.bottom + GAP_PX
+            places[number] = _Place(canvas, row, col, reserved)
+            below = row + reserved.bottom + GAP_PX
         return places
 
     def placed_as(self, canvases: Mapping[int, Canvas]) -> dict[int, _Place]:
-        """Return the places of other canvases, where this sheet has those of the same numbers."""
+        """Return the places of other canvases, those of the segments of the same numbers on this sheet."""
         return {
             number: self._places[number]._replace(canvas=canvas)
             for number, canvas in canvases.items()
             if number in self._places
         }
 
-    def _soil(self, part: Rectangle) -> None:
+    def _mark_dirty(self, part: Rectangle) -> None:
         self._dirty = part if self._dirty is None else self._dirty.union(part)
 
 
-def _room(extent: Rectangle) -> Rectangle:
-    """Round outwards, so that those below seldom move while a segment grows."""
+def _reserved(extent: Rectangle) -> Rectangle:
+    """Round an extent outwards, so that segments below seldom move while this one grows."""
     top, left = (RESERVED_STEP_PX * (first // RESERVED_STEP_PX) for first in (extent.top, extent.left))
     bottom, right = (-RESERVED_STEP_PX * (-last // RESERVED_STEP_PX) for last in (extent.bottom, extent.right))
     return Rectangle(top, left, bottom, right)

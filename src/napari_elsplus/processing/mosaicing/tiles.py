@@ -1,4 +1,4 @@
-"""A canvas without edges: square tiles that appear where something is drawn."""
+"""Unbounded canvas of square tiles, which are allocated where something is drawn."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TILE_PX: Final = 512
-"""Rows and columns of a tile."""
+"""Rows and columns of a tile; chosen: a frame of 250 pixels falls on at most four, each of 2 MB."""
 
 
 class Rectangle(NamedTuple):
-    """Rows `top` to `bottom` and columns `left` to `right` of the canvas, the last ones excluded."""
+    """Half-open rectangle of the canvas: rows `top` to `bottom`, columns `left` to `right`, the last ones excluded."""
 
     top: int
     left: int
@@ -30,7 +30,7 @@ class Rectangle(NamedTuple):
         return max(0, self.bottom - self.top), max(0, self.right - self.left)
 
     def intersection(self, other: Rectangle) -> Rectangle:
-        """Return the part that also lies in another rectangle; it may be empty."""
+        """Return the intersection with an `other` rectangle; it may be empty."""
         return Rectangle(
             max(self.top, other.top),
             max(self.left, other.left),
@@ -39,7 +39,7 @@ class Rectangle(NamedTuple):
         )
 
     def union(self, other: Rectangle) -> Rectangle:
-        """Return the smallest rectangle that holds both."""
+        """Return the smallest rectangle that contains this one and an `other`."""
         return Rectangle(
             min(self.top, other.top),
             min(self.left, other.left),
@@ -48,32 +48,32 @@ class Rectangle(NamedTuple):
         )
 
     def translated(self, rows: int, cols: int) -> Rectangle:
-        """Return the rectangle so many rows lower and columns further right."""
+        """Return the rectangle translated downwards by `rows` and to the right by `cols`."""
         return Rectangle(self.top + rows, self.left + cols, self.bottom + rows, self.right + cols)
 
     def slices(self, whole: Rectangle) -> tuple[slice, slice]:
-        """Where it lies in an array that holds another rectangle, within which it is."""
+        """Return row and column slices of this rectangle in an array of the whole rectangle, which contains it."""
         return (
             slice(self.top - whole.top, self.bottom - whole.top),
             slice(self.left - whole.left, self.right - whole.left),
         )
 
     def tiles(self) -> Iterator[tuple[int, int]]:
-        """Keys (row, col) of the tiles that the rectangle touches."""
+        """Yield the keys (row, col) of the tiles that the rectangle overlaps."""
         for row in range(self.top // TILE_PX, -(-self.bottom // TILE_PX)):
             for col in range(self.left // TILE_PX, -(-self.right // TILE_PX)):
                 yield row, col
 
 
 class Tile(NamedTuple):
-    """One square of the canvas.
+    """Pixels of one tile of the canvas.
 
     Parameters
     ----------
     value : numpy.ndarray
-        (512, 512) float32: grey levels, or their weighted sum where images are blended.
+        (512, 512) float32: grey levels, or their weighted sums where frames are blended.
     weight : numpy.ndarray
-        (512, 512) float32: weight of what was drawn; 0 where nothing was.
+        (512, 512) float32: weights; 0 where nothing was drawn.
     """
 
     value: NDArray[np.float32]
@@ -81,37 +81,37 @@ class Tile(NamedTuple):
 
 
 class TileStore(Protocol):
-    """Where tiles are kept: on the heap, or in memory that another process sees."""
+    """Storage of tiles: the heap, or memory shared with another process."""
 
     def tile(self, row: int, col: int) -> Tile:
-        """Return a tile, blank if it was never drawn on."""
+        """Return the tile with a key (row, col), allocated as zeros if it does not exist."""
         ...
 
     def keys(self) -> Iterable[tuple[int, int]]:
-        """Return (row, col) of the tiles that exist."""
+        """Return the keys (row, col) of the tiles that exist."""
         ...
 
     def clear(self) -> None:
-        """Forget all tiles."""
+        """Remove all tiles."""
         ...
 
 
 class Canvas(Protocol):
-    """Something that is drawn on while others look at it."""
+    """Image that is written by one thread while others read it."""
 
     @property
     def extent(self) -> Rectangle | None:
-        """What has been drawn on."""
+        """Rectangle around everything that was drawn; None if nothing was."""
 
     def take_dirty(self) -> Rectangle | None:
-        """Return what changed since the last call, or None."""
+        """Return the rectangle that changed since the last call, or None."""
 
     def read(self, part: Rectangle | None = None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Copy a part: grey levels, and weights that are 0 where nothing was drawn."""
+        """Copy a part, by default all: (rows, cols) float32 grey levels, and weights, 0 where nothing was drawn."""
 
 
 class HeapTiles:
-    """Tiles in ordinary memory.
+    """Tile store in the process' own memory.
 
     Examples
     --------
@@ -125,7 +125,7 @@ class HeapTiles:
         self._tiles: dict[tuple[int, int], Tile] = {}
 
     def tile(self, row: int, col: int) -> Tile:
-        """Return a tile, blank if it was never drawn on."""
+        """Return the tile with a key (row, col), allocated as zeros if it does not exist."""
         found = self._tiles.get((row, col))
         if found is None:
             found = Tile(np.zeros((TILE_PX, TILE_PX), np.float32), np.zeros((TILE_PX, TILE_PX), np.float32))
@@ -133,28 +133,28 @@ class HeapTiles:
         return found
 
     def keys(self) -> list[tuple[int, int]]:
-        """Return (row, col) of the tiles that exist."""
+        """Return the keys (row, col) of the tiles that exist."""
         return list(self._tiles)
 
     def clear(self) -> None:
-        """Forget all tiles."""
+        """Remove all tiles."""
         self._tiles.clear()
 
 
 class TiledCanvas:
-    """A canvas without edges, of tiles. One thread draws; any thread may read.
+    """Unbounded canvas of tiles. One thread writes; any thread may read.
 
     Parameters
     ----------
     store : TileStore, optional
-        Where the tiles are kept; the heap by default.
+        Storage of the tiles; the heap by default.
     blended : bool
-        Whether tiles hold weighted sums, of which the means are read.
+        True if tiles hold weighted sums, of which :meth:`read` returns the means.
 
     Attributes
     ----------
     extent : Rectangle or None
-        What has been drawn on.
+        Rectangle around everything that was drawn.
     """
 
     def __init__(self, store: TileStore | None = None, *, blended: bool = False) -> None:
@@ -165,7 +165,7 @@ class TiledCanvas:
         self._dirty: Rectangle | None = None
 
     def take_dirty(self) -> Rectangle | None:
-        """Return what changed since the last call, or None."""
+        """Return the rectangle that changed since the last call, or None."""
         with self._lock:
             dirty, self._dirty = self._dirty, None
         return dirty
@@ -176,7 +176,7 @@ class TiledCanvas:
         Parameters
         ----------
         part : Rectangle, optional
-            All that was drawn on by default.
+            The whole extent by default.
 
         Returns
         -------
@@ -201,19 +201,19 @@ class TiledCanvas:
         return image, weight
 
     def clear(self) -> None:
-        """Forget everything that was drawn."""
+        """Remove everything that was drawn."""
         with self._lock:
             self._store.clear()
             self.extent = self._dirty = None
 
-    def _touched(self, part: Rectangle) -> None:
-        """Take note of what was drawn on; with the lock held."""
+    def _mark_drawn(self, part: Rectangle) -> None:
+        """Extend the extent and the dirty rectangle by a part; the caller holds the lock."""
         self.extent = part if self.extent is None else self.extent.union(part)
         self._dirty = part if self._dirty is None else self._dirty.union(part)
 
 
 def bounding_rectangle(parts: Iterable[Rectangle]) -> Rectangle | None:
-    """Return the smallest rectangle that holds all of them; None if there is none.
+    """Return the smallest rectangle that contains all parts; None if there are none.
 
     Examples
     --------
@@ -227,5 +227,5 @@ def bounding_rectangle(parts: Iterable[Rectangle]) -> Rectangle | None:
 
 
 def tile_rectangle(row: int, col: int) -> Rectangle:
-    """Return the part of the canvas that a tile covers."""
+    """Return the part of the canvas that the tile with the key (row, col) covers."""
     return Rectangle(row * TILE_PX, col * TILE_PX, (row + 1) * TILE_PX, (col + 1) * TILE_PX)
