@@ -48,12 +48,12 @@ class DeviceError(ElsPlusError):
     """A camera, card or rig that is absent, busy, or has failed."""
 
 
-def explained(error: ElsPlusError | OSError) -> str:
+def error_message(error: ElsPlusError | OSError) -> str:
     """Say in one line what is wrong and what to do, also where it was the system that refused.
 
     Examples
     --------
-    >>> explained(PermissionError(13, "Permission denied", "els.ome.tif"))
+    >>> error_message(PermissionError(13, "Permission denied", "els.ome.tif"))
     'els.ome.tif: Permission denied: check the path, its permissions and the free space'
     """
     if isinstance(error, ElsPlusError):

@@ -11,7 +11,7 @@ from importlib import import_module
 import click
 
 from napari_elsplus import __version__
-from napari_elsplus.errors import ElsPlusError, InputError, explained
+from napari_elsplus.errors import ElsPlusError, InputError, error_message
 
 COMMANDS: dict[str, str] = {
     "demo": "files",
@@ -81,7 +81,7 @@ def run_program(command: click.Command, name: str, arguments: list[str] | None =
     try:
         command.main(arguments, prog_name=name, standalone_mode=False)
     except (ElsPlusError, OSError) as error:
-        _leave(f"{name}: {explained(error)}", EXIT_BAD_INPUT)
+        _leave(f"{name}: {error_message(error)}", EXIT_BAD_INPUT)
     except click.ClickException as error:
         error.show()
         sys.exit(EXIT_BAD_INPUT)

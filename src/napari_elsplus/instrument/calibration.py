@@ -25,7 +25,7 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
 AffineRows = tuple[tuple[Finite, Finite, Finite], tuple[Finite, Finite, Finite]]
 
-HOW_TO_MEASURE = {
+CALIBRATE_COMMANDS = {
     "frame": "calibrate --line, --sweep or --bundle",
     "offset": "calibrate --line",
     "galvo": "calibrate --sweep --volts",
@@ -235,7 +235,7 @@ class Calibration(Section):
         """
         for name in sections:
             if getattr(self, name) is None:
-                how = HOW_TO_MEASURE.get(name, "calibrate")
+                how = CALIBRATE_COMMANDS.get(name, "calibrate")
                 raise CalibrationError(f"the calibration has no {name} section", f"measure it with `{how}`")
 
     def stale_sections(self, settings: AcquiredWith, frame: FrameSection | None = None) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.analysis.uncertainty import clustered_influence, in_line, overlapping_influence
+from napari_elsplus.processing.analysis.uncertainty import clustered_influence, newey_west_sigma, overlapping_influence
 
 
 def test_lumpy_residuals_are_not_taken_for_independent_ones() -> None:
@@ -56,7 +56,7 @@ def test_runs_that_give_to_their_neighbours_or_take_from_them_are_seen_through(s
         stated.append(np.linalg.norm(overlapping_influence(jacobian, left, runs, 40, 4), axis=0))
         influence = clustered_influence(jacobian, left, runs, 40)
         plain.append(np.linalg.norm(influence, axis=0))
-        rows.append(in_line(influence[:, 0], 4))
+        rows.append(newey_west_sigma(influence[:, 0], 4))
     scatter = np.std(found, axis=0)
     assert np.sqrt(np.mean(np.square(stated), axis=0)) / scatter == pytest.approx([1, 1], abs=0.2)
     assert np.sqrt(np.mean(np.square(rows))) / scatter[0] == pytest.approx(1, abs=0.2)

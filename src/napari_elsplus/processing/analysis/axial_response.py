@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import curve_fit, isotonic_regression
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
-from napari_elsplus.processing.analysis.rounding import noise_between, rounding_dn
+from napari_elsplus.processing.analysis.rounding import pixel_noise_dn, rounding_bias_dn
 from napari_elsplus.processing.images.sectioning import Sectioner
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SQUARE_UM: Final = 240.0
 """Side of the square that is averaged, as in the paper."""
-HALF, TENTH = 0.5, 0.1
+LEVEL_3DB, LEVEL_10DB = 0.5, 0.1
 _MIN_DEPTHS = 3
 
 
@@ -193,8 +193,8 @@ def _zero_dn(frames: Frames, ls: Curve, background: NDArray[np.float32] | None, 
     if len(ls) < 2 or background is None or not np.issubdtype(frames[0].dtype, np.integer):
         return 0.0
     darkest = int(np.argmin(ls[:-1] + ls[1:]))
-    noise = noise_between(frames[darkest][square], frames[darkest + 1][square])
-    return rounding_dn(noise, background[square])
+    noise = pixel_noise_dn(frames[darkest][square], frames[darkest + 1][square])
+    return rounding_bias_dn(noise, background[square])
 
 
 def axial_response(
@@ -257,10 +257,10 @@ def axial_response(
         ls=ls_mean / ls_fall.contact,
         residual=residual_mean / ls_fall.contact,
         els=els_mean / els_fall.contact,
-        ls_3db=ls_fall.drop(HALF),
-        ls_10db=ls_fall.drop(TENTH),
-        els_3db=els_fall.drop(HALF),
-        els_10db=els_fall.drop(TENTH),
+        ls_3db=ls_fall.drop(LEVEL_3DB),
+        ls_10db=ls_fall.drop(LEVEL_10DB),
+        els_3db=els_fall.drop(LEVEL_3DB),
+        els_10db=els_fall.drop(LEVEL_10DB),
         signal_kept=float(kept),
         signal_kept_uncertainty=float(
             np.linalg.norm([els_fall.noise, kept * ls_fall.noise, systematic.gain * residual_mean[contact]])

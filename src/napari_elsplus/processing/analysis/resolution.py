@@ -79,7 +79,7 @@ def element_contrast(image: NDArray[np.floating], element: BarElement) -> float:
 
 
 def smallest_resolved_line_pair_um(
-    image: NDArray[np.floating], elements: Iterable[BarElement], least_contrast: float = RESOLVED_CONTRAST
+    image: NDArray[np.floating], elements: Iterable[BarElement], min_contrast: float = RESOLVED_CONTRAST
 ) -> float:
     """Return the finest period of a bar target at which, and above which, every element is resolved.
 
@@ -89,7 +89,7 @@ def smallest_resolved_line_pair_um(
         (rows, cols).
     elements : iterable of BarElement
         Of any periods and orientations; several may share a period.
-    least_contrast : float
+    min_contrast : float
         Michelson contrast from which an element is resolved.
 
     Returns
@@ -111,12 +111,12 @@ def smallest_resolved_line_pair_um(
         raise InputError("a target of 0 elements", "say where its elements are")
     finest = None
     for period_um in sorted(periods, reverse=True):
-        if not all(element_contrast(image, element) >= least_contrast for element in periods[period_um]):
+        if not all(element_contrast(image, element) >= min_contrast for element in periods[period_um]):
             break
         finest = period_um
     if finest is None:
         raise MeasurementError(
-            f"no element of the target is resolved (contrast below {least_contrast:g} at {max(periods):.1f} um)",
+            f"no element of the target is resolved (contrast below {min_contrast:g} at {max(periods):.1f} um)",
             "is the target in focus, and where it is said to be?",
         )
     return finest

@@ -17,21 +17,21 @@ _OF_ROUNDING = 1 / 12
 """Variance that rounding itself adds."""
 
 
-def noise_between(one: NDArray[np.generic], other: NDArray[np.generic]) -> float:
+def pixel_noise_dn(one: NDArray[np.generic], other: NDArray[np.generic]) -> float:
     """Estimate the standard deviation of a pixel before rounding, from two images of the same thing.
 
     Examples
     --------
     >>> rng = np.random.default_rng(0)
     >>> one, other = np.round(20.3 + rng.normal(0, 0.4, (2, 300, 300)))
-    >>> round(noise_between(one, other), 2)
+    >>> round(pixel_noise_dn(one, other), 2)
     0.4
     """
     variance = float(np.var(np.asarray(one, np.float64) - np.asarray(other, np.float64))) / 2
     return float(np.sqrt(max(variance - _OF_ROUNDING, 0.0)))
 
 
-def rounding_dn(noise_dn: float, levels: NDArray[np.floating]) -> float:
+def rounding_bias_dn(noise_dn: float, levels: NDArray[np.floating]) -> float:
     """By how much rounding may shift the mean of pixels, grey levels.
 
     Parameters
@@ -50,8 +50,8 @@ def rounding_dn(noise_dn: float, levels: NDArray[np.floating]) -> float:
     Examples
     --------
     >>> alike, spread = np.full((50, 50), 4.25), np.linspace(4, 9, 2500)
-    >>> round(rounding_dn(0.3, alike), 3), round(rounding_dn(0.3, spread), 3), round(rounding_dn(1.0, alike), 3)
-    (0.054, 0.0, 0.0)
+    >>> [round(rounding_bias_dn(*case), 3) for case in ((0.3, alike), (0.3, spread), (1.0, alike))]
+    [0.054, 0.0, 0.0]
     """
     evenness = abs(complex(np.mean(np.exp(2j * np.pi * np.asarray(levels, np.float64)))))
     return float(np.exp(-2 * (np.pi * noise_dn) ** 2) / np.pi * evenness)

@@ -48,10 +48,10 @@ def clustered_influence(jacobian: Floats, residuals: Floats, clusters: NDArray[n
     >>> bool(0.02 < np.sqrt(np.square(influence[:, 0]).sum()) < 0.03)  # 0.5 / sqrt(400) = 0.025
     True
     """
-    return clustered(jacobian * residuals[:, None], jacobian.T @ jacobian, clusters, count)
+    return estimator_influence(jacobian * residuals[:, None], jacobian.T @ jacobian, clusters, count)
 
 
-def clustered(scores: Floats, curvature: Floats, clusters: NDArray[np.intp], count: int) -> Floats:
+def estimator_influence(scores: Floats, curvature: Floats, clusters: NDArray[np.intp], count: int) -> Floats:
     """Return what each cluster of samples contributes to the error of any estimate that solves ``scores.sum(0) == 0``.
 
     Parameters
@@ -77,7 +77,7 @@ def clustered(scores: Floats, curvature: Floats, clusters: NDArray[np.intp], cou
         return np.asarray(np.sqrt(freedom) * (sums @ np.linalg.pinv(curvature)), np.float64)
 
 
-def in_line(influence: Floats, neighbours: int) -> float:
+def newey_west_sigma(influence: Floats, neighbours: int) -> float:
     """One standard deviation of an estimate whose clusters lie in a row, neighbours not being quite independent.
 
     Parameters
@@ -100,7 +100,7 @@ def in_line(influence: Floats, neighbours: int) -> float:
     Examples
     --------
     >>> alternating = np.tile([1.0, -1.0], 10)
-    >>> round(in_line(alternating, 1), 2), round(in_line(alternating, 2), 2)
+    >>> round(newey_west_sigma(alternating, 1), 2), round(newey_west_sigma(alternating, 2), 2)
     (4.47, 1.05)
     """
     sums = np.convolve(influence, np.ones(neighbours))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.analysis.uncertainty import clustered
+from napari_elsplus.processing.analysis.uncertainty import estimator_influence
 from napari_elsplus.processing.calibration.line_search import Streak, brightest_streak, without_hot_pixels
 
 if TYPE_CHECKING:
@@ -274,7 +274,7 @@ def _gauss_newton(data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], wid
             break
     model, jacobian, taper = _model(parameters, u, x)
     weighted = jacobian * taper[:, None]
-    return parameters, clustered(weighted * (data - model)[:, None], weighted.T @ jacobian, run, RUNS)
+    return parameters, estimator_influence(weighted * (data - model)[:, None], weighted.T @ jacobian, run, RUNS)
 
 
 def _model(parameters: Floats, u: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:

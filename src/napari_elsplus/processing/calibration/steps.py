@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.analysis.uncertainty import in_line
+from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma
 from napari_elsplus.processing.calibration.bundle import location as bundles
 from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, lines_in_sweep
@@ -178,7 +178,7 @@ def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
 def _offset_at(columns: tuple[float, float], left: Line, right: Line, split: int) -> SlitOffset:
     influence = right.influence_at(columns[1]) - left.influence_at(columns[0])
     rows = right.row_at(columns[1]) - left.row_at(columns[0])
-    return SlitOffset(rows, in_line(influence, _NEIGHBOURS), left, right, split)
+    return SlitOffset(rows, newey_west_sigma(influence, _NEIGHBOURS), left, right, split)
 
 
 def map_galvo(

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 GAUSSIAN_SIGMA_PITCHES: Final = 0.4
 """Sigma of the Gaussian filter in core pitches: it leaves 3 % of the honeycomb."""
-_LEAST_PITCH_PX: Final = 2.0
-_LEAST_PROMINENCE: Final = 3.0
+_MIN_PITCH_PX: Final = 2.0
+_MIN_PROMINENCE: Final = 3.0
 _DARKEST_CORE: Final = 0.1
 _READING_SIGMA_PITCHES: Final = 0.2
 
@@ -117,10 +117,10 @@ def core_pitch_px(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> floa
     ring = np.minimum((frequency * side / 2).astype(int), side)
     power = np.bincount(ring.ravel(), spectrum.ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
     centre = (np.arange(len(power)) + 0.5) * 2 / side
-    readable = (centre > 0.06) & (centre < 2 / sqrt(3) / _LEAST_PITCH_PX)
+    readable = (centre > 0.06) & (centre < 2 / sqrt(3) / _MIN_PITCH_PX)
     prominence = np.where(readable, power / np.maximum(median_filter(power, max(9, side // 16)), 1e-30), 0)
     peak = int(prominence.argmax())
-    if prominence[peak] < _LEAST_PROMINENCE:
+    if prominence[peak] < _MIN_PROMINENCE:
         raise MeasurementError(
             f"no honeycomb stands out in the flat field (ring {prominence[peak]:.1f} times its surroundings)",
             "the cores are not resolved: use the core filter 'median' or 'none'",

@@ -23,7 +23,7 @@ LOBES: Final = 6
 _KAISER_BETA: Final = 5.0
 _PHASES: Final = 256
 """Fractions of a pixel that are tabulated; half a step is an error of 0.002 px."""
-_LARGEST_DEVIATION_PX: Final = 0.06
+_MAX_DEVIATION_PX: Final = 0.06
 """How far a pixel may lie from where its block's weights were taken; first order leaves 1.6 % of the honeycomb."""
 
 
@@ -143,8 +143,8 @@ def _resample_down(
     """Read each column of an image at rows start + per_row * (row of out) + per_col * column."""
     rows, cols = image.shape
     block = cols
-    if abs(per_col) * cols > 2 * _LARGEST_DEVIATION_PX:
-        block = max(1, int(2 * _LARGEST_DEVIATION_PX / abs(per_col)))
+    if abs(per_col) * cols > 2 * _MAX_DEVIATION_PX:
+        block = max(1, int(2 * _MAX_DEVIATION_PX / abs(per_col)))
     slope = np.float32(per_col)
     for r in range(out.shape[0]):
         for first in range(0, cols, block):

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
-from napari_elsplus.processing.analysis.axial_response import HALF, SQUARE_UM, TENTH
+from napari_elsplus.processing.analysis.axial_response import LEVEL_3DB, LEVEL_10DB, SQUARE_UM
 from napari_elsplus.simulation.model.axial_response import DropOffs, Response, gaussian_over_slit
 from napari_elsplus.simulation.model.illumination import edge
 
@@ -88,7 +88,7 @@ def _drop_offs(signal: Signal) -> DropOffs:
 
         return float(brentq(above, 0.0, FARTHEST_UM)) if above(FARTHEST_UM) < 0 else float("nan")
 
-    return DropOffs(distance(HALF), distance(TENTH))
+    return DropOffs(distance(LEVEL_3DB), distance(LEVEL_10DB))
 
 
 def _signal(instrument: Instrument, offset_um: float) -> Signal:

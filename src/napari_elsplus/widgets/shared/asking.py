@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 from napari.utils.notifications import show_error
 from qtpy.QtCore import QObject, QTimer
 
-from napari_elsplus.errors import ElsPlusError, explained
+from napari_elsplus.errors import ElsPlusError, error_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -86,7 +86,7 @@ class Asking(QObject):
             self._open.remove(question)
             error = question.future.exception()
             if isinstance(error, (ElsPlusError, OSError)):
-                show_error(explained(error))
+                show_error(error_message(error))
                 question.otherwise()
             elif error is not None:
                 raise error

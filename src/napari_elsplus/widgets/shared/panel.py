@@ -9,7 +9,7 @@ from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QEvent
 from qtpy.QtWidgets import QApplication, QHBoxLayout, QWidget
 
-from napari_elsplus.errors import ElsPlusError, explained
+from napari_elsplus.errors import ElsPlusError, error_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -56,7 +56,7 @@ def told() -> Iterator[None]:
     try:
         yield
     except (ElsPlusError, OSError) as error:
-        show_error(explained(error))
+        show_error(error_message(error))
 
 
 def copy_as_script(text: str) -> None:

@@ -10,7 +10,7 @@ from napari.utils.notifications import show_error
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
 
-from napari_elsplus.errors import ElsPlusError, explained
+from napari_elsplus.errors import ElsPlusError, error_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -126,7 +126,7 @@ class Work(QWidget):
     def _take(self, outcome: tuple[Any, Exception | None]) -> None:
         result, error = outcome
         if isinstance(error, (ElsPlusError, OSError)):
-            show_error(explained(error))
+            show_error(error_message(error))
         elif error is None and not self._cancelled.is_set():
             self._finished(result)
 

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.analysis.uncertainty import clustered
+from napari_elsplus.processing.analysis.uncertainty import estimator_influence
 from napari_elsplus.processing.images.resampling import resampled
 
 if TYPE_CHECKING:
@@ -221,7 +221,7 @@ class CoreMatcher:
             if moved_px < 1e-3:
                 break
         tile, count = tiles(self.rows, self.cols)
-        influence = clustered(scores, curvature, tile, count)
+        influence = estimator_influence(scores, curvature, tile, count)
         return CoreFit(
             motion=motion,
             influence=influence,

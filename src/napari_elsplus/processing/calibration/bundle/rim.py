@@ -17,7 +17,7 @@ import numpy as np
 from scipy import optimize
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.analysis.uncertainty import clustered, clustered_influence
+from napari_elsplus.processing.analysis.uncertainty import clustered_influence, estimator_influence
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -187,7 +187,7 @@ def _through_outermost(points: Floats, arcs: NDArray[np.intp], start: Floats) ->
         circle = circle + step
         if np.abs(step).max() < 1e-3:
             break
-    influence = clustered(weighted * miss[:, None], weighted.T @ jacobian, arcs, ARCS)
+    influence = estimator_influence(weighted * miss[:, None], weighted.T @ jacobian, arcs, ARCS)
     return circle[:2], np.linalg.norm(influence[:, :2], axis=0)
 
 
