@@ -77,7 +77,7 @@ def main(seconds: float, live: bool, modes: tuple[str, ...], picture: str | None
         f"camera to track: median {latency.p50:.1f} ms, 99 % {latency.p99:.1f} ms, longest {latency.max:.1f} ms\n"
         f"shown {len(shown) / took:.1f} times a second, 99 % of the gaps below {1e3 * np.quantile(gaps, 0.99):.0f} ms\n"
         f"{', '.join(f'{counts.get(state.value, 0)} {state.value}' for state in TrackingState)}; "
-        f"{status.track.loops} links to earlier visits"
+        f"{status.track.loop_closures} loop closures"
     )
     viewer.close()
     QApplication.processEvents()

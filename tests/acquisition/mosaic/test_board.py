@@ -129,7 +129,7 @@ def test_rows_that_belong_elsewhere_are_read_again_block_by_block(
     scribe: Scribe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Tables, "rows_together", 64)
-    monkeypatch.setattr(mosaic_feed, "ROWS_AT_ONCE", 100)
+    monkeypatch.setattr(mosaic_feed, "MAX_ROWS_PER_UPDATE", 100)
     feed = MosaicFeed(scribe.board.name)
     board, rows = scribe.board, feed.rows
     try:
@@ -203,6 +203,6 @@ def test_what_was_copied_outlives_the_board_and_another_process_sees_it(scribe: 
 
 @pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="what is left is known on Linux only")
 def test_full_shared_memory_is_an_error_and_no_crash(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shared, "_LEFT_TO_OTHERS", 1 << 60)
+    monkeypatch.setattr(shared, "_RESERVE_BYTES", 1 << 60)
     with pytest.raises(DeviceError, match="shared memory"):
         MosaicBoard()

@@ -119,7 +119,7 @@ def test_a_probe_that_comes_back_is_put_where_it_was_and_what_lies_between_share
     drifted = errors(alone.rows)
     looks.add(frames[: ROUND + AGAIN])
     looks.live.settle()
-    assert looks.live.state.loops > 5
+    assert looks.live.state.loop_closures > 5
     looks.add(frames[ROUND + AGAIN : ROUND + AGAIN + 3])
     new = errors(looks.rows())[-3:]
     assert drifted[ROUND + AGAIN] > 2.5
@@ -144,9 +144,9 @@ def test_modes_side_by_side_are_those_of_the_recording(looks: Look) -> None:
     for k, frame in enumerate(frames):
         pipelines[Mode.ELS].add(frame, k)
         pose = pipelines[Mode.ELS].poses[-1]
-        pipelines[Mode.LS].lay(pose, frame)
+        pipelines[Mode.LS].insert_raw(pose, frame)
         if k % 2 == 0 and k + 1 < len(frames):
-            pipelines[Mode.ELSA].lay(pose, frame, frames[k + 1])
+            pipelines[Mode.ELSA].insert_raw(pose, frame, frames[k + 1])
     for image, pipeline in enumerate(pipelines.values()):
         mosaic = pipeline.mosaics[0]
         np.testing.assert_array_equal(looks.feed.canvases[image][0].read(mosaic.extent)[0], mosaic.read()[0])
@@ -191,14 +191,14 @@ def test_memory_is_bounded_and_where_it_does_not_do_that_is_said(
     monkeypatch: pytest.MonkeyPatch, without_drift: Mosaic, drifts: None, room: int, enough: bool
 ) -> None:
     frame_bytes = np.dtype(np.int16).itemsize * without_drift.grid.side**2
-    monkeypatch.setattr(live_tracking, "KEPT_BYTES", room * frame_bytes)
+    monkeypatch.setattr(live_tracking, "KEYFRAME_BYTES", room * frame_bytes)
     look = Look(MosaicPlan())
     try:
         for first in range(0, 2 * ROUND, 10):
             look.add(truth().frames[first : first + 10])
             look.live.settle()
-        assert look.live.state.lays_anew == enough
-        assert len(look.live._layings[Mode.ELS].kept.frames) <= room + 10
+        assert look.live.state.rerenders == enough
+        assert len(look.live._insertions[Mode.ELS].kept.frames) <= room + 10
         assert errors(look.rows()).max() < 0.5 or not enough
         assert alike(look.feed.canvases[0][0], without_drift) > (0.99 if enough else 0.7)
     finally:
@@ -210,8 +210,8 @@ def test_what_goes_wrong_in_closing_is_said_with_the_next_frame(looks: Look, mon
     def full(*_: object) -> None:
         raise DeviceError("2 MB of shared memory are left", "clear the mosaic")
 
-    monkeypatch.setattr(Mosaic, "replace", full)
-    monkeypatch.setattr(closing, "OFF_AT_REST_PX", 0.0)
+    monkeypatch.setattr(Mosaic, "replace_tile", full)
+    monkeypatch.setattr(closing, "DISPLACEMENT_LIMIT_AT_REST_PX", 0.0)
     looks.add(truth().frames[: ROUND + AGAIN])
     looks.live.settle()
     with pytest.raises(DeviceError, match="shared memory"):

@@ -29,7 +29,7 @@ def stamp(number: int, later_s: float = 0.0) -> Stamp:
 
 
 def test_a_stream_without_end_is_tracked_alike_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracking, "REMEMBERED_FRAMES", 7)
+    monkeypatch.setattr(tracking, "LOCAL_ROWS", 7)
     board = MosaicBoard()
     frames, calibration = truth().frames, truth().calibration
     live = LiveTrack(calibration, frames.shape[1:], board=board)
@@ -60,7 +60,7 @@ def test_a_stream_without_end_is_tracked_alike_in_bounded_memory(monkeypatch: py
 def test_nothing_is_left_to_compile_when_frames_come() -> None:
     """In a process of its own: here other tests have compiled all of it."""
     script = """
-from napari_elsplus.acquisition.mosaic.tracking import rehearse
+from napari_elsplus.acquisition.mosaic.tracking import warm_up
 from benchmarks.rigs.simulated import simulated_rig
 from napari_elsplus.processing.tracking.registration import (
     evidence, local_evidence, model_selection, motion_models, pyramid_descent,
@@ -68,7 +68,7 @@ from napari_elsplus.processing.tracking.registration import (
 from napari_elsplus.workflows.tracking import Pipeline
 
 rig = simulated_rig()
-rehearse(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)
+warm_up(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)
 called = (
     pyramid_descent.link_levels, pyramid_descent.align_candidate, pyramid_descent.fill_coarser,
     evidence.weakest_direction, evidence.evidence_between, motion_models.unexplained, model_selection.told,

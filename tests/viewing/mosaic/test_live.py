@@ -16,7 +16,7 @@ from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 @pytest.mark.parametrize("whole", [False, True])
 def test_a_long_track_is_kept_as_far_as_it_was_copied(monkeypatch: pytest.MonkeyPatch, whole: bool) -> None:
     monkeypatch.setattr(Tables, "rows_together", 64)
-    monkeypatch.setattr(mosaic_feed, "ROWS_AT_ONCE", 100)
+    monkeypatch.setattr(mosaic_feed, "MAX_ROWS_PER_UPDATE", 100)
     board = MosaicBoard()
     for k in range(500):
         board.append(TrackPoint(k, k / 240, 0, 1.5 * k, 2.0, 3.0 * k, 4.0, 0.9, 0.01, "tracked"))

@@ -1,4 +1,4 @@
-"""The mosaic and its track in shared memory, as the process that tracks writes them."""
+"""The mosaic and its track in shared memory, on the side of the writer."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile
 
 _MOVED_PX: Final = 1e-3
-"""Rows that belong no further than this from where they are said to lie are left alone."""
+"""Corrections below this are not written, pixels; chosen: a hundredth of the accuracy of registration."""
 
 
 class MosaicBoard:
-    """Where the process that tracks keeps track and tiles; one thread writes.
+    """Track and tiles in shared memory of the process that tracks; one thread writes.
 
     Raises
     ------
@@ -38,15 +38,15 @@ class MosaicBoard:
 
     @property
     def name(self) -> str:
-        """By which a :class:`MosaicFeed` finds it."""
+        """Name by which a :class:`MosaicFeed` attaches."""
         return self._tables.name
 
     def new_store(self, segment: int, image: int = 0) -> BoardTiles:
-        """Make the store of the tiles of a segment, for one of several images that are laid along one track."""
+        """Make the tile store of a segment of one image of the track."""
         return BoardTiles(self, segment, image)
 
     def append(self, point: TrackPoint) -> None:
-        """Add a row to the track."""
+        """Append a point to the track."""
         head = self._tables.head
         count = int(head["rows"][0])
         number, within = divmod(count, self._tables.rows_together)
@@ -54,28 +54,28 @@ class MosaicBoard:
         head["rows"] = count + 1
 
     def changed(self, segment: int, part: Rectangle, image: int = 0) -> None:
-        """Tell that a part of a segment was drawn on."""
+        """Publish that a part of a segment of an image has changed."""
         head = self._tables.head
         count = int(head["changes"][0])
         self._tables.changes[count % CHANGES] = (image, segment, *part)
         head["changes"] = count + 1
 
     def drop(self, segment: int) -> None:
-        """Forget a segment in all images: its tiles are free again, its frames lost."""
-        with self._repair():
+        """Remove a segment from all images: its tiles are free again, its frames lost."""
+        with self._removing():
             self._free_tiles(segment)
             for block in self.blocks:
                 with self._writing(block) as rows:
                     lose(rows, segment)
 
     def release(self, segment: int) -> None:
-        """Give the tiles of a segment back, whose frames were found to belong to another one."""
-        with self._repair():
+        """Free the tiles of a segment that was joined to another one."""
+        with self._removing():
             self._free_tiles(segment)
 
     @property
     def blocks(self) -> list[slice]:
-        """Rows of the track that are written over together, as far as there are any."""
+        """Rows of the track that are rewritten together, as far as there are any."""
         count, together = int(self._tables.head["rows"][0]), self._tables.rows_together
         return [slice(first, min(first + together, count)) for first in range(0, count, together)]
 
@@ -87,7 +87,7 @@ class MosaicBoard:
         col_px: NDArray[np.float64],
         um_per_px: float,
     ) -> None:
-        """Say of the frames of one block where they belong, camera pixels; nothing is done where none moves.
+        """Rewrite the positions of one block of frames, in camera pixels; nothing is done where none moves.
 
         Parameters
         ----------
@@ -108,9 +108,9 @@ class MosaicBoard:
                 rows[f"{name}_px"], rows[f"{name}_um"] = values, values * um_per_px
 
     @contextmanager
-    def _repair(self) -> Iterator[None]:
-        """Let nobody look meanwhile, and everybody look at everything afterwards."""
-        self._tables.head["generation"] += 1  # odd: under repair
+    def _removing(self) -> Iterator[None]:
+        """Keep readers away meanwhile; they copy everything afterwards."""
+        self._tables.head["generation"] += 1  # odd: under removal
         yield
         self._tables.head["generation"] += 1
 
@@ -123,15 +123,15 @@ class MosaicBoard:
 
     @contextmanager
     def _writing(self, block: slice) -> Iterator[Any]:
-        """Let everybody read the rows of a block again that are written over meanwhile."""
-        writings, rows = self._tables.block(block.start // self._tables.rows_together)
-        writings += 1
+        """Return the rows of a block for rewriting; readers copy them again afterwards."""
+        version, rows = self._tables.block(block.start // self._tables.rows_together)
+        version += 1
         yield rows[: block.stop - block.start]
-        writings += 1
+        version += 1
         self._tables.head["relocations"] += 1
 
     def new_tile(self, segment: int, row: int, col: int, image: int = 0) -> Tile:
-        """Give a segment a blank tile."""
+        """Return a blank tile for a segment of an image, at a row and col of tiles."""
         tables = self._tables
         count = int(tables.head["tiles"][0])
         index = self._free.pop() if self._free else count
@@ -143,7 +143,7 @@ class MosaicBoard:
         return tile
 
     def close(self) -> None:
-        """Delete everything; who looks at it keeps what it has copied."""
+        """Delete everything; readers keep what they have copied."""
         self._tables.close()
 
 
@@ -153,11 +153,11 @@ class BoardTiles:
     Parameters
     ----------
     board : MosaicBoard
-        Where they are kept.
+        The board.
     segment : int
         Its number.
     image : int
-        Of those that are laid along the track.
+        Number of the image on the board.
     """
 
     def __init__(self, board: MosaicBoard, segment: int, image: int = 0) -> None:
@@ -165,7 +165,7 @@ class BoardTiles:
         self._tiles: dict[tuple[int, int], Tile] = {}
 
     def tile(self, row: int, col: int) -> Tile:
-        """Return a tile, blank if it was never drawn on."""
+        """Return the tile at a row and col of tiles, blank if it is new."""
         found = self._tiles.get((row, col))
         if found is None:
             found = self._tiles[row, col] = self._board.new_tile(self._segment, row, col, self._image)
@@ -176,6 +176,6 @@ class BoardTiles:
         return list(self._tiles)
 
     def clear(self) -> None:
-        """Forget all tiles, and those of the segment's other images."""
+        """Remove all tiles, and those of the segment's other images."""
         self._tiles.clear()
         self._board.release(self._segment)

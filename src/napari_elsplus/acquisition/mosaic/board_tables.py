@@ -1,8 +1,8 @@
-"""How a mosaic and its track lie in shared memory.
+"""Layout of a mosaic and its track in shared memory.
 
-A board is a table of what there is: which tile lies where, how many rows the track has, and which rectangles changed of
-late. Tiles and rows lie in further segments that are added as the mosaic grows; their names follow from the board's.
-Rows lie in blocks, each with a count of how often it was written over: who looks reads again only those that were.
+A board holds the tables: positions of tiles, number of rows of the track, the latest changed rectangles. Tiles and rows
+lie in further segments that are added as the mosaic grows; their names derive from the board's. Rows lie in blocks,
+each with a version, so that readers copy again only those that were rewritten.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-MOST_TILES: Final = 1 << 14
-"""Tiles that a board can name: 32 GB of them."""
+MAX_TILES: Final = 1 << 14
+"""Tiles that a board can name; chosen: 32 GB of them, more than a computer's memory."""
 CHANGES: Final = 1 << 12
-"""Rectangles that are remembered; who has not looked for longer reads everything."""
+"""Changed rectangles that are kept; chosen: 17 s at 240 Hz, after which a reader copies everything."""
 TILES_TOGETHER: Final = 8
+"""Tiles in one segment; chosen: a segment is added a few times a second at most."""
 FREE: Final = -1
-"""Segment of a tile that nobody has."""
+"""Segment of a tile that is not in use."""
 HEAD: Final = np.dtype(
     [("generation", "<i8"), ("tiles", "<i8"), ("rows", "<i8"), ("changes", "<i8"), ("relocations", "<i8")]
 )  # fmt: skip
@@ -37,21 +38,21 @@ CHANGE: Final = np.dtype(
 )  # fmt: skip
 _TILE_SHAPE: Final = (TILES_TOGETHER, 2, TILE_PX, TILE_PX)
 _TILES_BYTES: Final = TILES_TOGETHER * 2 * TILE_PX * TILE_PX * 4
-BOARD_BYTES: Final = HEAD.itemsize + MOST_TILES * TILE.itemsize + CHANGES * CHANGE.itemsize
+BOARD_BYTES: Final = HEAD.itemsize + MAX_TILES * TILE.itemsize + CHANGES * CHANGE.itemsize
 
 
 class Block(NamedTuple):
-    """Rows of the track that lie together.
+    """Rows of the track in one segment.
 
     Parameters
     ----------
-    writings : numpy.ndarray
-        (1,) int64: goes up when rows that were there are written over, once before and once after; odd meanwhile.
+    version : numpy.ndarray
+        (1,) int64: increases before and after rows are rewritten; odd meanwhile.
     rows : numpy.ndarray
         Of the type `ROW`.
     """
 
-    writings: NDArray[np.int64]
+    version: NDArray[np.int64]
     rows: Any
 
 
@@ -59,26 +60,26 @@ class Tables:
     """The board's tables in a segment, and the segments that go with it."""
 
     rows_together: ClassVar = 1 << 14
-    """Rows of the track in one block."""
+    """Rows of the track in one block; chosen: 68 s at 240 Hz."""
 
     def __init__(self, board: SharedMemory, *, owned: bool) -> None:
         self._board, self._owned = board, owned
         self._parts: dict[str, SharedMemory] = {}
         self.head: Any = np.ndarray((1,), HEAD, board.buf)
-        self.tiles: Any = np.ndarray((MOST_TILES,), TILE, board.buf, HEAD.itemsize)
+        self.tiles: Any = np.ndarray((MAX_TILES,), TILE, board.buf, HEAD.itemsize)
         self.changes: Any = np.ndarray(
-            (CHANGES,), CHANGE, board.buf, HEAD.itemsize + MOST_TILES * TILE.itemsize
+            (CHANGES,), CHANGE, board.buf, HEAD.itemsize + MAX_TILES * TILE.itemsize
         )  # fmt: skip
         self._pixels: list[NDArray[np.float32]] = []
         self._blocks: list[Block] = []
 
     @property
     def name(self) -> str:
-        """By which others find it."""
+        """Name by which readers attach."""
         return self._board.name
 
     def pixels(self, index: int) -> Tile:
-        """Return the tile of that index."""
+        """Return the tile of an index."""
         part, within = divmod(index, TILES_TOGETHER)
         while len(self._pixels) <= part:
             segment = self._part(f"t{len(self._pixels)}", _TILES_BYTES)
@@ -86,12 +87,12 @@ class Tables:
         return Tile(*self._pixels[part][within])
 
     def block(self, number: int) -> Block:
-        """Return the rows that begin with the one of that many times `rows_together`."""
+        """Return a block of rows by its number."""
         while len(self._blocks) <= number:
             nbytes = np.dtype(np.int64).itemsize
             segment = self._part(f"r{len(self._blocks)}", nbytes + self.rows_together * ROW.itemsize)
-            writings = np.ndarray((1,), np.int64, segment.buf)
-            self._blocks.append(Block(writings, np.ndarray((self.rows_together,), ROW, segment.buf, nbytes)))
+            version = np.ndarray((1,), np.int64, segment.buf)
+            self._blocks.append(Block(version, np.ndarray((self.rows_together,), ROW, segment.buf, nbytes)))
         return self._blocks[number]
 
     def _part(self, suffix: str, nbytes: int) -> SharedMemory:
@@ -100,7 +101,7 @@ class Tables:
         return segment
 
     def close(self) -> None:
-        """Let go of the memory; its owner deletes it."""
+        """Detach from the memory; its owner deletes it."""
         del self.head, self.tiles, self.changes
         self._pixels.clear()
         self._blocks.clear()

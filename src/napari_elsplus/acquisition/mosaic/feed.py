@@ -1,4 +1,4 @@
-"""The mosaic and its track in another process's shared memory, as they are looked at: only what changed is copied."""
+"""A copy of the mosaic and its track in another process's shared memory: only changes are copied."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.acquisition.mosaic.board_tables import CHANGES, FREE, MOST_TILES, TILE, Tables
+from napari_elsplus.acquisition.mosaic.board_tables import CHANGES, FREE, MAX_TILES, TILE, Tables
 from napari_elsplus.acquisition.streaming import shared_memory as shared
 from napari_elsplus.io import TrackTable
 from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, bounding_rectangle, tile_rectangle
@@ -14,15 +14,23 @@ from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanv
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-ROWS_AT_ONCE: Final = 1 << 16
-"""Rows that are copied in one look, at most: five megabytes, a few milliseconds."""
+MAX_ROWS_PER_UPDATE: Final = 1 << 16
+"""Rows copied by one update; chosen: 5 MB, a few milliseconds."""
 
 
 class TileCopy(TiledCanvas):
-    """A copy of a segment whose original lies in shared memory; it stays when that is gone."""
+    """A copy of a segment in shared memory; it stays when the original is deleted."""
 
     def copy(self, part: Rectangle, tiles: dict[tuple[int, int], Tile]) -> None:
-        """Copy a part of the original, tile by tile; where there is no tile nothing was drawn."""
+        """Copy a part of the original from its tiles; where there is no tile nothing was inserted.
+
+        Parameters
+        ----------
+        part : Rectangle
+            Pixels of the canvas.
+        tiles : dict of (row, col) to Tile
+            Tiles of the original.
+        """
         with self._lock:
             for key in part.tiles():
                 if key in tiles:
@@ -34,7 +42,7 @@ class TileCopy(TiledCanvas):
 
 
 def _drawn(key: tuple[int, int], tile: Tile) -> Rectangle | None:
-    """Return the part of the canvas that was drawn on in a tile."""
+    """Return the part of the canvas that a tile covers with inserted pixels."""
     rows, cols = (np.flatnonzero((tile.weight > 0).any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         return None
@@ -45,23 +53,23 @@ def _drawn(key: tuple[int, int], tile: Tile) -> Rectangle | None:
 
 
 class MosaicFeed:
-    """Looks at a board of another process: copies the rows and the rectangles that are new.
+    """Copies new rows and rectangles from a board of another process.
 
     Parameters
     ----------
     name : str
         Of the board.
     blended : bool
-        Whether frames are averaged there.
+        Frames are averaged there.
 
     Attributes
     ----------
     rows : TrackTable
-        The track, as far as it was copied; the same object all the time.
+        The track, as far as it was copied; always the same object.
     canvases : dict of int to dict of int to TileCopy
-        Of each image the segments, as far as they were copied.
+        Segments of each image, as far as they were copied.
     revision : int
-        Changes when a segment was dropped.
+        Changes when a segment was removed.
 
     Raises
     ------
@@ -75,46 +83,46 @@ class MosaicFeed:
         self.rows = TrackTable()
         self.canvases: dict[int, dict[int, TileCopy]] = {}
         self.revision = self._relocations = 0
-        self._writings: list[int] = []
+        self._versions: list[int] = []
         self._turn = 0
         self._changes_seen = 0
-        self._known = np.full(MOST_TILES, np.array((0, FREE, 0, 0), TILE))
+        self._known = np.full(MAX_TILES, np.array((0, FREE, 0, 0), TILE))
         self._tiles: dict[tuple[int, int], dict[tuple[int, int], Tile]] = {}
 
     def update(self, *, all_rows: bool = False) -> bool:
-        """Copy what is new; whether there was anything.
+        """Copy what is new; return True if there was anything.
 
         Parameters
         ----------
         all_rows : bool
-            All of the track, however long that takes; else what is much comes in several looks.
+            Copy the whole track, however long that takes; else a long one is copied by several updates.
         """
         head = self._tables.head[0].copy()
         generation, count = int(head["generation"]), int(head["changes"])
         if generation % 2:
             return False
         if generation != self.revision:
-            self._forget()
+            self._reset()
             self.revision = generation
         copied = self._copy_rows(int(head["rows"]), int(head["relocations"]), all_rows=all_rows)
         if count == self._changes_seen:
             return copied
         self._copy_tiles(count)
-        if int(self._tables.head["generation"][0]) != generation:  # dropped meanwhile: what was copied may be mixed
-            self._forget()
+        if int(self._tables.head["generation"][0]) != generation:  # one was removed: the copy may be mixed
+            self._reset()
             return False
         self._changes_seen = count
         return True
 
     def close(self) -> None:
-        """Let go of the shared memory; what was copied stays."""
+        """Detach from the shared memory; what was copied stays."""
         self._tiles.clear()
         self._tables.close()
 
     def _copy_tiles(self, count: int) -> None:
-        """Copy what was drawn on, up to so many changes."""
+        """Copy the rectangles that changed, up to a count of changes."""
         behind = count - self._changes_seen
-        self._learn_tiles(int(self._tables.head["tiles"][0]))  # after the changes, which may lie on newer tiles
+        self._read_tile_table(int(self._tables.head["tiles"][0]))  # after the changes, which may lie on newer tiles
         only_new = self._changes_seen and behind <= CHANGES // 2
         if only_new:
             parts = self._changed(range(self._changes_seen, count))
@@ -125,19 +133,19 @@ class MosaicFeed:
                 if (whole := bounding_rectangle(filter(None, map(_drawn, tiles, tiles.values())))) is not None
             }
         for (image, segment), part in parts.items():
-            mirrors = self.canvases.setdefault(image, {})
-            mirror = mirrors.get(segment) or TileCopy(blended=self._blended)
-            if not only_new and mirror.extent is not None:
-                part = part.union(mirror.extent)
-            mirror.copy(part, self._tiles.get((image, segment), {}))
-            mirrors[segment] = mirror
+            copies = self.canvases.setdefault(image, {})
+            copy = copies.get(segment) or TileCopy(blended=self._blended)
+            if not only_new and copy.extent is not None:
+                part = part.union(copy.extent)
+            copy.copy(part, self._tiles.get((image, segment), {}))
+            copies[segment] = copy
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self.canvases, self._tiles = {}, {}
         self._changes_seen = 0
         self._known["segment"] = FREE
 
-    def _learn_tiles(self, count: int) -> None:
+    def _read_tile_table(self, count: int) -> None:
         table, known = self._tables.tiles[:count], self._known[:count]
         for index in np.flatnonzero(table != known).tolist():
             image, segment, row, col = table[index].tolist()
@@ -154,8 +162,8 @@ class MosaicFeed:
         return parts
 
     def _copy_rows(self, count: int, relocations: int, *, all_rows: bool) -> bool:
-        """Copy rows that are new, then blocks that were written over; whether there were any."""
-        room = count + len(self.rows) if all_rows else ROWS_AT_ONCE
+        """Copy new rows, then rewritten blocks; return True if there were any."""
+        room = count + len(self.rows) if all_rows else MAX_ROWS_PER_UPDATE
         together, before = self._tables.rows_together, room
         while len(self.rows) < count and room > 0:
             number, within = divmod(len(self.rows), together)
@@ -165,11 +173,11 @@ class MosaicFeed:
             room -= rows.stop - rows.start
         if relocations == self._relocations:
             return room < before
-        blocks = len(self._writings)
+        blocks = len(self._versions)
         for _ in range(blocks):
             self._turn = (self._turn + 1) % blocks
             rows = slice(0, min(together, len(self.rows) - self._turn * together))
-            if int(self._tables.block(self._turn).writings[0]) == self._writings[self._turn]:
+            if int(self._tables.block(self._turn).version[0]) == self._versions[self._turn]:
                 continue
             if room < rows.stop:
                 self._turn -= 1
@@ -181,15 +189,15 @@ class MosaicFeed:
         return room < before
 
     def _copy_block(self, number: int, rows: slice) -> bool:
-        """Copy rows of a block; whether that was done: what is being written over is left for the next look."""
+        """Copy rows of a block; return False if it is being rewritten: it is left to the next update."""
         block = self._tables.block(number)
-        writings = int(block.writings[0])
+        version = int(block.version[0])
         copy = block.rows[rows].copy()
-        if writings % 2 or int(block.writings[0]) != writings:
+        if version % 2 or int(block.version[0]) != version:
             return False
         self.rows.write(number * self._tables.rows_together + rows.start, copy)
-        if number == len(self._writings):
-            self._writings.append(writings)
+        if number == len(self._versions):
+            self._versions.append(version)
         elif rows.start == 0:
-            self._writings[number] = writings
+            self._versions[number] = version
         return True

@@ -1,4 +1,4 @@
-"""One image of the live mosaic: laid as frames come, and anew where they turn out to belong."""
+"""One image of the live mosaic: frames are inserted as they come, and tiles re-rendered when poses are corrected."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.pose_graph.correction import Corrections
     from napari_elsplus.workflows.tracking import Pipeline
 
-    Where = tuple[int, tuple[int, int]]
-    """A segment, and the key of a tile."""
+    TileKey = tuple[int, tuple[int, int]]
+    """Segment, and (row, col) of a tile."""
 
 
 class TrackedFrame(NamedTuple):
@@ -35,13 +35,13 @@ class TrackedFrame(NamedTuple):
     Parameters
     ----------
     frame : int
-        Which of the track it is.
+        Index in the track.
     number : int
-        By the camera's count, since the first.
+        The camera's number, since the first frame.
     pose : Pose
-        Where the tracker has it.
+        As tracked.
     place : Pose
-        Where it belongs by what is known now.
+        As corrected by the loop closures so far.
     """
 
     frame: int
@@ -51,31 +51,33 @@ class TrackedFrame(NamedTuple):
 
 
 class LiveInsertion:
-    """The mosaics of one image, and the frames from which they can be laid anew.
+    """The mosaics of one image, and the keyframes from which they can be re-rendered.
 
     Parameters
     ----------
     pipeline : Pipeline
         Makes the images, and holds the mosaics.
-    most : int
-        Frames that are kept at most; 0 for none.
+    max_keyframes : int
+        Keyframes that are kept; 0 for none.
     board : MosaicBoard, optional
-        Where the tiles are kept for other processes to see.
+        Holds the tiles in shared memory.
     image : int
         The image's number on the board.
 
     Attributes
     ----------
     kept : KeyframeStore
-        Frames from which the mosaics can be laid anew.
+        Keyframes from which the mosaics can be re-rendered.
     """
 
-    def __init__(self, pipeline: Pipeline, most: int, board: MosaicBoard | None = None, image: int = 0) -> None:
+    def __init__(
+        self, pipeline: Pipeline, max_keyframes: int, board: MosaicBoard | None = None, image: int = 0
+    ) -> None:
         self.pipeline, self._board, self._image = pipeline, board, image
-        self._keeps = most > 0
-        self._forgotten = 0
-        self.kept = KeyframeStore(pipeline.grid.diameter, most)
-        self._laid: dict[int, Pose] = {}
+        self._keeps = max_keyframes > 0
+        self._removals = 0
+        self.kept = KeyframeStore(pipeline.grid.diameter, max_keyframes)
+        self._inserted: dict[int, Pose] = {}
         self._newest: tuple[TrackedFrame, NDArray[np.float32]] | None = None
         self._own_image = np.zeros((pipeline.grid.side,) * 2, np.float32)
         self._brush = pipeline.blank_mosaic()
@@ -89,64 +91,72 @@ class LiveInsertion:
         *,
         keep: bool = False,
     ) -> None:
-        """Lay a frame down if it was tracked.
+        """Insert a frame if it was tracked.
 
         Parameters
         ----------
         found : TrackedFrame
-            Which frame it is, and where.
+            The frame with its poses.
         raw : numpy.ndarray
             (rows, cols).
         image : numpy.ndarray, optional
-            Its image, where that was made already.
+            Its image, where there is one already.
         keep : bool
-            Whether it has to be kept, however near the last one is.
+            Keep it as a keyframe, however near the last one is.
         """
         if found.place.state is TrackingState.TRACKED:
-            self._lay(found, self.pipeline.image(raw) if image is None else image, keep=keep)
+            self._insert(found, self.pipeline.image(raw) if image is None else image, keep=keep)
 
-    def _lay(self, found: TrackedFrame, image: NDArray[np.float32], *, keep: bool = False) -> None:
+    def _insert(self, found: TrackedFrame, image: NDArray[np.float32], *, keep: bool = False) -> None:
         mosaic = self.pipeline.insert(image, found.place)
-        assert mosaic is not None, "a frame that was not tracked has no place"
+        assert mosaic is not None, "a frame that was not tracked has no pose"
         self._newest = found, image
-        self._tell(found.place.segment, mosaic)
+        self._publish(found.place.segment, mosaic)
         if self._keeps and self.kept.add(found.frame, found.pose, image, mosaic.exposure, always=keep):
-            self._laid[found.frame] = found.place
+            self._inserted[found.frame] = found.place
 
     def thin(self, corrections: Corrections, lock: AbstractContextManager[Any]) -> bool:
-        """Let go of kept frames where there are too many; whether any went."""
+        """Discard keyframes where there are too many; return True if any were discarded.
+
+        Parameters
+        ----------
+        corrections : Corrections
+            Of the poses.
+        lock : context manager
+            Held while the store is changed.
+        """
         if not self.kept.needs_thinning:
             return False
         gone = self.kept.thin(lambda one: corrections.of(one.frame, one.pose), lock)
         with lock:
             left = {one.frame for one in self.kept.frames}
-            self._laid = {index: place for index, place in self._laid.items() if index in left}
+            self._inserted = {index: place for index, place in self._inserted.items() if index in left}
         return gone
 
-    def lay_anew(self, corrections: Corrections, limit_px: float, lock: AbstractContextManager[Any]) -> bool:
-        """Lay again the tiles on which a frame lies further than a limit from where it belongs; whether there were any.
+    def rerender(self, corrections: Corrections, limit_px: float, lock: AbstractContextManager[Any]) -> bool:
+        """Re-render the tiles with a frame displaced by more than a limit; return True if there were any.
 
         Parameters
         ----------
         corrections : Corrections
-            Say where frames belong; already in force for frames that come meanwhile.
+            Of the poses; already applied to frames that come meanwhile.
         limit_px : float
             Pixels of the mosaic.
         lock : context manager
-            Held while frames are laid; here for no longer than it takes to exchange a tile.
+            Held while frames are inserted; here while one tile is replaced.
         """
         if self.kept.full:
             return False
         with lock:
-            frames, forgotten = self.kept.frames[:], self._forgotten
-            laid = [self._laid[one.frame] for one in frames]
-        moved = self._off(frames, laid, corrections, limit_px)
+            frames, removals = self.kept.frames[:], self._removals
+            inserted = [self._inserted[one.frame] for one in frames]
+        moved = self._displaced(frames, inserted, corrections, limit_px)
         if not moved:
             return False
         places = [corrections.of(one.frame, one.pose) for one in frames]
-        tiles: set[Where] = set()
+        tiles: set[TileKey] = set()
         for k in moved:
-            for place in (laid[k], places[k]):
+            for place in (inserted[k], places[k]):
                 tiles |= {(place.segment, key) for key in self._reach(place).tiles()}
         reaches = np.array([(place.segment, *self._reach(place)) for place in places])
         for segment, key in sorted(tiles):
@@ -154,34 +164,42 @@ class LiveInsertion:
             on_it = (reaches[:, 0] == segment) & (reaches[:, 1] < at.bottom) & (reaches[:, 3] > at.top)
             on_it &= (reaches[:, 2] < at.right) & (reaches[:, 4] > at.left)
             numbers = np.flatnonzero(on_it).tolist()
-            tile, drawn = self._drawn((segment, key), [(frames[k], places[k]) for k in numbers])
+            tile, rendered = self._render_tile((segment, key), [(frames[k], places[k]) for k in numbers])
             with lock:
-                if self._forgotten != forgotten:
+                if self._removals != removals:
                     return False
-                self._exchange((segment, key), tile, drawn, len(frames), corrections)
+                self._exchange((segment, key), tile, rendered, len(frames), corrections)
         with lock:
-            if self._forgotten == forgotten:
-                self._laid |= {frames[k].frame: places[k] for k in moved}
+            if self._removals == removals:
+                self._inserted |= {frames[k].frame: places[k] for k in moved}
         return True
 
-    def forget(self, group: int, segments: Container[int]) -> None:
-        """Forget a mosaic, and the kept frames of those of the tracker's segments that lie in it."""
-        self._forgotten += 1
+    def remove(self, group: int, segments: Container[int]) -> None:
+        """Remove a mosaic and its keyframes.
+
+        Parameters
+        ----------
+        group : int
+            Segment of the mosaic.
+        segments : container of int
+            Segments of the tracker that lie in it.
+        """
+        self._removals += 1
         self.pipeline.mosaics.pop(group, None)
         self.kept.discard(segments)
         left = {one.frame for one in self.kept.frames}
-        self._laid = {index: place for index, place in self._laid.items() if index in left}
+        self._inserted = {index: place for index, place in self._inserted.items() if index in left}
 
     # inside
 
-    def _off(
-        self, frames: Sequence[Keyframe], laid: Sequence[Pose], corrections: Corrections, limit_px: float
+    def _displaced(
+        self, frames: Sequence[Keyframe], inserted: Sequence[Pose], corrections: Corrections, limit_px: float
     ) -> list[int]:
-        """Return which frames do not lie where they belong."""
+        """Return the indices of frames that were inserted further than a limit from their corrected poses."""
         if not frames:
             return []
         poses = np.array([one.pose[:3] for one in frames])
-        lies = np.array([(*place[:3], place.angle - one.pose.angle) for one, place in zip(frames, laid, strict=True)])
+        lies = np.array([(*at[:3], at.angle - one.pose.angle) for one, at in zip(frames, inserted, strict=True)])
         numbers = np.array([one.frame for one in frames])
         segment, row, col, angle = corrections.of_frames(numbers, poses[:, 0].astype(np.int64), *poses[:, 1:].T)
         turned_px = np.abs(angle - lies[:, 3]) * self.pipeline.grid.diameter / 2
@@ -191,15 +209,15 @@ class LiveInsertion:
     def _reach(self, place: Pose) -> Rectangle:
         return self._brush.extent_of(place.row, place.col, place.velocity, place.angle, place.scale)
 
-    def _drawn(self, where: Where, frames: Iterable[tuple[Keyframe, Pose]]) -> tuple[Tile, list[Rectangle]]:
-        """Draw a tile anew, beside the one that is looked at."""
-        tile, drawn = self._scratch, []
+    def _render_tile(self, where: TileKey, frames: Iterable[tuple[Keyframe, Pose]]) -> tuple[Tile, list[Rectangle]]:
+        """Render a tile anew, beside the one that is displayed."""
+        tile, rendered = self._scratch, []
         tile.value[:] = tile.weight[:] = 0
         for one, place in frames:
-            drawn += self._draw(where, tile, one.image(self._own_image), place)
-        return tile, drawn
+            rendered += self._render_frame(where, tile, one.image(self._own_image), place)
+        return tile, rendered
 
-    def _draw(self, where: Where, tile: Tile, image: NDArray[np.float32], place: Pose) -> list[Rectangle]:
+    def _render_frame(self, where: TileKey, tile: Tile, image: NDArray[np.float32], place: Pose) -> list[Rectangle]:
         segment, key = where
         part = self._reach(place).intersection(tile_rectangle(*key))
         if place.segment != segment or 0 in part.shape:
@@ -207,22 +225,24 @@ class LiveInsertion:
         self._brush.render_into(tile, key, image, place.row, place.col, place.velocity, place.angle, place.scale)
         return [part]
 
-    def _exchange(self, where: Where, tile: Tile, drawn: list[Rectangle], known: int, corrections: Corrections) -> None:
-        """Lay what came meanwhile on top, and put the tile where the one is that is looked at."""
+    def _exchange(
+        self, where: TileKey, tile: Tile, rendered: list[Rectangle], known: int, corrections: Corrections
+    ) -> None:
+        """Add the frames that came meanwhile, and replace the displayed tile."""
         segment, key = where
         mosaic = self.pipeline.mosaics.get(segment)
         if mosaic is None:
             return
         for one in self.kept.frames[known:]:
-            drawn += self._draw(where, tile, one.image(self._own_image), corrections.of(one.frame, one.pose))
+            rendered += self._render_frame(where, tile, one.image(self._own_image), corrections.of(one.frame, one.pose))
         if self._newest is not None and mosaic.insertion is Insertion.DEAD_LEAF:
             found, image = self._newest
-            drawn += self._draw(where, tile, image, corrections.of(found.frame, found.pose))
-        mosaic.replace_tile(key, tile, bounding_rectangle(drawn))
-        self._tell(segment, mosaic)
+            rendered += self._render_frame(where, tile, image, corrections.of(found.frame, found.pose))
+        mosaic.replace_tile(key, tile, bounding_rectangle(rendered))
+        self._publish(segment, mosaic)
 
-    def _tell(self, segment: int, mosaic: Mosaic) -> None:
-        """Tell who looks at the board what was drawn on."""
+    def _publish(self, segment: int, mosaic: Mosaic) -> None:
+        """Publish the changed rectangle on the board."""
         if self._board is None:
             return
         dirty = mosaic.take_dirty()
@@ -230,7 +250,7 @@ class LiveInsertion:
             self._board.changed(segment, dirty, self._image)
 
 
-class AlternatingInsertion(LiveInsertion):
+class ElsaInsertion(LiveInsertion):
     """Insertion of ELSA images: confocal view of a pair's first frame minus residual view of its second."""
 
     _confocal: TrackedFrame | None = None
@@ -244,7 +264,7 @@ class AlternatingInsertion(LiveInsertion):
         *,
         keep: bool = False,
     ) -> None:
-        """Insert the image of a pair once its residual frame has come, at the pose of its confocal frame."""
+        """Insert the image of a pair at the pose of its confocal frame: :meth:`LiveInsertion.add`."""
         before, self._confocal = self._confocal, None
         confocal, residual = elsa_pair(found.number)
         if found.number == confocal:
@@ -255,4 +275,4 @@ class AlternatingInsertion(LiveInsertion):
                 self._confocal = found
         elif before is not None and found.number == residual and before.number == confocal:
             assert self._raw is not None
-            self._lay(before, self.pipeline.image(self._raw, raw))
+            self._insert(before, self.pipeline.image(self._raw, raw))

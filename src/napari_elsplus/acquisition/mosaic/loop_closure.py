@@ -1,8 +1,8 @@
-"""Loops closed behind the live track: a thread that never keeps it waiting.
+"""Loop closure beside the live track, in a thread that never blocks it.
 
-The thread that tracks hands over nodes (``pose_graph.keyframes``) and goes on. Here they are
-compared with earlier ones; once one shows a place again, all nodes are solved for, the newest frames are corrected at
-once, and the tiles on which frames lie wrong are laid anew, one by one.
+The tracking thread passes nodes of the pose graph on and continues. Here they are registered with earlier ones; once a
+loop is closed, the graph is solved, the newest frames are corrected at once, and the tiles with displaced frames are
+re-rendered one by one.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
-from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.processing.tracking.pose_graph.live_graph import LiveGraph
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
 from napari_elsplus.processing.tracking.registration.prepared_frames import RecentFrames
@@ -26,163 +25,179 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
     from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
-OFF_PX: Final = 0.5
-"""Frames further than this from where they belong are laid anew while the probe moves; pixels of the mosaic."""
-OFF_AT_REST_PX: Final = 0.1
-"""The same when it has come to rest, or the stream has ended."""
+DISPLACEMENT_LIMIT_PX: Final = 0.5
+"""Tiles with a frame displaced by more are re-rendered while the probe moves, mosaic pixels; chosen: half a pixel."""
+DISPLACEMENT_LIMIT_AT_REST_PX: Final = 0.1
+"""The same when the probe rests or the stream has ended; chosen: several times the accuracy of registration."""
 RESTING_S: Final = 1.0
-SHARE: Final = 0.02
-"""Part of the time that is spent on solving and laying anew, at most."""
-SHORT_OF_TIME: Final = 4
-"""With more nodes waiting than this, other segments are not searched."""
-_ASKED_AT_REST: Final = 100
-"""Links that are asked again in a second, once a turn was noticed: a fifth of a second's work."""
-_VIEWS: Final = 64
-_PATIENCE_S: Final = 0.1
+"""The probe counts as at rest after this time without a node; chosen: longer than between nodes in motion."""
+TIME_SHARE: Final = 0.02
+"""Largest share of the time that is spent on solving and re-rendering; chosen: leaves the cores to the stream."""
+QUEUE_LIMIT: Final = 4
+"""With more nodes waiting than this, other segments are not searched; chosen: less than a second behind."""
+_EDGES_AT_REST: Final = 100
+"""Edges tested again in a second after a rotation was found; chosen: a fifth of a second's work."""
+_MAX_PREPARED: Final = 64
+"""Frames kept prepared for registration; chosen: the neighbours of a node."""
+_POLL_S: Final = 0.1
+"""Chosen: how often the end of the thread is tested while waiting for it."""
 
 
-class Seen(NamedTuple):
-    """A node, as it is handed over.
+class NewNode(NamedTuple):
+    """A new node of the pose graph.
 
     Parameters
     ----------
     node : Node
-        Where the tracker has it.
+        Its pose, as tracked.
     kept : Keyframe or None
-        Its image, if there was room to keep it.
-    rung : MotionModel
-        What is modelled beside translations.
+        Its image, if there was room for it.
+    motion_model : MotionModel
+        As selected by the tracker.
     """
 
     node: Node
     kept: Keyframe | None
-    rung: MotionModel
+    motion_model: MotionModel
 
 
 class Correctable(Protocol):
-    """The live track, as far as it can be corrected; called from the thread of :class:`LoopClosureThread`."""
+    """The live track, as the thread of :class:`LoopClosureThread` corrects it."""
 
     @property
     def crowded(self) -> bool:
-        """Whether more frames are kept than there is room for."""
+        """True if there are more keyframes than there is room for."""
 
     def thin(self, corrections: Corrections) -> Sequence[Keyframe]:
-        """Let go of kept frames; return those of the tracked image that are left."""
+        """Discard keyframes by their corrected poses; return those of the tracked image that are left.
 
-    def correct(self, corrections: Corrections, limit_px: float, forgotten: int) -> None:
-        """Put frames where they belong: those to come at once, those so far if any lies further from there than that.
+        Parameters
+        ----------
+        corrections : Corrections
+            Of the poses.
+        """
 
-        Corrections that do not know yet of the last of so many segments that were forgotten are to be ignored.
+    def correct(self, corrections: Corrections, limit_px: float, removals: int) -> None:
+        """Apply corrections: to frames to come at once, to those so far where any is displaced by more than a limit.
+
+        Parameters
+        ----------
+        corrections : Corrections
+            Of the poses.
+        limit_px : float
+            Largest displacement that is left, mosaic pixels.
+        removals : int
+            Segments that were removed before the graph was solved; ignored if there were more since.
         """
 
 
 class LoopClosureThread(Thread):
-    """Closes loops.
+    """Registers new nodes of the pose graph with earlier ones, solves it, and corrects the track.
 
     Parameters
     ----------
     grid : Grid
-        On which frames are tracked.
+        Of the tracker.
     track : Correctable
-        What is corrected.
+        The track to correct.
 
     Attributes
     ----------
-    closed : int
-        Links that close a loop or join segments, so far.
-    failed : ElsPlusError or None
-        Why it ended, if not because it was told to.
+    count : int
+        Edges that close a loop or join segments, so far.
+    failed : Exception or None
+        Why it ended without :meth:`stop`.
     """
 
     def __init__(self, grid: Grid, track: Correctable) -> None:
         super().__init__(name="loops", daemon=True)
         self._track = track
         self._registrar = Registrar(grid)
-        self._graph = LiveGraph(self._registrar, self._view)
+        self._graph = LiveGraph(self._registrar, self._prepare)
         self._kept: dict[int, Keyframe] = {}
-        self._views = RecentFrames(self._registrar, _VIEWS)
-        self._todo: SimpleQueue[Seen | Event | int | None] = SimpleQueue()
+        self._prepared = RecentFrames(self._registrar, _MAX_PREPARED)
+        self._queue: SimpleQueue[NewNode | Event | int | None] = SimpleQueue()
         self._due_s = 0.0
-        self._news = False
+        self._changed = False
         self._settled = True
-        self._forgotten = 0
+        self._removals = 0
         self._stopped = False
-        self.closed = 0
-        self.failed: ElsPlusError | None = None
+        self.count = 0
+        self.failed: Exception | None = None
 
-    def add(self, seen: Seen) -> None:
-        """Hand over a node."""
-        self._todo.put(seen)
+    def add(self, new: NewNode) -> None:
+        """Queue a new node."""
+        self._queue.put(new)
 
-    def forget(self, group: int) -> None:
-        """Forget all that lies in a segment."""
-        self._todo.put(group)
+    def remove(self, group: int) -> None:
+        """Remove a group of nodes: a segment."""
+        self._queue.put(group)
 
     def settle(self) -> None:
-        """Return once everything that was handed over lies where it belongs."""
+        """Return once all nodes queued so far are registered and the track is corrected."""
         done = Event()
-        self._todo.put(done)
-        while self.is_alive() and not done.wait(_PATIENCE_S):
+        self._queue.put(done)
+        while self.is_alive() and not done.wait(_POLL_S):
             pass
 
     def stop(self) -> None:
-        """End with what is being done."""
+        """End after the current node."""
         self._stopped = True
-        self._todo.put(None)
+        self._queue.put(None)
         if self.is_alive():
             self.join()
 
     def run(self) -> None:
-        """Work until told to stop, or until something fails."""
+        """Work until :meth:`stop`, or a failure."""
         try:
             self._work()
-        except ElsPlusError as error:
+        except Exception as error:  # noqa: BLE001 - raised in the tracking thread, which reports it
             self.failed = error
 
     def _work(self) -> None:
         while not self._stopped:
             try:
-                item = self._todo.get(timeout=RESTING_S)
+                item = self._queue.get(timeout=RESTING_S)
             except Empty:
-                self._news |= self._graph.ask_again(_ASKED_AT_REST)
-                self._correct(OFF_AT_REST_PX)
+                self._changed |= self._graph.ask_again(_EDGES_AT_REST)
+                self._correct(DISPLACEMENT_LIMIT_AT_REST_PX)
                 continue
             if isinstance(item, Event):
-                self._news |= self._graph.ask_again()
-                self._correct(OFF_AT_REST_PX)
+                self._changed |= self._graph.ask_again()
+                self._correct(DISPLACEMENT_LIMIT_AT_REST_PX)
                 item.set()
             elif isinstance(item, int):
                 self._graph.forget(item)
-                self._forgotten += 1
-                self._news = True
+                self._removals += 1
+                self._changed = True
             elif item is not None:
-                self._take(item)
-            if self._news and time.perf_counter() >= self._due_s:
-                self._correct(OFF_PX)
+                self._add(item)
+            if self._changed and time.perf_counter() >= self._due_s:
+                self._correct(DISPLACEMENT_LIMIT_PX)
 
-    def _take(self, seen: Seen) -> None:
-        """Look whether a node shows a place again."""
-        if seen.kept is not None:
-            self._kept[seen.node.frame] = seen.kept
-        self._news |= self._graph.add(seen.node, seen.rung, everywhere=self._todo.qsize() <= SHORT_OF_TIME)
-        self.closed = self._graph.closed
+    def _add(self, new: NewNode) -> None:
+        """Search for loop closures of a new node."""
+        if new.kept is not None:
+            self._kept[new.node.frame] = new.kept
+        self._changed |= self._graph.add(new.node, new.motion_model, everywhere=self._queue.qsize() <= QUEUE_LIMIT)
+        self.count = self._graph.closed
         if self._track.crowded:
             self._kept = {one.frame: one for one in self._track.thin(self._graph.corrections)}
         self._graph.thin(lambda node: node.frame in self._kept)
 
     def _correct(self, limit_px: float) -> None:
-        """Solve for all nodes, and put frames where they belong."""
-        if self._settled and not self._news:
+        """Solve the pose graph, and correct the track."""
+        if self._settled and not self._changed:
             return
         begin_s = time.perf_counter()
         self._graph.solve()
-        self._track.correct(self._graph.corrections, limit_px, self._forgotten)
-        self._news, self._settled = False, limit_px == OFF_AT_REST_PX
+        self._track.correct(self._graph.corrections, limit_px, self._removals)
+        self._changed, self._settled = False, limit_px == DISPLACEMENT_LIMIT_AT_REST_PX
         end_s = time.perf_counter()
-        self._due_s = end_s + (end_s - begin_s) * (1 - SHARE) / SHARE
+        self._due_s = end_s + (end_s - begin_s) * (1 - TIME_SHARE) / TIME_SHARE
 
-    def _view(self, number: int) -> PreparedFrame | None:
-        """Return the prepared view of a node, if its frame is still kept."""
+    def _prepare(self, number: int) -> PreparedFrame | None:
+        """Return the prepared frame of a node, if its keyframe is still there."""
         frame = self._graph.nodes[number].frame
-        view, kept = self._views.get(frame), self._kept.get(frame)
-        return view if view is not None or kept is None else self._views.add(frame, kept.image)
+        prepared, kept = self._prepared.get(frame), self._kept.get(frame)
+        return prepared if prepared is not None or kept is None else self._prepared.add(frame, kept.image)

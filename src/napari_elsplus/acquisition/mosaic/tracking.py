@@ -1,4 +1,4 @@
-"""The tracker among the engine's consumers: every frame to the track and into the mosaics, loops closed behind it."""
+"""The live track: every frame of the engine is tracked and inserted into the mosaics, with loop closure beside."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
-from napari_elsplus.acquisition.mosaic.insertion import AlternatingInsertion, LiveInsertion, TrackedFrame
-from napari_elsplus.acquisition.mosaic.loop_closure import LoopClosureThread, Seen
+from napari_elsplus.acquisition.mosaic.insertion import ElsaInsertion, LiveInsertion, TrackedFrame
+from napari_elsplus.acquisition.mosaic.loop_closure import LoopClosureThread, NewNode
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from napari_elsplus.io import TrackPoint
     from napari_elsplus.processing.mosaicing.keyframe_store import Keyframe
 
-REMEMBERED_FRAMES: Final = 2400
-"""Rows of the track that are kept here, where a board has them all: ten seconds."""
-KEPT_BYTES: Final = 512 << 20
-"""Memory for the frames from which the mosaics can be laid anew, of all images together."""
+LOCAL_ROWS: Final = 2400
+"""Rows of the track that are kept here while a board has them all; chosen: ten seconds at 240 Hz."""
+KEYFRAME_BYTES: Final = 512 << 20
+"""Memory for the keyframes of all images; chosen: an eighth of 4 GB, minutes of motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,23 +47,23 @@ class TrackState:
     Parameters
     ----------
     plan : MosaicPlan
-        How it is made.
+        As given.
     board : str
         Name of the board in shared memory that holds track and mosaics; empty if they are on the heap.
     camera_px_per_pixel : float
         Camera pixels per pixel of the mosaic.
     radius_px : float
-        Of what is used of a frame, pixels of the mosaic.
+        Radius of the inserted part of a frame, mosaic pixels.
     counts : mapping of str to int
         Frames by their state.
     newest : TrackPoint or None
-        Where the probe was last.
-    loops : int
-        Links by which places were recognised.
-    lays_anew : bool
-        Whether there is still memory for frames from which the mosaics can be laid anew.
+        Newest position of the probe.
+    loop_closures : int
+        Edges that close a loop or join segments.
+    rerenders : bool
+        True while there is memory for keyframes, from which mosaics can be re-rendered.
     running : bool
-        Whether frames are still laid down.
+        True while frames are inserted.
     """
 
     plan: MosaicPlan
@@ -72,13 +72,13 @@ class TrackState:
     radius_px: float
     counts: Mapping[str, int]
     newest: TrackPoint | None
-    loops: int = 0
-    lays_anew: bool = True
+    loop_closures: int = 0
+    rerenders: bool = True
     running: bool = True
 
 
 class LiveTrack:
-    """Tracks live frames by the camera's numbers and times; compiled and touched before the first one comes.
+    """Tracks live frames by the camera's numbers and times; all kernels are compiled before the first frame.
 
     Parameters
     ----------
@@ -87,9 +87,9 @@ class LiveTrack:
     frame_shape : tuple of int
         Rows and columns of the raw frames.
     plan : MosaicPlan
-        Which images, and how. ELSA is laid beside another one, which is tracked: it takes two frames for each image.
+        Image types and insertion. ELSA is inserted beside another one, which is tracked: it takes two frames per image.
     board : MosaicBoard, optional
-        Where track and tiles are kept for other processes to see.
+        Holds track and tiles in shared memory.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class LiveTrack:
     CalibrationError
         If the bundle was not located, or does not fit the frames.
     InputError
-        If ELSA alone is asked for, or nothing.
+        If the plan has no image type, or ELSA alone.
     """
 
     def __init__(
@@ -122,60 +122,60 @@ class LiveTrack:
         self._closed = False
         self._um_per_px = np.nan if calibration.um_per_px is None else calibration.um_per_px
         how = {"method": plan.method, "insertion": plan.insertion}
-        rehearse(Pipeline(calibration, frame_shape, plan.tracked, **how), frame_shape)  # type: ignore[arg-type]
-        self._layings = {
-            mode: self._laying(calibration, frame_shape, mode, image) for image, mode in enumerate(plan.modes)
+        warm_up(Pipeline(calibration, frame_shape, plan.tracked, **how), frame_shape)  # type: ignore[arg-type]
+        self._insertions = {
+            mode: self._new_insertion(calibration, frame_shape, mode, image) for image, mode in enumerate(plan.modes)
         }
-        self.pipeline = self._layings[plan.tracked].pipeline
+        self.pipeline = self._insertions[plan.tracked].pipeline
         self._path = Path()
         self._corrections = Corrections()
-        self._forgotten = 0
-        self._trail = KeyframeSelector(self.pipeline.grid)
+        self._removals = 0
+        self._selector = KeyframeSelector(self.pipeline.grid)
         closes_loops = tracking_method(plan.method).closes_loops
-        self._closing = LoopClosureThread(self.pipeline.grid, self) if closes_loops else None
+        self._loop_closure = LoopClosureThread(self.pipeline.grid, self) if closes_loops else None
 
     def add(self, raw: NDArray[np.uint8], stamp: Stamp) -> None:
-        """Track a frame and lay it into the mosaics."""
+        """Track a raw frame, and insert it into the mosaics by its stamp."""
         with self._lock:
             if self._closed:
                 return
-            if self._closing is not None and self._closing.failed is not None:
-                raise self._closing.failed
-            number, time_s = self._since_the_first(stamp)
+            if self._loop_closure is not None and self._loop_closure.failed is not None:
+                raise self._loop_closure.failed
+            number, time_s = self._since_first_frame(stamp)
             pose, image = self.pipeline.locate(raw)
             place = self._corrections.newest(pose.segment).of(pose)
             self.pipeline.append(image, place, number, time_s, insert=False)
             self._counts.setdefault(place.segment, Counter())[place.state] += 1
             found = TrackedFrame(self._path.add(pose.segment, pose.row, pose.col), number, pose, place)
-            self._lay(found, raw, image)
+            self._insert(found, raw, image)
             if self._board is not None:
                 self._board.append(self.pipeline.rows[-1])
-                if len(self.pipeline.rows) > REMEMBERED_FRAMES:
+                if len(self.pipeline.rows) > LOCAL_ROWS:
                     self.pipeline.discard_history()  # the board has it all
 
     def settle(self) -> None:
-        """Return once all loops are closed and all frames lie where they belong."""
-        if self._closing is not None and self._closing.ident is not None:
-            self._closing.settle()
+        """Return once all loops are closed and all frames corrected."""
+        if self._loop_closure is not None and self._loop_closure.ident is not None:
+            self._loop_closure.settle()
         with self._lock:
             if self._board is None:
                 self.pipeline.relocate(*self._places(slice(0, len(self._path))))
 
     def undo(self) -> bool:
-        """Forget the last segment, and call its frames lost; whether there was one. Tracking goes on."""
+        """Remove the last segment, its frames lost; return True if there was one. Tracking goes on."""
         with self._lock:
             if not self.pipeline.mosaics:
                 return False
             last = max(self.pipeline.mosaics)
             segments = {s for s in self._path.segments if self._corrections.newest(s).segment == last}
             self.pipeline.discard_segment(last)
-            for laying in self._layings.values():
-                laying.forget(last, segments)
+            for insertion in self._insertions.values():
+                insertion.remove(last, segments)
             self._path.forget(segments)
             self._corrections = self._corrections.without(segments)
-            self._forgotten += 1
-            if self._closing is not None:
-                self._closing.forget(last)
+            self._removals += 1
+            if self._loop_closure is not None:
+                self._loop_closure.remove(last)
             if self._board is not None:
                 self._board.drop(last)
             frames = self._counts.pop(last, Counter()).total()
@@ -184,112 +184,116 @@ class LiveTrack:
 
     @property
     def state(self) -> TrackState:
-        """How it goes."""
+        """The track at this moment."""
         pipeline = self.pipeline
         with self._lock:
             board = "" if self._board is None else self._board.name
             counts = dict(sum(self._counts.values(), Counter()))
             newest = pipeline.rows[-1] if pipeline.rows else None
-            loops = 0 if self._closing is None else self._closing.closed
-            lays_anew = not any(laying.kept.full for laying in self._layings.values())
+            loop_closures = 0 if self._loop_closure is None else self._loop_closure.count
+            rerenders = not any(insertion.kept.full for insertion in self._insertions.values())
         radius_px = 0.5 * FIELD * pipeline.grid.diameter
         return TrackState(
-            self._plan, board, pipeline.camera_px_per_pixel, radius_px, counts, newest, loops, lays_anew
+            self._plan, board, pipeline.camera_px_per_pixel, radius_px, counts, newest, loop_closures, rerenders
         )  # fmt: skip
 
     def close(self) -> None:
-        """End, and give the board's memory back."""
-        if self._closing is not None:
-            self._closing.stop()
+        """End, and release the board's memory."""
+        if self._loop_closure is not None:
+            self._loop_closure.stop()
         with self._lock:
-            self._closed, self._closing = True, None  # the two hold each other, and the frames that are kept
+            self._closed, self._loop_closure = True, None  # the two reference each other, and the keyframes
             board, self._board = self._board, None
-            for laying in self._layings.values():
-                laying.pipeline.mosaics.clear()
+            for insertion in self._insertions.values():
+                insertion.pipeline.mosaics.clear()
             if board is not None:
                 board.close()
 
-    # what LoopClosureThread asks for
+    # Correctable, for LoopClosureThread
 
     @property
     def crowded(self) -> bool:
-        """Whether more frames are kept than there is room for."""
-        return any(laying.kept.needs_thinning for laying in self._layings.values())
+        """True if there are more keyframes than there is room for."""
+        return any(insertion.kept.needs_thinning for insertion in self._insertions.values())
 
     def thin(self, corrections: Corrections) -> Sequence[Keyframe]:
-        """Let go of kept frames where there are too many; return those of the tracked image that are left."""
-        for laying in self._layings.values():
-            laying.thin(corrections, self._lock)
-        return self._layings[self._plan.tracked].kept.frames[:]
+        """Discard keyframes by corrected poses: :meth:`Correctable.thin`."""
+        for insertion in self._insertions.values():
+            insertion.thin(corrections, self._lock)
+        return self._insertions[self._plan.tracked].kept.frames[:]
 
-    def correct(self, corrections: Corrections, limit_px: float, forgotten: int) -> None:
-        """Put frames where they belong, unless that was said before the last segment was forgotten."""
+    def correct(self, corrections: Corrections, limit_px: float, removals: int) -> None:
+        """Apply corrections: :meth:`Correctable.correct`."""
         with self._lock:
-            if forgotten != self._forgotten or self._closed:
+            if removals != self._removals or self._closed:
                 return
             self._corrections = corrections
-        moved = [laying.lay_anew(corrections, limit_px, self._lock) for laying in self._layings.values()]
+        moved = [insertion.rerender(corrections, limit_px, self._lock) for insertion in self._insertions.values()]
         with self._lock:
-            if forgotten != self._forgotten or self._closed or not any(moved):
+            if removals != self._removals or self._closed or not any(moved):
                 return
-            self._leave_what_was_joined()
+            self._remove_joined_segments()
             blocks = [] if self._board is None else self._board.blocks
         for block in blocks:
-            self._relocate(block, forgotten)
+            self._relocate(block, removals)
 
     # inside
 
-    def _laying(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode, image: int) -> LiveInsertion:
+    def _new_insertion(
+        self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode, image: int
+    ) -> LiveInsertion:
         plan, board = self._plan, self._board
         new_store = None if board is None else partial(board.new_store, image=image)
         pipeline = Pipeline(
             calibration, frame_shape, mode, method=plan.method, insertion=plan.insertion, new_store=new_store
         )  # fmt: skip
         frame_bytes = np.dtype(np.int16).itemsize * pipeline.grid.side**2
-        most = KEPT_BYTES // len(plan.modes) // frame_bytes if tracking_method(plan.method).closes_loops else 0
-        return (AlternatingInsertion if mode is Mode.ELSA else LiveInsertion)(pipeline, most, board, image)
+        max_keyframes = (
+            KEYFRAME_BYTES // len(plan.modes) // frame_bytes if tracking_method(plan.method).closes_loops else 0
+        )
+        return (ElsaInsertion if mode is Mode.ELSA else LiveInsertion)(pipeline, max_keyframes, board, image)
 
-    def _lay(self, found: TrackedFrame, raw: NDArray[np.uint8], image: NDArray[np.float32]) -> None:
+    def _insert(self, found: TrackedFrame, raw: NDArray[np.uint8], image: NDArray[np.float32]) -> None:
         node = None
-        if found.pose.state is TrackingState.TRACKED and self._closing is not None:
-            node = self._trail.add(found.frame, found.pose, self.pipeline.newest_registration)
-        for mode, laying in self._layings.items():
+        if found.pose.state is TrackingState.TRACKED and self._loop_closure is not None:
+            node = self._selector.add(found.frame, found.pose, self.pipeline.newest_registration)
+        for mode, insertion in self._insertions.items():
             tracked = mode is self._plan.tracked
-            laying.add(found, raw, image if tracked else None, keep=tracked and node is not None)
-            if tracked and node is not None and self._closing is not None:
-                self._hand_over(Seen(node, laying.kept.recent(node.frame), self.pipeline.motion_model))
+            insertion.add(found, raw, image if tracked else None, keep=tracked and node is not None)
+            if tracked and node is not None and self._loop_closure is not None:
+                self._queue_node(NewNode(node, insertion.kept.recent(node.frame), self.pipeline.motion_model))
 
-    def _hand_over(self, seen: Seen) -> None:
-        assert self._closing is not None
-        if self._closing.ident is None:
-            self._closing.start()
-        self._closing.add(seen)
+    def _queue_node(self, new: NewNode) -> None:
+        assert self._loop_closure is not None
+        if self._loop_closure.ident is None:
+            self._loop_closure.start()
+        self._loop_closure.add(new)
 
     def _places(self, those: slice) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Segments, rows and columns of some frames, where they belong."""
+        """Return segments, rows and columns of some frames, corrected."""
         path = self._path
         frames = np.arange(those.start, those.stop)
         return self._corrections.of_frames(frames, path.segment[those], path.row[those], path.col[those])[:3]
 
-    def _relocate(self, block: slice, forgotten: int) -> None:
-        """Write a block of rows on the board anew; the lock is held for no longer than that takes."""
+    def _relocate(self, block: slice, removals: int) -> None:
+        """Rewrite a block of rows on the board; the lock is held for that time."""
         segment, row, col = self._places(block)
         scale = self.pipeline.camera_px_per_pixel
         with self._lock:
-            if forgotten == self._forgotten and self._board is not None:
+            if removals == self._removals and self._board is not None:
                 self._board.relocate(block, segment, row * scale, col * scale, self._um_per_px)
 
-    def _leave_what_was_joined(self) -> None:
-        """Forget the mosaics of segments whose frames belong to others now."""
+    def _remove_joined_segments(self) -> None:
+        """Remove the mosaics of segments that were joined to others."""
         there = {self._corrections.newest(segment).segment for segment in self._path.segments}
         for group in [group for group in self.pipeline.mosaics if group not in there]:
-            for laying in self._layings.values():
-                laying.pipeline.mosaics.pop(group, None)
+            for insertion in self._insertions.values():
+                insertion.pipeline.mosaics.pop(group, None)
             if self._board is not None:
                 self._board.release(group)
 
-    def _since_the_first(self, stamp: Stamp) -> tuple[int, float]:
-        """Frames and seconds since the first frame; a stream that was started again goes on where it was."""
+    def _since_first_frame(self, stamp: Stamp) -> tuple[int, float]:
+        """Return frames and seconds since the first frame; a stream that was started again continues them."""
         before, self._before = self._before, stamp
         if self._origin is None:
             self._origin = stamp.frame_number, stamp.readout_start_s
@@ -300,10 +304,15 @@ class LiveTrack:
         return stamp.frame_number - self._origin[0], stamp.readout_start_s - self._origin[1]
 
 
-def rehearse(pipeline: Pipeline, frame_shape: tuple[int, int]) -> None:
-    """Let a pipeline go once through all that may happen to it: motion, a jump, darkness, light again, a lone fibre.
+def warm_up(pipeline: Pipeline, frame_shape: tuple[int, int]) -> None:
+    """Process frames of motion, a jump, darkness, light again and a lone fibre, so that all kernels are compiled.
 
-    What is compiled when it is needed first is compiled here, before frames come.
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Not used afterwards.
+    frame_shape : tuple of int
+        Rows and columns of the raw frames.
     """
     rows, cols = frame_shape
     random = np.random.default_rng(0)

@@ -300,9 +300,9 @@ class MosaicPanel(EnginePanel):
         area_mm2 = self.layers.covered_px * (um or float("nan")) ** 2 * 1e-6
         words += f"; {area_mm2:.2g} mm\N{SUPERSCRIPT TWO}." if isfinite(area_mm2) else "."
         track = None if client is None or not isinstance(self._shown, LiveMosaicView) else client.status.track
-        if track is not None and track.loops:
-            words += f" Places recognised {track.loops} times."
-        if track is not None and not track.lays_anew:
+        if track is not None and track.loop_closures:
+            words += f" Places recognised {track.loop_closures} times."
+        if track is not None and not track.rerenders:
             words += " There is no memory left to lay it anew: where loops close it stays as it is."
         if track is not None and track.running and (advice := advice_on(self.connection.calibration)):
             words += f" {advice}"
