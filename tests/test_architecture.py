@@ -33,6 +33,7 @@ ORDER = (
     "processing.mosaicing",
     "io.atomic",
     "io.user_folders",
+    "io.settings",
     "io.calibrations",
     "io.formats",
     "io",

@@ -39,7 +39,7 @@ def test_a_recording_is_shown_and_scrolled(make_napari_viewer_proxy, tmp_path):
     assert [str(unit) for unit in layer.units] == ["second", "micrometer", "micrometer"]
 
 
-def test_a_calibration_is_shown_and_put_in_force(make_napari_viewer_proxy, tmp_path, said):
+def test_a_calibration_is_shown_and_becomes_the_active_one(make_napari_viewer_proxy, tmp_path, said):
     viewer = make_napari_viewer_proxy()
     path = write_calibration(tmp_path / "c.json", calibration())
     (tmp_path / "stacks").mkdir()

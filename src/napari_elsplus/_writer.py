@@ -1,15 +1,17 @@
-"""napari's door for writing: an image layer to OME-TIFF or OME-Zarr."""
+"""The napari writers: an image layer to OME-TIFF or OME-Zarr."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pint
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import beside, write_calibration, write_mosaic, write_stack
-from napari_elsplus.io.formats.ome_zarr import write_ome_zarr
+from napari_elsplus.io import beside, write_calibration, write_mosaic
+from napari_elsplus.io.formats.registry import format_to_write
+from napari_elsplus.io.formats.tiff import TIFF
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -19,13 +21,13 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
 
-def write_tiff(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
-    """Write an image layer to OME-TIFF: a stack plane by plane, a single image tiled and with a pyramid.
+def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
+    """Write an image layer by the suffix of its file: a stack plane by plane, a single image to TIFF with a pyramid.
 
     Parameters
     ----------
     path : str
-        The file; napari has asked whether it may be replaced.
+        The file, which is replaced if it exists: napari has asked the user.
     data : array-like
         (rows, cols) or (T, rows, cols); of a multiscale layer, the full resolution is written.
     attributes : dict
@@ -34,36 +36,27 @@ def write_tiff(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     Returns
     -------
     list of str
-        What was written; beside raw frames also their calibration, NAME.calibration.json.
+        The files written; beside raw frames also their calibration, NAME.calibration.json.
 
     Raises
     ------
     InputError
-        If the layer is in colour or has more dimensions.
+        If the layer is in colour or has more dimensions, or no format writes the suffix.
     """
     image = _grey(data, attributes)
+    file_format = format_to_write(Path(path))
     known = _provenance(attributes)
     calibration: Calibration | None = known.get("calibration")
     notes = _notes(known, attributes)
     step_s, um_per_px = _steps(attributes, image.ndim)
-    if image.ndim == 2:
+    if file_format is TIFF and image.ndim == 2:
         write_mosaic(path, np.asarray(image), um_per_px, metadata=notes, calibration=calibration, force=True)
     else:
-        write_stack(
-            path, _Planes(image), um_per_px=um_per_px, frame_period_s=step_s, metadata=notes,
-            calibration=calibration, force=True,
+        assert file_format.writer is not None
+        file_format.writer(
+            path, _Planes(image if image.ndim == 3 else image[None]), um_per_px=um_per_px, frame_period_s=step_s,
+            metadata=notes, calibration=calibration, force=True,
         )  # fmt: skip
-    return [path, *_calibration_of_raw(path, known)]
-
-
-def write_zarr(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
-    """Write an image layer to OME-Zarr, plane by plane; as :func:`write_tiff`."""
-    image = _grey(data, attributes)
-    step_s, um_per_px = _steps(attributes, image.ndim)
-    known = _provenance(attributes)
-    notes = _notes(known, attributes)
-    planes = _Planes(image) if image.ndim == 3 else iter([np.asarray(image)])
-    write_ome_zarr(path, planes, um_per_px=um_per_px, frame_period_s=step_s, metadata=notes, force=True)
     return [path, *_calibration_of_raw(path, known)]
 
 
@@ -86,7 +79,7 @@ def _grey(data: Any, attributes: Mapping[str, Any]) -> Any:
 
 
 class _Planes:
-    """Planes of a stack one after the other, with their number known beforehand."""
+    """Planes of a stack, computed one at a time; sized, so that writers know their number."""
 
     def __init__(self, stack: Any) -> None:
         self._stack = stack
@@ -99,7 +92,7 @@ class _Planes:
 
 
 def _steps(attributes: Mapping[str, Any], ndim: int) -> tuple[float | None, float | None]:
-    """Seconds per plane and micrometres per pixel, where the layer's units say so."""
+    """Return seconds per plane and micrometres per pixel, None where the layer's units are others."""
     scale: Sequence[float] = attributes.get("scale", (1.0,) * ndim)
     units: Sequence[Any] = attributes.get("units") or ("pixel",) * ndim
     step_s = _in(units[0], "second", scale[0]) if ndim == 3 else None

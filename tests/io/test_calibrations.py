@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.io import beside, calibration_beside, open_recording, read_calibration, write_calibration
+from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.calibrations import parse_calibration
 
 FULL = {
@@ -174,26 +174,6 @@ def test_bad_arrays_are_refused(tmp_path, write):
     write(tmp_path / "c.npz")
     with pytest.raises(CalibrationError, match=r"c\.npz"):
         read_calibration(tmp_path / "c.json")
-
-
-@pytest.mark.parametrize("name", ["scan.calibration.json", "scan.json", "calibration.json"])
-def test_the_calibration_beside_a_recording_is_found(tmp_path, name):
-    (tmp_path / "scan.json").write_text('{"positions": []}')
-    (tmp_path / name).write_text(json.dumps(FULL))
-    assert calibration_beside(tmp_path / "scan.ome.tif") == tmp_path / name
-
-
-def test_no_calibration_beside(tmp_path):
-    (tmp_path / "truth.json").write_text("{}")
-    assert calibration_beside(tmp_path / "scan.tif") is None
-
-
-@pytest.mark.parametrize(
-    ("name", "stem"),
-    [("a.ome.tif", "a"), ("a.tiff", "a"), ("a.b.npy", "a.b"), ("a.ome.zarr", "a"), ("folder", "folder")],
-)
-def test_names_beside(name, stem):
-    assert beside(name, ".depths.csv").name == f"{stem}.depths.csv"
 
 
 @given(st.binary(max_size=12), st.integers(0, 1000), st.integers(0, 30))

@@ -270,7 +270,7 @@ def write_bad(folder, name):
         "text.tif": "is no TIFF",
         "text.avi": "cannot be decoded",
         "text.npy": "cannot be read",
-        "text": "is no TIFF",
+        "text": "is in no known format",
         "rgb.tif": "colour",
         "rgb.npy": r"shape \(3, 40, 60, 3\)",
         "colour.avi": "colour",

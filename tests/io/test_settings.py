@@ -17,7 +17,7 @@ def test_sections_keep_to_themselves():
     assert settings.recall("nothing") == {}
 
 
-def test_the_calibration_in_force_is_forgotten_when_its_file_goes(tmp_path):
+def test_the_active_calibration_is_forgotten_when_its_file_goes(tmp_path):
     assert settings.active_calibration() is None
     path = tmp_path / "c.json"
     path.write_text("{}")
@@ -28,6 +28,17 @@ def test_the_calibration_in_force_is_forgotten_when_its_file_goes(tmp_path):
     path.write_text("{}")
     settings.set_active_calibration(None)
     assert settings.active_calibration() is None
+
+
+def test_the_key_of_earlier_versions_is_read_and_then_replaced(tmp_path):
+    before, after = tmp_path / "before.json", tmp_path / "after.json"
+    before.write_text("{}")
+    after.write_text("{}")
+    settings.remember("calibration", in_force=str(before))
+    assert settings.active_calibration() == before
+    settings.set_active_calibration(after)
+    assert settings.active_calibration() == after
+    assert settings.recall("calibration") == {"active": str(after)}
 
 
 def test_a_broken_file_costs_the_memory_but_not_the_work():

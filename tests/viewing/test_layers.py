@@ -58,14 +58,14 @@ def test_without_a_calibration_there_are_raw_frames_in_pixels(tmp_path):
     assert opened.notes == []
 
 
-def test_the_calibration_in_force_is_for_recordings_without_their_own(tmp_path):
+def test_the_active_calibration_is_for_recordings_without_their_own(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", frames())
     (tmp_path / "rig").mkdir()
-    in_force = write_calibration(tmp_path / "rig" / "c.json", calibration())
-    opened = open_layers(tmp_path / "a.tif", in_force)
+    active = write_calibration(tmp_path / "rig" / "c.json", calibration())
+    opened = open_layers(tmp_path / "a.tif", active)
     assert len(opened.layers) == 5
-    assert "calibration in force, c.json" in opened.notes[0]
-    assert open_layers(write_pair(tmp_path), in_force).notes == []
+    assert "active calibration, c.json" in opened.notes[0]
+    assert open_layers(write_pair(tmp_path), active).notes == []
 
 
 @pytest.mark.parametrize("case", ["broken", "other region", "no bundle"])

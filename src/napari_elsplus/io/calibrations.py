@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.instrument.calibration import FORMAT, Calibration
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io.atomic import refuse_existing, replacing
 
 if TYPE_CHECKING:
@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-LARGEST_JSON: Final = 4 << 20
-LARGEST_ARRAYS: Final = 1 << 30
+MAX_JSON_BYTES: Final = 4 << 20
+"""Chosen: a calibration has some kilobytes; a larger file is another one, named by mistake."""
+MAX_ARRAYS_BYTES: Final = 1 << 30
+"""Chosen: the background of a 20-megapixel camera unpacks to 80 MB; more is a forged or foreign archive."""
 ARRAYS: Final = ("background", "flat")
 _HEADER_READERS: Final = {
     (1, 0): np.lib.format.read_array_header_1_0,
@@ -60,9 +62,9 @@ def write_calibration(path: str | os.PathLike[str], calibration: Calibration, fo
     path : path-like
         NAME.json.
     calibration : Calibration
-        What to write.
+        The record and its arrays.
     force : bool
-        Whether existing files may be replaced; arrays that no longer belong to the record are then removed.
+        Replace existing files; arrays that no longer belong to the record are then removed.
 
     Returns
     -------
@@ -74,7 +76,7 @@ def write_calibration(path: str | os.PathLike[str], calibration: Calibration, fo
     InputError
         If a file exists and `force` is not given, or the folder does not exist.
     CalibrationError
-        If the record cannot be said in JSON, or `path` does not end in .json.
+        If the record cannot be written as JSON, or `path` does not end in .json.
     """
     path = Path(path)
     if path.suffix.lower() != ".json":
@@ -94,7 +96,20 @@ def write_calibration(path: str | os.PathLike[str], calibration: Calibration, fo
 
 
 def parse_calibration(text: str, *, name: str = "calibration") -> Calibration:
-    """Read a calibration's JSON text; see :func:`read_calibration`."""
+    """Parse the JSON `text` of a calibration.
+
+    Parameters
+    ----------
+    text : str
+        As :func:`format_calibration` returns it.
+    name : str
+        Of the file that it comes from, for messages.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`read_calibration`.
+    """
     try:
         content = json.loads(text, parse_constant=_refuse_constant, parse_float=_finite)
     except (ValueError, RecursionError) as error:
@@ -106,12 +121,19 @@ def parse_calibration(text: str, *, name: str = "calibration") -> Calibration:
 
 
 def format_calibration(calibration: Calibration, indent: int | None = None) -> str:
-    """Write a calibration's JSON text, without its arrays.
+    """Return a calibration as JSON text, without its arrays.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What to write.
+    indent : int, optional
+        Spaces for each level; one line by default.
 
     Raises
     ------
     CalibrationError
-        If an unknown key holds NaN or anything else that JSON cannot say.
+        If an unknown key holds NaN or anything else that JSON cannot represent.
     """
     try:
         return json.dumps(calibration.content(), indent=indent, allow_nan=False)
@@ -119,49 +141,10 @@ def format_calibration(calibration: Calibration, indent: int | None = None) -> s
         raise CalibrationError(f"the calibration cannot be written ({error!s:.80})", "calibrate again") from None
 
 
-def calibration_beside(recording: str | os.PathLike[str]) -> Path | None:
-    """Find the calibration that lies beside a recording.
-
-    Looked for are, in the recording's folder, NAME.calibration.json, NAME.json and calibration.json; files of
-    another kind are passed over.
-
-    Parameters
-    ----------
-    recording : path-like
-        A recording, say NAME.ome.tif.
-
-    Returns
-    -------
-    pathlib.Path or None
-        The calibration's JSON file, if there is one.
-    """
-    recording = Path(recording)
-    names = [beside(recording, ".calibration.json"), beside(recording, ".json")]
-    inside = [recording / "calibration.json"] if recording.is_dir() else []
-    candidates = [*names, *inside, names[0].with_name("calibration.json")]
-    return next((path for path in candidates if path.is_file() and _declares_our_format(path)), None)
-
-
-def beside(recording: str | os.PathLike[str], ending: str) -> Path:
-    """Name a file that belongs to a recording.
-
-    Examples
-    --------
-    >>> beside("scan.ome.tif", ".depths.csv").name
-    'scan.depths.csv'
-    """
-    path = Path(recording)
-    path = path if path.name else path.resolve()  # the folder that one is in
-    stem = path.name
-    for suffix in (".tif", ".tiff", ".avi", ".npy", ".zarr", ".ome"):
-        stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and stem.lower() != suffix else stem
-    return path.with_name(stem + ending)
-
-
 def _read_text(path: Path) -> str:
     try:
         size = path.stat().st_size
-        if size > LARGEST_JSON:
+        if size > MAX_JSON_BYTES:
             raise CalibrationError(f"{path.name} has {size} bytes", "name the .json file that `calibrate` wrote")
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
@@ -180,7 +163,7 @@ def _read_arrays(path: Path, calibration: Calibration) -> dict[str, NDArray[np.f
             if not isinstance(file, np.lib.npyio.NpzFile) or file.zip is None:
                 raise CalibrationError(f"{path.name} holds no named arrays", "calibrate again")
             unpacked = sum(member.file_size for member in file.zip.infolist())
-            if unpacked > LARGEST_ARRAYS:
+            if unpacked > MAX_ARRAYS_BYTES:
                 raise CalibrationError(f"{path.name} unpacks to {unpacked} bytes", "calibrate again")
             present = [name for name in ARRAYS if name in file]
             for name in present:
@@ -219,15 +202,6 @@ def _checked(path: Path, name: str, array: NDArray[Any]) -> NDArray[np.float32]:
     if not np.isfinite(image).all():
         raise CalibrationError(f"{path.name}: the {name} holds NaN or infinity", "calibrate again")
     return image
-
-
-def _declares_our_format(path: Path) -> bool:
-    """Whether a file says that it is a calibration; if it is a broken one, reading it tells why."""
-    try:
-        with path.open("rb") as file:
-            return FORMAT.encode() in file.read(LARGEST_JSON)
-    except OSError:
-        return False
 
 
 def _refuse_constant(token: str) -> float:

@@ -12,7 +12,8 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import refuse_existing
-from napari_elsplus.io.calibrations import beside, write_calibration
+from napari_elsplus.io.calibration_lookup import beside
+from napari_elsplus.io.calibrations import write_calibration
 from napari_elsplus.io.formats import ome_xml as ome
 from napari_elsplus.io.formats.tiff_pages import PageLayout
 

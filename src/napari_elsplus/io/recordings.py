@@ -9,8 +9,9 @@ from weakref import finalize
 
 import numpy as np
 
-from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.io.calibrations import calibration_beside, parse_calibration, read_calibration
+from napari_elsplus.errors import InputError
+from napari_elsplus.io.calibration_lookup import find_calibration
+from napari_elsplus.io.formats.registry import format_to_read
 from napari_elsplus.io.formats.source import FrameSource, decoding
 
 if TYPE_CHECKING:
@@ -21,11 +22,9 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
 
-_ZARR_MARKS = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
-
 
 class Recording:
-    """Raw frames on disk, read when they are asked for; safe to index from several threads.
+    """Raw frames on disk, read when they are indexed; safe to index from several threads.
 
     Parameters
     ----------
@@ -46,7 +45,7 @@ class Recording:
         self.metadata: dict[str, Any] = {
             name: value for name, value in source.metadata.items() if name not in {"calibration", "times_s"}
         }
-        self._let_go = finalize(self, source.close)  # a viewer drops its recordings without a word
+        self._release = finalize(self, source.close)  # viewers drop recordings without closing them
         self._calibration_text: str | None = source.metadata.get("calibration")
 
     def __len__(self) -> int:
@@ -79,7 +78,7 @@ class Recording:
 
     @property
     def times_s(self) -> NDArray[np.float64] | None:
-        """Time of each frame in seconds, (T,), or None where the file does not know it."""
+        """Time of each frame in seconds, (T,), or None if the file has none."""
         with decoding(self.path, "the frames' times"):
             return self._open().times_s()
 
@@ -98,20 +97,27 @@ class Recording:
         CalibrationError
             If there is one and it is broken.
         """
-        beside = calibration_beside(self.path)
-        if beside is not None:
-            return read_calibration(beside)
-        if self._calibration_text is None:
-            return None
-        try:
-            return parse_calibration(self._calibration_text, name=self.path.name)
-        except CalibrationError as error:
-            raise CalibrationError(f"calibration in {error.problem}", "name another with -c") from None
+        return self.find_calibration()[0]
+
+    def find_calibration(self, active: Path | None = None) -> tuple[Calibration | None, Path | None]:
+        """Return the calibration to use and its file, if it lies in one: beside the recording, in it, else the active.
+
+        Parameters
+        ----------
+        active : pathlib.Path, optional
+            File of the active calibration, from :func:`napari_elsplus.io.settings.active_calibration`.
+
+        Raises
+        ------
+        CalibrationError
+            If it is broken.
+        """
+        return find_calibration(self.path, self._calibration_text, active)
 
     def close(self) -> None:
-        """Let go of the file; views that were handed out stay valid."""
+        """Close the file; views that were returned stay valid."""
         self._source = None
-        self._let_go()
+        self._release()
 
     def __enter__(self) -> Self:
         return self
@@ -135,8 +141,8 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     Parameters
     ----------
     path : path-like
-        One of our own recordings, any multi-page TIFF (grey, 8 or 16 bit or float), an AVI, a .npy file, an OME-Zarr
-        folder, or a folder of single TIFFs. A single image counts as one frame.
+        A recording of this software, any multi-page TIFF (grey, 8 or 16 bit or float), an AVI, a .npy file, an OME-Zarr
+        folder, a folder of single TIFFs, or any other registered format. A single image counts as one frame.
 
     Returns
     -------
@@ -159,29 +165,7 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     """
     path = Path(path)
     with decoding(path), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # whatever a reader remarks of a file that it opens is told, or is no matter
-        return Recording(_source(path))
-
-
-def _source(path: Path) -> FrameSource:
-    if path.is_dir():
-        if any((path / mark).is_file() for mark in _ZARR_MARKS):
-            from napari_elsplus.io.formats.arrays import OmeZarr
-
-            return OmeZarr(path)
-        from napari_elsplus.io.formats.tiff_folder import FolderOfTiffs
-
-        return FolderOfTiffs(path)
-    suffix = path.suffix.lower()
-    path.stat()  # a missing file is told before its kind
-    if suffix == ".avi":
-        from napari_elsplus.io.formats.avi import open_video
-
-        return open_video(path)
-    if suffix == ".npy":
-        from napari_elsplus.io.formats.arrays import NumpyFile
-
-        return NumpyFile(path)
-    from napari_elsplus.io.formats.tiff import open_tiff
-
-    return open_tiff(path)
+        warnings.simplefilter("ignore")  # what makes a file unreadable is raised; decoders' other remarks do not matter
+        opener = format_to_read(path).opener
+        assert opener is not None
+        return Recording(opener(path))

@@ -1,7 +1,7 @@
-"""What is remembered between runs: a TOML file in the user's configuration folder.
+"""Settings that persist between runs: a TOML file in the user's configuration folder.
 
-Each part of the software keeps a section of its own. A file that cannot be read or written costs the memory, not the
-work: a warning says so.
+Each part of the software has a section of its own. A file that cannot be read or written costs the settings and a
+warning, not the work.
 """
 
 from __future__ import annotations
@@ -9,41 +9,34 @@ from __future__ import annotations
 import tomllib
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import tomli_w
 
-from napari_elsplus.io import replacing
+from napari_elsplus.io.atomic import replacing
 from napari_elsplus.io.user_folders import config_folder
 
 if TYPE_CHECKING:
     import os
 
+_SECTION: Final = "calibration"
+_ACTIVE: Final = "active"
+_ACTIVE_BEFORE: Final = "in_force"  # the key that earlier versions wrote
+
 
 def settings_file() -> Path:
-    """Where the settings are kept."""
+    """Return the path of the settings file; it need not exist."""
     return config_folder() / "settings.toml"
 
 
 def recall(section: str) -> dict[str, Any]:
-    """Return what a section remembers; nothing at first.
-
-    Parameters
-    ----------
-    section : str
-        Name of the section.
-
-    Returns
-    -------
-    dict
-        Its keys and values.
-    """
+    """Return the keys and values of a section; empty if nothing was stored."""
     values = _all().get(section, {})
     return values if isinstance(values, dict) else {}
 
 
 def remember(section: str, **values: Any) -> None:
-    """Keep values in a section for the next run; None forgets one.
+    """Store values in a section for the next run; None removes one.
 
     Parameters
     ----------
@@ -65,14 +58,16 @@ def remember(section: str, **values: Any) -> None:
 
 
 def active_calibration() -> Path | None:
-    """Return the calibration file that recordings without one of their own are shown with, if it still exists."""
-    path = recall("calibration").get("in_force")
+    """Return the file of the active calibration, which applies to recordings without one of their own, if it exists."""
+    known = recall(_SECTION)
+    path = known.get(_ACTIVE, known.get(_ACTIVE_BEFORE))
     return Path(path) if isinstance(path, str) and Path(path).is_file() else None
 
 
 def set_active_calibration(calibration: str | os.PathLike[str] | None) -> None:
-    """Make a calibration file the one in force, or none."""
-    remember("calibration", in_force=None if calibration is None else str(Path(calibration).resolve()))
+    """Make a `calibration` file the active one; None leaves no active calibration."""
+    path = None if calibration is None else str(Path(calibration).resolve())
+    remember(_SECTION, **{_ACTIVE: path, _ACTIVE_BEFORE: None})
 
 
 def _all() -> dict[str, Any]:

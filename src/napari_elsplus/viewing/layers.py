@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import ElsPlusError
-from napari_elsplus.io import calibration_beside, open_recording, read_calibration
+from napari_elsplus.io import open_recording
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.io import Recording
     from napari_elsplus.viewing.lazy import LazyPlanes
 
     Layer = tuple[Any, dict[str, Any], str]
@@ -54,15 +53,15 @@ class Opened:
     notes: list[str]
 
 
-def open_layers(path: str | os.PathLike[str], in_force: Path | None = None) -> Opened:
+def open_layers(path: str | os.PathLike[str], active: Path | None = None) -> Opened:
     """Open a recording as lazy layers: the raw frames and, with a calibration, LS, residual, ELS+ and ELSA.
 
     Parameters
     ----------
     path : path-like
         Any recording that :func:`napari_elsplus.io.open_recording` opens.
-    in_force : pathlib.Path, optional
-        Calibration file for a recording that has none in it or beside it.
+    active : pathlib.Path, optional
+        File of the active calibration, for a recording that has none in it or beside it.
 
     Returns
     -------
@@ -81,32 +80,16 @@ def open_layers(path: str | os.PathLike[str], in_force: Path | None = None) -> O
         return Opened([finished_layer(stack)], [])
     notes = []
     try:
-        calibration, source = calibration_for(recording, in_force)
+        calibration, source = recording.find_calibration(active)
         layers = [] if calibration is None else image_layers(stack, calibration, source)
-        if source is not None and source == in_force:
-            notes.append(f"{stack.file_name} is shown with the calibration in force, {source.name}")
+        if source is not None and source == active:
+            notes.append(f"{stack.file_name} is shown with the active calibration, {source.name}")
     except ElsPlusError as error:
         calibration, source, layers = None, None, []
         notes.append(f"{stack.file_name} is shown as raw frames only. {error}")
     raw = raw_layer(stack, calibration, source)
     raw[1]["visible"] = not layers
     return Opened([raw, *layers], notes)
-
-
-def calibration_for(recording: Recording, in_force: Path | None = None) -> tuple[Calibration | None, Path | None]:
-    """Find the calibration of a recording: beside it, in it, or the one in force; and its file, if it has one.
-
-    Raises
-    ------
-    CalibrationError
-        If there is one and it is broken.
-    """
-    own = recording.calibration
-    if own is not None:
-        return own, calibration_beside(recording.path)
-    if in_force is None:
-        return None, None
-    return read_calibration(in_force), in_force
 
 
 def raw_layer(stack: Stack, calibration: Calibration | None = None, source: Path | None = None) -> Layer:

@@ -32,7 +32,7 @@ def live_script(rig: str, settings: Settings, view: LiveView, plan: RecordingPla
     plan : RecordingPlan
         What is recorded; ten seconds if it says neither seconds nor frames.
     calibration : Path, optional
-        The file of the calibration in force; the simulated rig calibrates itself without.
+        File of the active calibration; the simulated rig calibrates itself without.
 
     Raises
     ------

@@ -43,7 +43,7 @@ def calibration_layers(path: str | os.PathLike[str]) -> Opened:
     """
     path = Path(path)
     calibration = read_calibration(path)
-    note = f"{path.name} is the calibration in force: {summary(calibration)}"
+    note = f"{path.name} is the active calibration: {summary(calibration)}"
     if calibration.bundle is None:
         return Opened([], [note])
     return Opened([outline_layer(calibration, f"{path.name.removesuffix('.json')} bundle", path)], [note])

@@ -9,7 +9,7 @@ import numpy as np
 
 from napari_elsplus import __version__
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.io import beside, read_depths_um
+from napari_elsplus.io import existing_beside, read_depths_um
 from napari_elsplus.processing.images.sectioning import side_px
 from napari_elsplus.viewing.lazy import raw_planes
 
@@ -51,9 +51,9 @@ class Stack:
     def of(cls, recording: Recording) -> Stack:
         """Describe an open recording; it is a scan of depths if NAME.depths.csv lies beside it."""
         name = recording.path.name.split(".")[0] or recording.path.name
-        depths = beside(recording.path, ".depths.csv")
-        depth_um = read_depths_um(depths) if depths.is_file() else None
-        if depth_um is not None and len(depth_um) != len(recording):
+        depths = existing_beside(recording.path, ".depths.csv")
+        depth_um = None if depths is None else read_depths_um(depths)
+        if depths is not None and depth_um is not None and len(depth_um) != len(recording):
             raise InputError(
                 f"{depths.name} holds {len(depth_um)} depths, {recording.path.name} {len(recording)} frames",
                 "one depth per frame is expected: mend or remove the file",

@@ -152,7 +152,7 @@ class Engine:
 
     @property
     def calibration(self) -> Calibration | None:
-        """The calibration in force."""
+        """The active calibration."""
         return self._calibration
 
     # streaming

@@ -10,6 +10,7 @@ import numpy as np
 
 from napari_elsplus.cli.options import FILE, force_option, output_option, progress, refuse_outputs
 from napari_elsplus.io import open_recording, read_calibration, read_depths_um, replacing
+from napari_elsplus.io.formats.registry import supported_recordings
 from napari_elsplus.workflows.axial import measure_axial_response
 
 if TYPE_CHECKING:
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.analysis.axial_response import AxialResponse, DropOff
 
 
-@click.command(short_help="Axial response from a scan of depths.")
+@click.command(
+    short_help="Axial response from a scan of depths.",
+    epilog=f"SCAN is one of: {supported_recordings()}.",
+)
 @click.argument("scan", type=FILE)
 @click.option("-c", "--calibration", type=FILE, help="Calibration; by default the one in or beside the scan.")
 @click.option("--depths", type=FILE, help="CSV with header `depth_um`, a line per frame; by default beside the scan.")

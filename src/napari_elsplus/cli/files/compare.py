@@ -8,6 +8,7 @@ import click
 
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, refuse_outputs
 from napari_elsplus.io import open_recording, read_calibration
+from napari_elsplus.io.formats.registry import supported_recordings
 from napari_elsplus.workflows.pictures.comparison import TITLES, compare
 from napari_elsplus.workflows.pictures.files import refuse_format
 
@@ -15,7 +16,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-@click.command(short_help="LS, ELSA and ELS+ of one frame side by side.")
+@click.command(
+    short_help="LS, ELSA and ELS+ of one frame side by side.",
+    epilog=f"RAW is one of: {supported_recordings()}.",
+)
 @click.argument("raw", type=FILE)
 @calibration_option
 @click.option("--frame", default=0, show_default=True, help="Which raw frame; ELSA also takes the next.")

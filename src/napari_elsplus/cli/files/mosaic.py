@@ -8,6 +8,7 @@ import click
 
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress, refuse_outputs
 from napari_elsplus.io import open_recording, read_calibration
+from napari_elsplus.io.formats.registry import supported_recordings
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.registry import Method, tracking_methods
@@ -17,7 +18,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-@click.command(short_help="Track the probe, and lay its frames into a mosaic.")
+@click.command(
+    short_help="Track the probe, and lay its frames into a mosaic.",
+    epilog=f"RAW is one of: {supported_recordings()}.",
+)
 @click.argument("raw", type=FILE)
 @calibration_option
 @click.option(

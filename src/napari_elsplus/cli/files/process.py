@@ -8,6 +8,7 @@ import click
 
 from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress, refuse_outputs
 from napari_elsplus.io import open_recording, read_calibration
+from napari_elsplus.io.formats.registry import supported_recordings
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.sectioning import section
@@ -16,7 +17,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-@click.command(short_help="LS, residual, ELS+ or ELSA images of raw frames.")
+@click.command(
+    short_help="LS, residual, ELS+ or ELSA images of raw frames.",
+    epilog=f"RAW is one of: {supported_recordings()}.",
+)
 @click.argument("raw", type=FILE)
 @calibration_option
 @click.option(

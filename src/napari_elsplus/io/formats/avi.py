@@ -6,10 +6,10 @@ import subprocess
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
-import imageio_ffmpeg
 import numpy as np
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource, decoding
 
 if TYPE_CHECKING:
@@ -17,14 +17,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-SHORT_JUMP: Final = 30
-"""Frames; a jump forwards that is no longer is read through rather than sought."""
+MAX_SKIPPED_FRAMES: Final = 30
+"""A jump forwards of at most so many frames decodes those between; a longer one starts the decoder again. Chosen: about
+what the start of ffmpeg costs; any value from 10 to 100 does."""
 
 
 class Video(FrameSource):
-    """Frames of a video; going forwards is fast, a jump starts the decoder anew."""
+    """Frames of a video, decoded in sequence; a jump backwards or far forwards starts the decoder again."""
 
     def __init__(self, path: Path) -> None:
+        import imageio_ffmpeg
+
         rows, cols = _first_frame_shape(path)
         count, duration_s = imageio_ffmpeg.count_frames_and_secs(str(path))
         if count < 1 or not duration_s > 0:
@@ -36,9 +39,9 @@ class Video(FrameSource):
         super().__init__(path, (count, rows, cols), np.dtype(np.uint8), {"frame_period_s": self._period_s})
 
     def frame(self, index: int) -> NDArray[Any]:
-        """Read one frame, (rows, cols), as the file holds it."""
+        """Return frame `index`, (rows, cols) of uint8."""
         with self._lock:
-            if self._decoder is None or not 0 <= index - self._next <= SHORT_JUMP:
+            if self._decoder is None or not 0 <= index - self._next <= MAX_SKIPPED_FRAMES:
                 self._start_at(index)
             while self._next < index:
                 self._read(index)
@@ -50,7 +53,7 @@ class Video(FrameSource):
         return np.ascontiguousarray(grey)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Stop the decoder."""
         with self._lock:
             self._stop()
 
@@ -85,7 +88,13 @@ class Video(FrameSource):
 
 
 def open_video(path: Path) -> FrameSource:
-    """Open an AVI file; its first frame tells whether it is grey."""
+    """Open the AVI file at `path`.
+
+    Raises
+    ------
+    InputError
+        If it is empty, cannot be decoded, or its first frame is in colour.
+    """
     if path.stat().st_size == 0:
         raise InputError(f"{path.name} is empty", "copy or record it again")
     with decoding(path):
@@ -99,6 +108,8 @@ def open_video(path: Path) -> FrameSource:
 
 
 def _command(*options: str) -> list[str]:
+    import imageio_ffmpeg
+
     return [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-v", "error", *options]
 
 
@@ -108,7 +119,10 @@ def _first_frame_shape(path: Path) -> tuple[int, int]:
     run = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
     header = run.stdout[:40].split()
     if run.returncode or header[:1] != [b"P6"]:
-        said = run.stderr.decode(errors="replace").strip().splitlines()
-        reason = said[-1] if said else "no frame"
+        messages = run.stderr.decode(errors="replace").strip().splitlines()
+        reason = messages[-1] if messages else "no frame"
         raise InputError(f"{path.name} cannot be decoded ({reason:.100})", "the file is damaged or no video")
     return int(header[2]), int(header[1])
+
+
+AVI: Final = FileFormat("AVI", (".avi",), open_video)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import tifffile
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
@@ -70,6 +69,8 @@ def write_stack(
     InputError
         If there is no image, the images differ, or the file exists and `force` is not given.
     """
+    import tifffile
+
     with replacing(path, force=force) as beside:
         planes = alike(images)
         first = next(planes)
@@ -153,6 +154,8 @@ def write_mosaic(
     InputError
         If the image is no mosaic, or the file exists and `force` is not given.
     """
+    import tifffile
+
     with replacing(path, force=force) as beside:
         image = np.ascontiguousarray(image)
         if image.ndim != 2 or image.size == 0:

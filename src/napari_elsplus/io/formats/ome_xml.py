@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree
 
 import numpy as np
-import tifffile
 
 from napari_elsplus import __version__
 from napari_elsplus.instrument.calibration import FORMAT
@@ -72,6 +71,8 @@ def put_into_first_page(
     **known
         As :func:`description`.
     """
+    import tifffile
+
     count, rows, cols = shape
     xml = tifffile.OmeXml(creator=SOFTWARE)
     xml.addimage(dtype.name, shape, (count, 1, 1, rows, cols, 1), axes=axes, **description(**known))

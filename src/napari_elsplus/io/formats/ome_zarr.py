@@ -1,21 +1,96 @@
-"""Finished images to OME-Zarr (version 0.5, on zarr 3), one plane per chunk."""
+"""OME-Zarr folders: recordings of any version and zarr format are read; version 0.5 is written, a plane per chunk."""
 
 from __future__ import annotations
 
+import json
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
 from napari_elsplus.io.formats.ome_tiff import alike
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
+from napari_elsplus.io.formats.registry import FileFormat
+from napari_elsplus.io.formats.source import FrameSource, positive
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+
+NOTES: Final = "napari-elsplus"
+"""Attribute of the group that keeps settings, software and calibration."""
+_TO_UM: Final = {"micrometer": 1.0, "nanometer": 1e-3, "millimeter": 1e3, "meter": 1e6}
+_TO_S: Final = {"second": 1.0, "millisecond": 1e-3, "microsecond": 1e-6, "minute": 60.0}
+
+
+class OmeZarr(FrameSource):
+    """Frames of an OME-Zarr image (metadata of zarr format 2 or 3), or of a plain zarr array; full resolution."""
+
+    def __init__(self, path: Path) -> None:
+        import zarr
+
+        node = zarr.open(path, mode="r")
+        known: dict[str, Any] = {}
+        if isinstance(node, zarr.Group):
+            node, known = _full_resolution(path, node)
+        if not isinstance(node, zarr.Array):
+            raise InputError(f"{path.name} holds no array", "name an OME-Zarr image")
+        leading = node.shape[:-2]
+        if node.ndim < 2 or sum(size > 1 for size in leading) > 1:
+            raise InputError(f"{path.name} has shape {node.shape}", "a stack of frames (T, rows, cols) is expected")
+        if node.ndim > 3 and node.shape[-4:-2][0] in (3, 4) and "c" in known.get("axes", "")[-4:-2]:
+            raise InputError(f"{path.name} has {node.shape} pixels in colour", "save it as grey levels")
+        count = int(np.prod(leading, dtype=np.int64))
+        super().__init__(path, (count, *node.shape[-2:]), np.dtype(node.dtype), known)
+        self._leading = leading
+        self._array: Any = node
+
+    def frame(self, index: int) -> NDArray[Any]:
+        """Return frame `index`, (rows, cols), as stored."""
+        place: tuple[Any, ...] = np.unravel_index(index, self._leading) if self._leading else ()
+        return np.asarray(self._array[(*(int(step) for step in place), ...)])
+
+
+def _full_resolution(path: Path, group: Any) -> tuple[Any, dict[str, Any]]:
+    attributes: Mapping[str, Any] = dict(group.attrs)
+    notes = attributes.get(NOTES)
+    attributes = attributes.get("ome", attributes)
+    scales = attributes.get("multiscales")
+    if not scales:
+        raise InputError(f"{path.name} has no multiscales metadata", "name an OME-Zarr image")
+    image = scales[0]
+    level = image["datasets"][0]
+    axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in image.get("axes", ())]
+    transforms = [*level.get("coordinateTransformations", ()), *image.get("coordinateTransformations", ())]
+    scale = [1.0] * len(axes)
+    for transform in transforms:
+        if transform.get("type") == "scale" and len(transform["scale"]) == len(axes):
+            scale = [a * b for a, b in zip(scale, transform["scale"], strict=True)]
+    known: dict[str, Any] = {"axes": "".join(axis["name"][:1] for axis in axes)}
+    if isinstance(notes, dict):
+        known["settings"] = {name: value for name, value in notes.items() if name != "calibration"}
+        if "calibration" in notes:
+            known["calibration"] = json.dumps(notes["calibration"])
+    known |= _scales(axes, scale if transforms else ())
+    return group[level["path"]], known
+
+
+def _scales(axes: Sequence[Mapping[str, Any]], scale: Sequence[float]) -> dict[str, float]:
+    known: dict[str, float] = {}
+    for axis, step in zip(axes, scale, strict=False):
+        unit = axis.get("unit", "")
+        if axis["name"] == "x" and unit in _TO_UM and (size := positive(step)):
+            known["um_per_px"] = size * _TO_UM[unit]
+        if axis["name"] == "t" and unit in _TO_S and (period := positive(step)):
+            known["frame_period_s"] = period * _TO_S[unit]
+    return known
 
 
 def write_ome_zarr(
@@ -25,6 +100,7 @@ def write_ome_zarr(
     um_per_px: float | None = None,
     frame_period_s: float | None = None,
     metadata: Mapping[str, Any] | None = None,
+    calibration: Calibration | None = None,
     force: bool = False,
 ) -> int:
     """Write equal images to an OME-Zarr folder, one after the other, holding one at a time.
@@ -36,11 +112,13 @@ def write_ome_zarr(
     images : iterable of numpy.ndarray, (rows, cols)
         Equal in shape and type.
     um_per_px : float, optional
-        Pixel size.
+        Pixel size; the calibration's by default.
     frame_period_s : float, optional
-        Time from one image to the next.
+        Time from one image to the next; the calibration's by default.
     metadata : mapping, optional
         Anything else to keep; must be fit for JSON.
+    calibration : Calibration, optional
+        Kept in the attributes, without its arrays.
     force : bool
         Whether an existing folder may be replaced.
 
@@ -63,6 +141,9 @@ def write_ome_zarr(
     target = Path(path)
     if target.suffix != ".zarr":
         raise InputError(f"{target.name} is no name for an OME-Zarr folder", "let it end in .zarr")
+    if calibration is not None:
+        um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
+        frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
     with replacing(target, force=force) as beside:
         planes = alike(images)
         first = next(planes)
@@ -77,7 +158,8 @@ def write_ome_zarr(
             "version": "0.5",
             "multiscales": [_multiscale(target.name.split(".")[0], um_per_px, frame_period_s)],
         }
-        group.attrs["napari-elsplus"] = {"software": SOFTWARE, **(metadata or {})}
+        kept = {} if calibration is None else {"calibration": calibration.content()}
+        group.attrs[NOTES] = {"software": SOFTWARE, **(metadata or {}), **kept}
     return count
 
 
@@ -94,3 +176,13 @@ def _multiscale(name: str, um_per_px: float | None, frame_period_s: float | None
     scale = [frame_period_s or 1.0, um_per_px or 1.0, um_per_px or 1.0]
     datasets = [{"path": "0", "coordinateTransformations": [{"type": "scale", "scale": scale}]}]
     return {"name": name, "axes": axes, "datasets": datasets}
+
+
+OME_ZARR: Final = FileFormat(
+    "OME-Zarr",
+    (".zarr",),
+    OmeZarr,
+    write_ome_zarr,
+    written_suffixes=(".ome.zarr", ".zarr"),
+    folder_markers=("zarr.json", ".zgroup", ".zarray", ".zattrs"),
+)

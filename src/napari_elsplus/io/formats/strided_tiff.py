@@ -10,7 +10,6 @@ import mmap
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import tifffile
 
 from napari_elsplus.io.formats import ome_xml as ome
 from napari_elsplus.io.formats.source import FrameSource
@@ -19,6 +18,7 @@ from napari_elsplus.io.formats.tiff_pages import STAMP_TAG
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import tifffile
     from numpy.typing import NDArray
 
 MAPPED_AT_MOST: Final = 64 << 20
@@ -108,7 +108,9 @@ class StridedTiff(FrameSource):
 
 
 def is_strided(first: tifffile.TiffPage) -> bool:
-    """Whether a file is one of our own recordings, judged by its first page."""
+    """Return True if the `first` page of a file has the layout of this software's recordings."""
+    import tifffile
+
     stamp = first.tags.get(STAMP_TAG)
     return (
         stamp is not None

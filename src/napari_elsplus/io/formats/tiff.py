@@ -1,17 +1,18 @@
-"""Any multi-page TIFF: 8 or 16 bit, compressed or not, plain, ImageJ or OME."""
+"""Multi-page TIFF files: 8 or 16 bit or float, compressed or not, plain, ImageJ or OME."""
 
 from __future__ import annotations
 
 import logging
 from contextlib import contextmanager
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import tifffile
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.formats import ome_xml as ome
+from napari_elsplus.io.formats.ome_tiff import write_stack
+from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource, decoding, positive
 from napari_elsplus.io.formats.strided_tiff import StridedTiff, is_strided
 
@@ -19,22 +20,25 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    import tifffile
     from numpy.typing import NDArray
 
-logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what it complains of, we raise
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # the errors that it logs are raised here
 
 
 class PagedTiff(FrameSource):
-    """Frames of a TIFF that others wrote, decoded one at a time."""
+    """Frames of a TIFF file that other software wrote, decoded one at a time."""
 
     def __init__(self, path: Path, tiff: tifffile.TiffFile) -> None:
+        import tifffile
+
         self._tiff = tiff
         self._lock = Lock()
         tiff.filehandle.set_lock(True)
-        with _complaints() as complaints:
+        with _logged_errors() as errors:
             series = tiff.series
-        if complaints:
-            raise InputError(f"{path.name} is truncated or damaged ({complaints[0]:.80})", "copy or record it again")
+        if errors:
+            raise InputError(f"{path.name} is truncated or damaged ({errors[0]:.80})", "copy or record it again")
         first = series[0]
         page = first.keyframe
         if page.photometric == tifffile.PHOTOMETRIC.PALETTE or page.samplesperpixel > 1:
@@ -57,7 +61,7 @@ class PagedTiff(FrameSource):
             self._refuse_truncated(len(first.pages))
 
     def frame(self, index: int) -> NDArray[Any]:
-        """Read one frame, (rows, cols), as the file holds it."""
+        """Return frame `index`, (rows, cols), as stored."""
         if self._mapped is not None:
             return self._mapped[index, :, :]
         with self._lock:
@@ -87,22 +91,28 @@ class PagedTiff(FrameSource):
             raise InputError(f"{self.path.name} is truncated in its last frame", "copy or record it again")
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._mapped = None
         self._tiff.close()
 
 
 def open_tiff(path: Path) -> FrameSource:
-    """Open a TIFF file: our own by its layout, any other page by page."""
+    """Open the TIFF file at `path`: a recording of this software by its layout, any other page by page.
+
+    Raises
+    ------
+    InputError
+        If it is empty, no TIFF file, truncated, in colour, or holds several image series.
+    """
+    import tifffile
+
     size = path.stat().st_size
     if size == 0:
         raise InputError(f"{path.name} is empty", "copy or record it again")
     try:
         tiff = tifffile.TiffFile(path)
     except tifffile.TiffFileError:
-        raise InputError(
-            f"{path.name} is no TIFF file", "name a TIFF, AVI, .npy, OME-Zarr or a folder of TIFFs"
-        ) from None
+        raise InputError(f"{path.name} is no TIFF file", "name a recording; its suffix gives its format") from None
     try:
         first = tiff.pages.first
         if is_strided(first):
@@ -117,7 +127,7 @@ def open_tiff(path: Path) -> FrameSource:
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """Read a TIFF that holds one grey image, (rows, cols)."""
+    """Return the one grey image, (rows, cols), of the TIFF file at `path`."""
     with decoding(path):
         source = open_tiff(path)
         try:
@@ -146,8 +156,8 @@ def _metadata(tiff: tifffile.TiffFile) -> dict[str, Any]:
 
 
 @contextmanager
-def _complaints() -> Iterator[list[str]]:
-    """Collect what tifffile logs as errors instead of raising."""
+def _logged_errors() -> Iterator[list[str]]:
+    """Collect the errors that tifffile logs instead of raising."""
     collected: list[str] = []
 
     class Collector(logging.Handler):
@@ -160,3 +170,13 @@ def _complaints() -> Iterator[list[str]]:
         yield collected
     finally:
         logger.removeHandler(handler)
+
+
+TIFF: Final = FileFormat(
+    "TIFF",
+    (".tif", ".tiff", ".btf"),
+    open_tiff,
+    write_stack,
+    written_suffixes=(".ome.tif", ".tif", ".tiff"),
+    signatures=(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
+)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource
-from napari_elsplus.io.formats.tiff import read_image
+from napari_elsplus.io.formats.tiff import TIFF, read_image
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -15,25 +16,27 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-class FolderOfTiffs(FrameSource):
-    """Frames of a folder; each file is opened when its frame is asked for."""
+class TiffFolder(FrameSource):
+    """Frames of a folder, (rows, cols) each; a file is opened when its frame is read."""
 
     def __init__(self, path: Path) -> None:
         self.files = sorted(
             (
                 file
                 for file in path.iterdir()
-                if file.suffix.lower() in {".tif", ".tiff"} and not file.name.startswith(".")
+                if file.name.lower().endswith(TIFF.suffixes) and not file.name.startswith(".")
             ),
             key=natural_order,
         )
         if not self.files:
-            raise InputError(f"the folder {path.name} holds no TIFF files", "name a folder of .tif or .tiff files")
+            raise InputError(
+                f"the folder {path.name} holds no TIFF files", f"name a folder of {' or '.join(TIFF.suffixes)} files"
+            )
         first = read_image(self.files[0])
         super().__init__(path, (len(self.files), *first.shape), first.dtype)
 
     def frame(self, index: int) -> NDArray[Any]:
-        """Read one frame, (rows, cols), as the file holds it."""
+        """Return frame `index`, (rows, cols), as stored."""
         image = read_image(self.files[index])
         if image.dtype != self.dtype:
             raise InputError(
@@ -49,7 +52,7 @@ class FolderOfTiffs(FrameSource):
 
 
 def natural_order(path: Path) -> list[tuple[int, str]]:
-    """Sort key that counts: numbers in names compare as numbers.
+    """Return a sort key of `path` by which numbers in file names compare as numbers.
 
     Examples
     --------
@@ -59,3 +62,6 @@ def natural_order(path: Path) -> list[tuple[int, str]]:
     """
     parts = re.split(r"([0-9]+)", path.name.lower())
     return [(int(part), "") if part.isdecimal() and part.isascii() else (-1, part) for part in parts]
+
+
+TIFF_FOLDER: Final = FileFormat("folder of TIFFs", (), TiffFolder, folder_markers=())

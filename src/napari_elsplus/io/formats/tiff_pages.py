@@ -11,7 +11,6 @@ import struct
 from typing import Any, Final
 
 import numpy as np
-import tifffile
 
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 
@@ -49,6 +48,8 @@ class PageLayout:
     """
 
     def __init__(self, frame_shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
+        import tifffile
+
         example = _example(frame_shape, dtype)
         with tifffile.TiffFile(io.BytesIO(example)) as file:
             first, second = file.pages.first, file.pages[1]
@@ -82,7 +83,9 @@ class PageLayout:
 
 
 def _example(frame_shape: tuple[int, int], dtype: np.dtype[Any]) -> bytes:
-    """Two pages as tifffile writes them."""
+    """Return a file of two empty pages, as tifffile writes it."""
+    import tifffile
+
     buffer, frame = io.BytesIO(), np.zeros(frame_shape, dtype)
     with tifffile.TiffWriter(buffer, bigtiff=True, byteorder="<") as writer:
         for _ in range(2):

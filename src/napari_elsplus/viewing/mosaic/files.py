@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import refuse_existing, write_mosaic, write_track
+from napari_elsplus.io.formats.registry import recording_stem
 from napari_elsplus.processing.mosaicing.sheet import Sheet
 from napari_elsplus.viewing.mosaic.growing import white_of
 from napari_elsplus.viewing.stack import files_for_script
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from napari_elsplus.viewing.mosaic.mosaics import Mosaics
     from napari_elsplus.viewing.stack import Stack
     from napari_elsplus.workflows.mosaic_plan import MosaicPlan
-
-ENDINGS: Final = (".ome.tif", ".ome.tiff", ".tif", ".tiff")
 
 
 def save_mosaics(
@@ -52,7 +51,7 @@ def save_mosaics(
     InputError
         If nothing was drawn, or a file exists and may not be replaced.
     """
-    name = next((path.name[: -len(ending)] for ending in ENDINGS if path.name.lower().endswith(ending)), path.name)
+    name = recording_stem(path.name)
     several = len(mosaics.canvases) > 1
     names = {mode: f"{name}-{mode.value}" if several else name for mode in mosaics.canvases}
     table = path.with_name(f"{name}.track.csv")
@@ -98,6 +97,7 @@ from pathlib import Path
 
 from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+from napari_elsplus.io.formats.registry import recording_stem
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.mosaic.files import save_mosaics

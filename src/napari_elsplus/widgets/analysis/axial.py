@@ -12,6 +12,7 @@ from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing
+from napari_elsplus.io.formats.registry import AXIAL_RESPONSES, PICTURE, TABLE, dialog_filter
 from napari_elsplus.viewing.axial import (
     Against,
     HandScan,
@@ -232,7 +233,7 @@ class AxialResponsePanel(Panel):
         self.plot.follow(self.viewer.theme)
 
     def _ask_where_to_save(self) -> None:
-        kinds = "Picture (*.png);;Table (*.csv);;Scans (*.json)"
+        kinds = dialog_filter(PICTURE, TABLE, AXIAL_RESPONSES)
         path, _ = QFileDialog.getSaveFileName(self, "Save the axial response", "axial.png", kinds)
         if path:
             with told():

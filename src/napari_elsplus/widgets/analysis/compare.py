@@ -10,6 +10,7 @@ from magicgui.widgets import ComboBox, Container, PushButton
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
+from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
@@ -282,7 +283,7 @@ class ComparePanel(Panel):
         self.show_numbers()
 
     def _ask_where_to_save(self) -> None:
-        kinds = "Picture (*.png);;Table (*.csv)"
+        kinds = dialog_filter(PICTURE, TABLE)
         path, _ = QFileDialog.getSaveFileName(self, "Save the profiles", "profiles.png", kinds)
         if path:
             with told():

@@ -11,6 +11,7 @@ from napari.layers import Image, Shapes
 from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QVBoxLayout
 
 from napari_elsplus.errors import CalibrationError
+from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
 from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT
 from napari_elsplus.processing.analysis.resolution import RESOLVED_CONTRAST
 from napari_elsplus.processing.images.cores import CoreFilter
@@ -243,7 +244,7 @@ class QualityPanel(Panel):
         self.plot.follow(self.viewer.theme)
 
     def _ask_where_to_save(self) -> None:
-        kinds = "Picture (*.png);;Table (*.csv)"
+        kinds = dialog_filter(PICTURE, TABLE)
         path, _ = QFileDialog.getSaveFileName(self, "Save the profile", "edge.png", kinds)
         if path:
             with told():

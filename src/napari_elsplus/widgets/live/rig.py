@@ -16,6 +16,7 @@ from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS, preset
 from napari_elsplus.io import read_calibration, write_calibration
+from napari_elsplus.io.formats.registry import CALIBRATION, dialog_filter
 from napari_elsplus.io.settings import recall, remember, set_active_calibration
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import told
@@ -234,11 +235,13 @@ class RigPanel(EnginePanel):
         return "<br>".join(lines)
 
     def _ask_for_file(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Calibration", "", "Calibration (*.json)")
+        path, _ = QFileDialog.getOpenFileName(self, "Calibration", "", dialog_filter(CALIBRATION))
         if path:
             self.load(Path(path))
 
     def _ask_where_to_save(self) -> None:
-        path, _ = QFileDialog.getSaveFileName(self, "Save the calibration", "calibration.json", "Calibration (*.json)")
+        path, _ = QFileDialog.getSaveFileName(
+            self, "Save the calibration", "calibration.json", dialog_filter(CALIBRATION)
+        )
         if path:
             self.save(Path(path))

@@ -13,6 +13,8 @@ from qtpy.QtWidgets import QFileDialog
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.io import read_calibration
+from napari_elsplus.io.formats.registry import dialog_filter, recordings_filter
+from napari_elsplus.io.formats.tiff import TIFF
 from napari_elsplus.viewing.mosaic.files import mosaic_script, save_mosaics
 from napari_elsplus.viewing.mosaic.live import LiveMosaicView
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
@@ -327,14 +329,14 @@ class MosaicPanel(EnginePanel):
         self.refresh()
 
     def _ask_for_file(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Recording", "", "Recordings (*.tif *.tiff *.btf *.avi *.npy)")
+        path, _ = QFileDialog.getOpenFileName(self, "Recording", "", recordings_filter())
         if path:
             self.viewer.open(path, plugin="napari-elsplus")
 
     def _ask_where_to_save(self) -> None:
         if not self.form.saving.enabled:
             return
-        path, _ = QFileDialog.getSaveFileName(self, "Save mosaics", "mosaic.ome.tif", "OME-TIFF (*.ome.tif)")
+        path, _ = QFileDialog.getSaveFileName(self, "Save mosaics", "mosaic.ome.tif", dialog_filter(TIFF, writing=True))
         if path:
             self.save(Path(path))
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from napari_elsplus.io import read_calibration
-from napari_elsplus.io.settings import active_calibration
+from napari_elsplus.io.calibration_lookup import active_calibration_for_rig
 from napari_elsplus.widgets.shared.asking import Asking
 from napari_elsplus.widgets.shared.connection import join
 from napari_elsplus.widgets.shared.panel import Panel, told
@@ -50,15 +49,12 @@ class EnginePanel(Panel):
 
         Notes
         -----
-        What the panels share comes first, then the file in force unless it was made on another rig.
+        What the panels share comes first, then the active calibration unless it was acquired with another rig.
         """
         known, path = self.connection.calibration, self.connection.calibration_file
-        file = active_calibration()
-        if known is None and file is not None:
+        if known is None:
             with told():
-                read = read_calibration(file)
-                if read.acquired_with is None or read.acquired_with.rig in (None, self.connection.rig):
-                    known, path = read, file
+                known, path = active_calibration_for_rig(self.connection.rig)
         if known is None or client.calibration is not None:
             then()
         else:

@@ -1,0 +1,39 @@
+"""NumPy files (.npy): one stack, mapped into memory and never unpickled."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io.formats.registry import FileFormat
+from napari_elsplus.io.formats.source import FrameSource
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+
+class NumpyFile(FrameSource):
+    """Frames of a .npy file, mapped."""
+
+    def __init__(self, path: Path) -> None:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        if not isinstance(array, np.memmap):
+            array.close()
+            raise InputError(f"{path.name} is an archive of arrays", "save one stack with numpy.save")
+        super().__init__(path, array.shape, array.dtype)
+        self._array: NDArray[Any] = array.reshape(self.shape)
+
+    def frame(self, index: int) -> NDArray[Any]:
+        """Return frame `index`, (rows, cols), a read-only view of the file."""
+        return self._array[index, :, :]
+
+    def close(self) -> None:
+        """Release the file."""
+        self._array = np.empty((0, *self.shape[1:]), self.stored_dtype)
+
+
+NPY: Final = FileFormat("NumPy", (".npy",), NumpyFile, signatures=(b"\x93NUMPY",))
