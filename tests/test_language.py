@@ -21,9 +21,11 @@ PROJECT = Path(__file__).resolve().parents[1]
 PACKAGE = PROJECT / "src" / "napari_elsplus"
 RETIRED = [line for line in (PROJECT / "docs" / "retired-names.txt").read_text("utf-8").splitlines() if line[:1] != "#"]
 DOCUMENTED: tuple[str, ...] = (
+    "cli/files",
     "diagnosis",
     "hardware",
     "processing/mosaicing",
+    "workflows",
 )
 """Folders of which every public function documents its parameters."""
 LONGEST_MODULE = 400

@@ -69,7 +69,7 @@ def test_every_command_explains_itself(name: str) -> None:
 def test_without_a_screen_it_says_what_to_do(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(window, "ask_for_screen", lambda: Screen(False, "DISPLAY is not set"))
+    monkeypatch.setattr(window, "probe_screen", lambda: Screen(False, "DISPLAY is not set"))
     code, said = leaves([], capsys)
     assert code == 2
     assert said.startswith("napari-elsplus: no window can be opened (DISPLAY is not set): start it on a desktop")
@@ -77,7 +77,7 @@ def test_without_a_screen_it_says_what_to_do(
 
 def test_with_a_screen_it_opens_napari(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
-    monkeypatch.setattr(window, "ask_for_screen", lambda: Screen(True, "xcb"))
+    monkeypatch.setattr(window, "probe_screen", lambda: Screen(True, "xcb"))
     monkeypatch.setattr(window.runpy, "run_module", lambda name, run_name: opened.append(name))
     main([])
     assert opened == ["napari_elsplus._window"]

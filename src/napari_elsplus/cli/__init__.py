@@ -1,6 +1,6 @@
-"""The door without a screen: a module per command, each a thin layer over one public function.
+"""The command line: a module per command, each a thin layer over one public function.
 
-A command's module is imported when the command is run or described, so that ``napari-elsplus doctor`` answers at once.
+A command's module is imported when the command is run, so that ``napari-elsplus --help`` and wrong options are quick.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ COMMANDS: dict[str, str] = {
 }
 """The commands, and the folder below this one in which each has a module of its name that defines ``command``."""
 MOVED: dict[str, str] = {"bench": "run `python3 run.py bench` in a checkout of the project"}
-"""Commands of earlier versions, and what does their work now."""
+"""Commands of earlier versions, and their replacements."""
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -57,7 +57,7 @@ def elsplus(ctx: click.Context) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit: 0 on success, 2 and one line for bad input, 130 when interrupted."""
+    """Run the command line with these arguments and exit; see :func:`run_program`."""
     run_program(elsplus, "napari-elsplus", arguments)
 
 
@@ -69,7 +69,7 @@ def run_program(command: click.Command, name: str, arguments: list[str] | None =
     command : click.Command
         The command or group.
     name : str
-        Name of the program, which begins the line of an error.
+        Name of the program, the first word of an error line.
     arguments : list of str, optional
         The command line without the program's name; by default that of this process.
 

@@ -1,4 +1,4 @@
-"""Options that several commands share, what they refuse, and the progress bar of all of them."""
+"""Options that several commands share, tests of their values, and the progress bar."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class _Number(type(click.FLOAT)):  # type: ignore[misc] # click does not export its class
-    """A finite number; click's own lets not-a-number and infinity pass."""
+    """A finite number; click's own type accepts NaN and infinity."""
 
     def __init__(self, *, positive: bool = False) -> None:
         self._positive = positive
@@ -35,7 +35,7 @@ class _Number(type(click.FLOAT)):  # type: ignore[misc] # click does not export 
 
 
 class _Named(click.Path):
-    """A path that is not empty."""
+    """A path of at least one character."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value == "":
@@ -48,20 +48,29 @@ NUMBER, POSITIVE = _Number(), _Number(positive=True)
 SEED = click.IntRange(0, (1 << 31) - 1)
 
 calibration_option = click.option(
-    "-c", "--calibration", type=FILE, required=True, help="The rig's calibration, as `calibrate` writes it."
+    "-c", "--calibration", type=FILE, required=True, help="Calibration file, as written by `calibrate`."
 )
 output_option = click.option("-o", "--output", type=FILE, required=True, help="File to write.")
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output file.")
 
 
 def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | None] = ()) -> None:
-    """Make sure, before any work is done, that all files that are asked for may be written.
+    """Refuse output files that may not be written, before any work is done.
+
+    Parameters
+    ----------
+    *paths : pathlib.Path or None
+        Files to write; None for an option that was not given.
+    force : bool
+        Accept existing files.
+    inputs : iterable of pathlib.Path or None
+        Files that are read.
 
     Raises
     ------
     InputError
-        If one exists and `force` is not given, cannot be a file, is asked for twice, or is one of the inputs: those are
-        not overwritten, forced or not.
+        If one exists and `force` is not given, cannot be a file, is named twice, or is one of the inputs: those are
+        never overwritten.
     """
     wanted = [path for path in paths if path is not None]
     read = {path.resolve() for path in inputs if path is not None}
@@ -70,10 +79,10 @@ def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | Non
             raise InputError(f"{path} is read, and would be overwritten", "name another file to write")
         refuse_existing(path, force=force)
         if path.resolve() in [other.resolve() for other in wanted[:index]]:
-            raise InputError(f"{path} is asked for twice", "name another file for one of them")
+            raise InputError(f"{path} is named twice", "name another file for one of them")
 
 
 def progress(numbers: Iterable[Item], step: str) -> Iterable[Item]:
-    """Show a progress bar on standard error while a step goes through its numbers; nothing where it is no terminal."""
+    """Display a progress bar of a step's numbers on standard error, if that is a terminal."""
     console = Console(stderr=True)
     return track(numbers, description=step, console=console, transient=True, disable=not console.is_terminal)

@@ -1,6 +1,6 @@
-"""The whole job on the simulated rig: calibrate, acquire, section, mosaic, and measure it all against the truth.
+"""Demonstration on the simulated rig: calibrate, acquire, section, mosaic, and compare all results with the truth.
 
-What a newcomer sees first, and what tells within a minute whether an installation works.
+It tests an installation within a minute.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ if TYPE_CHECKING:
 FRAMES: Final = 120
 SPEED_UM_S: Final = 6000.0
 SHOWN_FRAMES: Final = 12
-"""SectionedImages of each mode that are written, from the start of the recording."""
+"""Number of images of each mode that are written, from the start of the recording."""
 SLOW_RATE_HZ: Final = 10.0
 SLOW_SPEED_UM_S: Final = 400.0
-"""Rate and speed that show what motion does to ELSA, as in the paper's lens-paper figure."""
+"""Frame rate and speed of the probe at which ELSA has motion artefacts, as in the paper's lens-paper figure."""
 FILES: Final = (
     "calibration.json",
     "calibration.npz",
@@ -76,13 +76,13 @@ FILES: Final = (
     "contact_sheet.png",
     "report.json",
 )
-"""What the demonstration leaves in its folder."""
+"""Files that the demonstration writes into its folder."""
 _SEED: Final = 1
 
 
 @dataclass(frozen=True)
 class _Stage:
-    """The simulated rig, the scene, and where the files go."""
+    """The simulated rig, its scene, and the folder of the files."""
 
     instrument: Instrument
     folder: Path
@@ -102,7 +102,7 @@ def run_demo(folder: Path, *, force: bool = False, progress: Progress = without_
     Parameters
     ----------
     folder : pathlib.Path
-        Where the files go; made if it is not there.
+        For the files; made if it does not exist.
     force : bool
         Overwrite existing files.
     progress : Progress
@@ -111,12 +111,12 @@ def run_demo(folder: Path, *, force: bool = False, progress: Progress = without_
     Returns
     -------
     dict
-        The report, as written to ``report.json``: errors against what the simulated rig really was.
+        The report, as written to ``report.json``: errors relative to the simulated truth.
 
     Raises
     ------
     InputError
-        If a file exists and is not to be overwritten.
+        If a file exists and `force` is not given.
     """
     started = perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
@@ -146,7 +146,7 @@ def run_demo(folder: Path, *, force: bool = False, progress: Progress = without_
 
 
 def _calibrate(stage: _Stage) -> Calibration:
-    """Measure the calibration from what the simulated rig shows, as on a real one."""
+    """Measure the calibration from frames of the simulated rig, as on a real one."""
     instrument = stage.instrument
     volts = bench.sweep_volts(instrument)
     sweep = bench.standing_line(instrument, volts, seed=_SEED)
@@ -177,7 +177,7 @@ def _record(stage: _Stage, calibration: Calibration) -> None:
 def _process(
     stage: _Stage, calibration: Calibration
 ) -> tuple[dict[Mode, TrackErrors], dict[Mode, NDArray[np.float32]]]:
-    """SectionedImages of the first frames, and LS and ELS+ mosaics, each on its own track; ELS+'s track is written."""
+    """Write images of the first frames, LS and ELS+ mosaics, each along its own track, and the track of ELS+."""
     optics = stage.instrument.optics
     tracks, mosaics = {}, {}
     with open_recording(stage.folder / "recording.ome.tif") as recording:
@@ -213,7 +213,7 @@ def _sectioning(stage: _Stage, calibration: Calibration) -> dict[str, float]:
 
 
 def _slow_frames(instrument: Instrument) -> list[NDArray[np.uint8]]:
-    """Two successive frames at 10 Hz, the probe moved by hand."""
+    """Return two successive frames at 10 Hz of a slowly moving probe."""
     slow = replace(instrument, preset=replace(instrument.preset, optics=instrument.optics.at_rate(SLOW_RATE_HZ)))
     renderer = Renderer(slow, scene("fibres"), Straight(SLOW_SPEED_UM_S), seed=_SEED)
     return [renderer.render(k) for k in range(2)]

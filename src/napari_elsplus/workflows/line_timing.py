@@ -1,4 +1,4 @@
-"""The rows per frame that a calibration lacks, from the motion in a recording."""
+"""Estimate the line periods per frame that a calibration lacks from the motion in a recording."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.workflows.sectioning import RawPairs
 
-_LOOKED_AT: Final = 600
-"""Frames from which the timing is told at most."""
+MAX_FRAMES: Final = 600
+"""Frames that are tracked for the estimate at most: 2.5 s at 240 Hz; chosen, its standard deviation is reported."""
 
 
 def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) -> tuple[Calibration, str]:
-    """Give a calibration the rows per frame that it lacks, from the motion in a recording.
+    """Add the line periods per frame to a calibration without them, estimated from the motion in a recording.
 
     Parameters
     ----------
     calibration : Calibration
-        Returned as it is where it knows the rows per frame.
+        Returned unchanged if it has them.
     raw_pair : RawPairs
-        The recording; its first frames are tracked.
+        The recording; its first :data:`MAX_FRAMES` frames are tracked.
     mode : Mode or str
-        Which image is tracked.
+        Image type to track.
 
     Returns
     -------
     calibration : Calibration
-        With the rows per frame, if the motion tells them.
-    said : str
-        What was found, in words; empty if they were known.
+        With the line periods per frame, if the motion constrains them.
+    note : str
+        Message to the user with the estimate; empty if the calibration had them.
     """
     known = calibration.optics
     if known is not None and known.line_periods_per_frame is not None:
@@ -41,17 +41,17 @@ def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) 
     shape = raw_pair(0)[0].shape
     assumed = _with_rows(calibration, float(shape[0]))
     tracking = RegistrationTracking(assumed, (shape[0], shape[1]), Mode(mode))
-    for index in range(min(len(raw_pair), _LOOKED_AT)):
+    for index in range(min(len(raw_pair), MAX_FRAMES)):
         tracking.track(*raw_pair(index))
     found = tracking.line_periods_per_frame()
     if found is None:
         return (
             calibration,
-            "rows per frame unknown, and the motion does not tell them: the rolling shutter is not corrected; "
+            "rows per frame unknown, and the motion does not constrain them: the rolling shutter is not corrected; "
             "give them with `calibrate --rows-per-frame`",
         )
-    said = f"rows per frame estimated from the motion: {found.rows:.1f} +- {found.sigma:.1f}"
-    return _with_rows(calibration, found.rows), said
+    note = f"rows per frame estimated from the motion: {found.rows:.1f} +- {found.sigma:.1f}"
+    return _with_rows(calibration, found.rows), note
 
 
 def _with_rows(calibration: Calibration, rows: float) -> Calibration:

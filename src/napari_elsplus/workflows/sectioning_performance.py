@@ -1,4 +1,4 @@
-"""What a slit offset gives and costs with the line as it is seen: quick enough to follow a hand on the tilt mirror."""
+"""Predict drop-offs, signal and noise of ELS+ for a slit offset and a measured line, in less than a frame period."""
 
 from __future__ import annotations
 
@@ -16,25 +16,27 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.line import Line
 
 ELECTRONS_PER_DN: Final = 40.0
-"""Of an 8-bit camera without gain; assumed, like the read noise, since frames of a line do not tell."""
+"""Electrons per grey level of an 8-bit camera at 0 dB; assumed, since frames of a line do not constrain it."""
 READ_NOISE_E: Final = 12.0
-_NARROWEST_CORE_UM: Final = 0.5
+"""Read noise in electrons, one standard deviation; assumed, as the gain is."""
+_MIN_CORE_UM: Final = 0.5
+"""Lower limit of the line's core width, micrometres: below the diffraction limit of the bundle's optics."""
 
 
 @dataclass(frozen=True, slots=True)
 class SectioningPerformance:
-    """What a slit offset gives and costs.
+    """Predicted sectioning, signal and noise of ELS+ for a slit offset.
 
     Parameters
     ----------
     drop_3db_um, drop_10db_um : float
-        Depths at which ELS+ has fallen by so much.
+        Depths in micrometres at which ELS+ has fallen to a half and to a tenth of its value in contact.
     signal_kept : float
         ELS+ over LS in contact.
     contrast_to_noise : float
         Of an in-focus plane as bright as the line, in one pixel of one frame.
     clipped : float
-        Share of the field whose residual slit leaves the bundle.
+        Fraction of the field whose residual slit lies outside of the bundle.
     """
 
     drop_3db_um: float
@@ -45,20 +47,20 @@ class SectioningPerformance:
 
 
 def line_as_seen(seen: Line, slit_rows: float, um_per_px: float) -> LineModel:
-    """Return a line's model with its core as wide as it is seen; the halo, which no fit near the line tells, is kept.
+    """Return the line model with its core as wide as measured; the halo, which the fit does not constrain, is nominal.
 
     Parameters
     ----------
     seen : Line
         The standing line.
     slit_rows : float
-        Rows that are exposed at once; they widen what is seen.
+        Rows that are exposed at once; they widen the measured line.
     um_per_px : float
         Micrometres per camera pixel.
     """
     model = LINE_MODELS["a"]
     core_rows = np.sqrt(max(seen.width_rows**2 - slit_rows**2 / 12, 0.0))
-    core_um = float(np.clip(core_rows * um_per_px, _NARROWEST_CORE_UM, 0.9 * model.halo_um))
+    core_um = float(np.clip(core_rows * um_per_px, _MIN_CORE_UM, 0.9 * model.halo_um))
     return replace(model, core_um=core_um)
 
 
@@ -71,7 +73,7 @@ def predict_performance(
     gain_db: float = 0.0,
     bundle_um: float = BUNDLE_UM,
 ) -> SectioningPerformance:
-    """Predict what an offset gives and costs.
+    """Predict drop-offs, signal kept, noise and clipping of ELS+ for a slit offset.
 
     Parameters
     ----------

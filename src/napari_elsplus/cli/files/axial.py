@@ -1,4 +1,4 @@
-"""``axial``: from a scan of depths to drop-off distances and the signal kept."""
+"""``axial``: drop-off distances and signal kept from a scan of depths."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ def _summary(response: AxialResponse) -> Iterator[str]:
         ("LS", response.ls_3db, response.ls_10db),
         ("ELS+", response.els_3db, response.els_10db),
     ):
-        yield f"{name}: 3 dB at {_told(three)}, 10 dB at {_told(ten)}"
+        yield f"{name}: 3 dB at {_distance(three)}, 10 dB at {_distance(ten)}"
     yield f"signal kept in contact: {100 * response.signal_kept:.1f} +- {100 * response.signal_kept_uncertainty:.1f} %"
 
 
-def _told(drop: DropOff) -> str:
+def _distance(drop: DropOff) -> str:
     return f"{drop.um:.1f} +- {drop.uncertainty_um:.1f} um" if np.isfinite(drop.um) else "beyond the scan"

@@ -1,4 +1,4 @@
-"""``compare``: LS, ELSA and ELS+ of one moment side by side."""
+"""``compare``: LS, ELSA and ELS+ images of one frame side by side."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 )
 @click.argument("raw", type=FILE)
 @calibration_option
-@click.option("--frame", default=0, show_default=True, help="Which raw frame; ELSA also takes the next.")
+@click.option("--frame", default=0, show_default=True, help="Index of the raw frame; ELSA also takes the next.")
 @output_option
 @force_option
 def command(raw: Path, calibration: Path, frame: int, output: Path, force: bool) -> None:
-    """Draw LS, ELSA and ELS+ of one frame of RAW with a line profile, scaled as the paper scales them."""
+    """Draw LS, ELSA and ELS+ of one frame of RAW with a line profile, scaled as in the paper."""
     refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
     refuse_format(output)
     record = read_calibration(calibration)

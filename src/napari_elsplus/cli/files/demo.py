@@ -1,4 +1,4 @@
-"""``demo``: the whole job on the simulated rig."""
+"""``demo``: calibrate, acquire, section and mosaic with the simulated rig."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
-@click.command(short_help="The whole job on the simulated rig.")
+@click.command(short_help="Calibrate, acquire, section and mosaic with the simulated rig.")
 @click.option("--out", type=FILE, default=Path("elsplus-demo"), show_default=True, help="Folder for the results.")
 @force_option
 def command(out: Path, force: bool) -> None:
-    """Calibrate the simulated rig, acquire, section and mosaic; tell the errors against what was simulated."""
+    """Calibrate the simulated rig, acquire, section and mosaic; report the errors relative to the simulated truth."""
     report = run_demo(out, force=force, progress=progress)
     for line in _summary(report):
         click.echo(line)
-    click.echo(f"{len(FILES)} files in {out}: look at {out / 'contact_sheet.png'}")
+    click.echo(f"{len(FILES)} files in {out}; contact sheet: {out / 'contact_sheet.png'}")
 
 
 def _summary(report: dict[str, Any]) -> Iterator[str]:
@@ -31,7 +31,7 @@ def _summary(report: dict[str, Any]) -> Iterator[str]:
     yield (
         f"calibrated: slit offset {errors['offset_rows']:+.3f} rows off, "
         f"galvo slope {errors['galvo_slope_percent']:+.4f} %, centre {errors['centre_px']:.3f} px, "
-        f"right onto left {errors['pair_alignment_px']:.3f} px"
+        f"view alignment {errors['pair_alignment_px']:.3f} px"
     )
     yield f"sectioned: correlation with the focal plane {focal['ls']:.3f} for LS, {focal['els']:.3f} for ELS+"
     yield (

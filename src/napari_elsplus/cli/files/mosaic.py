@@ -1,4 +1,4 @@
-"""``napari-elsplus mosaic``: a recording to a mosaic and the probe's track."""
+"""``mosaic``: the probe's track through a recording, and the mosaic of its images."""
 
 from __future__ import annotations
 
@@ -19,13 +19,17 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    short_help="Track the probe, and lay its frames into a mosaic.",
+    short_help="Track the probe and insert its images into a mosaic.",
     epilog=f"RAW is one of: {supported_recordings()}.",
 )
 @click.argument("raw", type=FILE)
 @calibration_option
 @click.option(
-    "--mode", type=click.Choice([m.value for m in Mode]), default="els", show_default=True, help="Which image."
+    "--mode",
+    type=click.Choice([m.value for m in Mode]),
+    default="els",
+    show_default=True,
+    help="Image type to track and insert.",
 )
 @click.option(
     "--method", type=click.Choice(list(tracking_methods())), default=Method.ELSPLUS.value, show_default=True,
@@ -33,7 +37,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--insertion", type=click.Choice([i.value for i in Insertion]), default="dead-leaf", show_default=True,
-    help="How frames are laid over one another.",
+    help="Rule by which overlapping images are combined.",
 )  # fmt: skip
 @output_option
 @click.option("--track", type=FILE, help="Also write the track to this CSV file.")
@@ -41,7 +45,7 @@ if TYPE_CHECKING:
 def command(
     raw: Path, calibration: Path, mode: str, method: str, insertion: str, output: Path, track: Path | None, force: bool
 ) -> None:
-    """Track the probe through RAW and lay the frames into a mosaic."""
+    """Track the probe through RAW and insert its images into a mosaic."""
     refuse_outputs(output, track, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
     record = read_calibration(calibration)
     with open_recording(raw) as recording:

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     type=click.Choice([mode.value for mode in Mode]),
     default=Mode.ELS.value,
     show_default=True,
-    help="Confocal (ls), aligned residual, their difference in one frame (els, ELS+) or in successive frames (elsa).",
+    help="Image type: confocal (ls), aligned residual, their difference in one frame (els) or in two (elsa).",
 )
 @click.option(
     "--cores",
     type=click.Choice([kind.value for kind in CoreFilter]),
     default=CoreFilter.NONE.value,
     show_default=True,
-    help="How the core pattern is suppressed.",
+    help="Suppression of the core pattern.",
 )
 @click.option("--flat-field", is_flag=True, help="Divide by the calibration's flat field.")
 @output_option

@@ -1,4 +1,4 @@
-"""``simulate``: raw frames from the model instrument, with truth and calibration beside them."""
+"""``simulate``: raw frames of the model instrument, with truth and calibration beside them."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ slit_option = click.option("--slit-um", type=POSITIVE, help="Slit width, rounded
 seed_option = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of scene and camera noise.")
 
 
-@click.group(short_help="Raw frames from the model instrument.")
+@click.group(short_help="Simulate raw frames with known truth.")
 def command() -> None:
-    """Make raw frames with the model instrument, truth and calibration beside them."""
+    """Simulate raw frames of the model instrument, with truth and calibration beside them."""
 
 
 @command.command()
@@ -70,7 +70,7 @@ def recording(
     preset: str, scene_name: str, scene_um_per_px: float | None, path_name: str, speed_um_s: float, frames: int,
     rate_hz: float | None, offset_um: float, slit_um: float | None, seed: int, output: Path, force: bool,
 ) -> None:  # fmt: skip
-    """Record a moving probe: raw frames, NAME.truth.json, NAME.calibration.json."""
+    """Simulate a moving probe: raw frames, NAME.truth.json, NAME.calibration.json."""
     simulated = simulate_recording(
         preset=preset, scene_name=scene_name, scene_um_per_px=scene_um_per_px, path=path_name, speed_um_s=speed_um_s,
         frames=frames, rate_hz=rate_hz, offset_um=offset_um, slit_um=slit_um, seed=seed,
@@ -86,13 +86,13 @@ def recording(
     type=click.Choice(list(LINE_MODELS)),
     default="a",
     show_default=True,
-    help="Line of the paper's panels (a, b), or the sharper one of (c, d).",
+    help="Line model: of the paper's panels a and b, or the sharper one of c and d.",
 )
 @seed_option
 @output_option
 @force_option
 def axial(slit_um: float, offset_um: float, state: str, seed: int, output: Path, force: bool) -> None:
-    """Scan depths: a raw frame of a stained plate at each, NAME.depths.csv, NAME.calibration.json, NAME.truth.json."""
+    """Simulate a scan of depths of a stained plate: raw frames, NAME.{depths.csv,calibration.json,truth.json}."""
     _save(simulate_axial_scan(slit_um=slit_um, offset_um=offset_um, state=state, seed=seed), output, force=force)
 
 
@@ -104,7 +104,7 @@ def axial(slit_um: float, offset_um: float, state: str, seed: int, output: Path,
 @click.option("-o", "--output", type=FILE, required=True, help="Folder to write into.")
 @force_option
 def calibration(preset: str, offset_um: float, slit_um: float | None, seed: int, output: Path, force: bool) -> None:
-    """Record what a calibration needs: line, sweep, transmission, background; and the truth, into a folder."""
+    """Simulate the recordings of a calibration: line, sweep, transmission, background; and the truth, into a folder."""
     simulated = simulate_calibration(preset=preset, offset_um=offset_um, slit_um=slit_um, seed=seed)
     simulated.save(output, force=force, progress=progress)
     click.echo(f"wrote {output}")

@@ -1,4 +1,4 @@
-"""``napari-elsplus doctor``: what is installed, which devices are seen, what is wrong and what mends it."""
+"""``doctor``: report of installed software, devices and problems, with the command that solves each."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from napari_elsplus.diagnosis.finding import Level
 COLOURS = {Level.OK: "green", Level.WARNING: "yellow", Level.PROBLEM: "red"}
 
 
-@click.command(short_help="What is installed, what is wrong, and what mends it.")
+@click.command(short_help="Check software and devices.")
 def command() -> None:
-    """Say what is installed, what is wrong, and the command that mends it.
+    """Report installed software, devices and problems, with the command that solves each problem.
 
     Exits 0 when the software can be used, 1 when it cannot.
     """
@@ -27,6 +27,6 @@ def command() -> None:
     counts = ", ".join(
         f"{count} {level}{'s' if count > 1 else ''}" for level, count in found.items() if level != Level.OK
     )
-    click.echo(f"{'ready for use' if usable else 'not fit for use'} ({counts or 'nothing to mend'})")
+    click.echo(f"{'ready for use' if usable else 'not fit for use'} ({counts or 'no problem found'})")
     if not usable:
         raise SystemExit(1)

@@ -1,4 +1,4 @@
-"""``napari-elsplus`` alone: napari with the plugin, or one line that says why there is no window."""
+"""``napari-elsplus`` without a command: napari with the plugin, or one line with the reason why no window opens."""
 
 from __future__ import annotations
 

@@ -19,12 +19,12 @@ RESIDUAL_COLOUR = "0.45"
 
 
 def draw_axial_response(response: AxialResponse) -> Figure:
-    """Draw an axial response like the paper's representative profile.
+    """Draw an axial response in the form of the paper's representative profile.
 
     Parameters
     ----------
     response : AxialResponse
-        What `processing.axial.axial_response` found.
+        Of :func:`napari_elsplus.measure_axial_response`.
 
     Returns
     -------

@@ -26,21 +26,22 @@ if TYPE_CHECKING:
 
 TITLES: Final = {Mode.LS: "LS", Mode.ELSA: "ELSA", Mode.ELS: "ELS+"}
 COLOURS: Final = {Mode.LS: "#0072b2", Mode.ELSA: "#e69f00", Mode.ELS: "#009e73"}
-"""Okabe and Ito's, told apart by colour-blind eyes."""
+"""Of Okabe and Ito's palette, distinguishable with colour-vision deficiency."""
 _PROFILE_WIDTH_PX: Final = 5
 _BAR_SHARE: Final = 0.25
 
 
 @dataclass(frozen=True)
 class ComparisonFigure:
-    """The three images of one moment, scaled as the paper scales them.
+    """LS, ELSA and ELS+ images of one raw frame, scaled as in the paper.
 
     Attributes
     ----------
     images : dict
-        Mode to (n, n) float32: 1 is white. LS and ELS+ are each scaled to 0.01 % saturation, ELSA by ELS+'s factor.
+        Mode to (n, n) float32, 1 is white. LS and ELS+ are scaled to 0.01 % saturation each, ELSA by the factor of
+        ELS+.
     inside : numpy.ndarray
-        (n, n) bool: the 90 % disc, in which they are scaled and shown.
+        (n, n) bool: the disc of 90 % of the bundle, in which they are scaled and displayed.
     profile_row : int
         Row of the line profile.
     um_per_px : float or None
@@ -53,7 +54,7 @@ class ComparisonFigure:
     um_per_px: float | None = None
 
     def profile(self, mode: Mode) -> NDArray[np.float32]:
-        """Mean of five rows about the profile's row, (n,); not-a-number outside of the disc."""
+        """Return the mean of five rows about the profile row in one mode's image: (n,), NaN outside of the disc."""
         half = _PROFILE_WIDTH_PX // 2
         rows = slice(self.profile_row - half, self.profile_row + half + 1)
         mean: NDArray[np.float32] = self.images[mode][rows].mean(axis=0)
@@ -82,7 +83,7 @@ class ComparisonFigure:
 
 
 def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> ComparisonFigure:
-    """Make LS, ELSA and ELS+ of one raw frame; ELSA's residual is the next frame's.
+    """Return LS, ELSA and ELS+ images of one raw frame; ELSA takes its residual from the next frame.
 
     Parameters
     ----------
@@ -91,12 +92,12 @@ def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> Comparison
     calibration : Calibration
         Of the rig that made them.
     frame : int
-        Which frame; it must not be the last, for ELSA needs the one after it.
+        Index of the frame; not the last, since ELSA needs the one after it.
 
     Raises
     ------
     InputError
-        If the frame, or the one after it, is not there.
+        If the frame, or the one after it, does not exist.
     CalibrationError
         If the calibration does not fit the recording.
     """
@@ -130,7 +131,7 @@ def draw_comparison(comparison: ComparisonFigure) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        To be saved; it belongs to no screen.
+        Without a window; :func:`save_figure` saves it.
     """
     um_per_px = comparison.um_per_px
     figure = Figure(figsize=(12, 7), layout="constrained")

@@ -1,4 +1,4 @@
-"""One page that shows a calibration and what it gives: raw frame, LS, ELSA, ELS+, mosaics."""
+"""Contact sheet of a calibrated recording: raw frame with both views, LS, ELSA, ELS+, mosaics."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def draw_contact_sheet(
     comparison : ComparisonFigure
         LS, ELSA and ELS+ of that frame.
     mosaics : dict
-        Mode to mosaic (rows, cols) float32, 0 where nothing was drawn; LS and ELS+.
+        Mode to mosaic (rows, cols) float32, 0 where nothing was inserted; LS and ELS+.
     """
     figure = Figure(figsize=(12, 14), layout="constrained")
     top, middle, bottom = figure.subfigures(3, 1, squeeze=False, height_ratios=[4.4, 3.9, 5.5])[:, 0]

@@ -1,4 +1,4 @@
-"""A mosaic as a picture for slides and papers: its pixels, white where little is brighter, and a scale bar."""
+"""Picture of a mosaic for slides and papers, with a scale bar."""
 
 from __future__ import annotations
 
@@ -15,27 +15,29 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LONGEST_SIDE_PX: Final = 4000
+MAX_SIDE_PX: Final = 4000
+"""Pixels of the longer side of the picture; larger mosaics are reduced by area averaging. Chosen for viewers."""
 _BAR_SHARE: Final = 0.25
-_SHORTEST_SIDE_PX: Final = 300
+_MIN_SIDE_PX: Final = 300
+"""Pixels of the shorter side below which pixels are repeated, so that the scale bar can be read. Chosen."""
 
 
 def draw_mosaic(image: NDArray[np.float32], um_per_px: float | None, white: float) -> Figure:
-    """Draw a mosaic, so that its pixels are those of the picture once it is saved.
+    """Draw a mosaic, one pixel of the saved picture for each of its own up to :data:`MAX_SIDE_PX`.
 
     Parameters
     ----------
     image : numpy.ndarray
         (rows, cols) grey levels.
     um_per_px : float or None
-        Scale; without it there is no bar.
+        Micrometres per pixel; without it there is no scale bar.
     white : float
-        Grey level that is shown as white.
+        Grey level that is drawn as white.
     """
-    shrink = max(1, ceil(max(image.shape) / LONGEST_SIDE_PX))
+    shrink = max(1, ceil(max(image.shape) / MAX_SIDE_PX))
     rows, cols = (max(1, length // shrink) for length in image.shape)
     small = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA) if shrink > 1 else image
-    grow = max(1, ceil(_SHORTEST_SIDE_PX / min(rows, cols)))
+    grow = max(1, ceil(_MIN_SIDE_PX / min(rows, cols)))
     figure = Figure(figsize=(cols * grow / DPI, rows * grow / DPI), facecolor="black")
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
@@ -45,16 +47,16 @@ def draw_mosaic(image: NDArray[np.float32], um_per_px: float | None, white: floa
         length, thick = length_um / (um_per_px * shrink), max(2.0, 0.008 * rows)
         left, top = 0.97 * cols - length, 0.97 * rows - thick
         axes.add_patch(Rectangle((left, top), length, thick, facecolor="white", edgecolor="black", linewidth=0.5))
-        words = f"{length_um / 1000:g} mm" if length_um >= 1000 else f"{length_um:g} \N{MICRO SIGN}m"
+        label = f"{length_um / 1000:g} mm" if length_um >= 1000 else f"{length_um:g} \N{MICRO SIGN}m"
         axes.text(
-            left + length / 2, top - 0.6 * thick, words, color="white", ha="center", va="bottom",
+            left + length / 2, top - 0.6 * thick, label, color="white", ha="center", va="bottom",
             fontsize=max(8.0, 0.03 * min(rows, cols) * grow * 72 / DPI),
         )  # fmt: skip
     return figure
 
 
 def bar_length(longest: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is no longer.
+    """Return the largest of 1, 2 and 5 times a power of ten that is not longer than `longest`.
 
     Examples
     --------
