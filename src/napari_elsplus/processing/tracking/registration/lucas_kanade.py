@@ -41,15 +41,18 @@ class Workspace(NamedTuple):
         (7, 6, 6) float64; align uses the first three.
     samples : numpy.ndarray
         (2, n) float32, as wide as the frames.
+    tone : numpy.ndarray
+        (2,) float64: gain and offset of the image against the template, found so far; :func:`align` goes on from them.
     """
 
     equations: NDArray[np.float64]
     samples: NDArray[np.float32]
+    tone: NDArray[np.float64]
 
     @classmethod
     def of(cls, side: int) -> Workspace:
         """Return one for frames of so many pixels squared."""
-        return cls(np.zeros((7, _UNKNOWNS, _UNKNOWNS)), np.zeros((2, side), np.float32))
+        return cls(np.zeros((7, _UNKNOWNS, _UNKNOWNS)), np.zeros((2, side), np.float32), np.array([1.0, 0.0]))
 
 
 @lean_kernel
@@ -268,7 +271,7 @@ def align(
     information : numpy.ndarray
         (4, 4) float64: inverse covariance of the result, what was known beforehand included.
     work : Workspace
-        For frames of this size or larger.
+        For frames of this size or larger; its tone is where to start, and the result.
 
     Returns
     -------
@@ -277,8 +280,7 @@ def align(
     float
         Number of pixels in it.
     """
-    normal, right, tone = work.equations[0], work.equations[1, 0], work.equations[1, 1]
-    tone[0], tone[1] = 1.0, 0.0  # gain and offset of the image against the template
+    normal, right, tone = work.equations[0], work.equations[1, 0], work.tone
     ncc, count = 0.0, 0.0
     information[:] = 0.0
     for _ in range(steps):
@@ -289,6 +291,16 @@ def align(
         if ncc == 0.0:
             return 0.0, count
         noise = max(noise, 1e-6 * image_sum / count) * correlated_px
+        # a pixel of motion changes the image by the template's gradient times the gain; the ratio of the standard
+        # deviations estimates it without the dilution by noise that a regression has
+        gain = np.sqrt(image_sum / template_sum)
+        for i in range(PARAMETERS):
+            right[i] *= gain
+            for k in range(PARAMETERS):
+                normal[i, k] *= gain * gain
+            for k in range(PARAMETERS, _UNKNOWNS):
+                normal[i, k] *= gain
+                normal[k, i] *= gain
         for i in range(PARAMETERS):
             for k in range(PARAMETERS):
                 normal[i, k] += stiffness[i, k] * noise
