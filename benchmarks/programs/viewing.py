@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from benchmarks.recording import RATE_HZ, SHAPE, sparse_recording
+from benchmarks.programs.recording import RATE_HZ, SHAPE, sparse_recording
 from napari_elsplus.io import beside, write_calibration
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration

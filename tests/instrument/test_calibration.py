@@ -98,7 +98,7 @@ def test_scale_and_frame_period_are_told_only_where_they_are_known() -> None:
     known = Calibration.parse(RECORD)
     assert known.um_per_px == 2.138
     assert known.frame_period_s == pytest.approx(1 / 240, rel=1e-4)
-    assert Calibration.parse(changed("optics", line_periods_per_frame=None)).frame_period_s is None
+    assert Calibration.parse(changed("optics", rows_per_frame=None)).frame_period_s is None
     bare = Calibration()
     assert bare.um_per_px is None
     assert bare.frame_period_s is None

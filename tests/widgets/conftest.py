@@ -49,7 +49,7 @@ def small_engine(tmp_path, monkeypatch):
 
     clients.start = start
     monkeypatch.setattr("napari_elsplus.widgets.shared.connection.EngineClient", start)
-    for panel in ("live", "mosaic"):
+    for panel in ("live.panel", "mosaic.panel"):
         slow = f"napari_elsplus.widgets.{panel}.remembered_settings"
         monkeypatch.setattr(slow, lambda: Settings("240hz", frame_rate_hz=100.0))
     yield clients

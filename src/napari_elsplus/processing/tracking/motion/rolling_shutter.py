@@ -72,7 +72,7 @@ class RollingShutter:
 
     def __post_init__(self) -> None:
         if not self.line_periods_per_frame > 0:
-            raise InputError(f"rows_per_frame is {self.line_periods_per_frame}", "it must be positive")
+            raise InputError(f"line_periods_per_frame is {self.line_periods_per_frame}", "it must be positive")
 
     def step(self, before: Velocity, after: Velocity) -> Displacement:
         """Displacement between the middle rows of successive frames, each of which moves evenly."""

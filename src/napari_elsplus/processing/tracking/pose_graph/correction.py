@@ -32,8 +32,8 @@ class Correction(NamedTuple):
     Examples
     --------
     >>> from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
-    >>> from napari_elsplus.processing.tracking.motion.pose import Pose, State
-    >>> pose = Pose(3, 10.0, 20.0, Velocity(1.0, 0.0), 0.9, 0.1, State.TRACKED)
+    >>> from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+    >>> pose = Pose(3, 10.0, 20.0, Velocity(1.0, 0.0), 0.9, 0.1, TrackingState.TRACKED)
     >>> Correction(0, row=-1.5).of(pose)[:3]
     (0, 8.5, 20.0)
     """
@@ -74,9 +74,9 @@ class Corrections:
     Examples
     --------
     >>> from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
-    >>> from napari_elsplus.processing.tracking.motion.pose import Pose, State
+    >>> from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
     >>> drifted = Corrections({2: [(10, Correction(0, 5.0)), (20, Correction(0, 7.0))]})
-    >>> pose = Pose(2, 100.0, 0.0, Velocity(1.0, 0.0), 0.9, 0.1, State.TRACKED)
+    >>> pose = Pose(2, 100.0, 0.0, Velocity(1.0, 0.0), 0.9, 0.1, TrackingState.TRACKED)
     >>> [drifted.of(frame, pose).row for frame in (0, 15, 30)]
     [105.0, 106.0, 107.0]
     """
