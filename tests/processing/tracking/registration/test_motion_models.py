@@ -58,6 +58,19 @@ def test_small_turns_and_zooms_are_told_by_what_a_link_leaves(degrees: float, sc
     assert abs(scale_of(form) - 1 / scale) < 4 * found.sigma[1] < 5e-3
 
 
+@pytest.mark.parametrize("gain", [0.4, 2.5])
+def test_turns_are_found_to_scale_whatever_the_gain_between_the_frames(gain: float) -> None:
+    turn = np.deg2rad(0.3)
+    registrar, a, b = pair(turned_by(turn), (5.0, -3.0))
+    b.image[:] *= gain
+    registrar.prepare(b)
+    link = registrar.link(a, b, Warp(b=-5.0, d=3.0), LOOSE)
+    found = registrar.remainder(a, b, link.warp, LOOSE)
+    assert found is not None
+    _, form = composed(link.warp, found.step[MotionModel.RIGID])
+    assert angle_of(form) == pytest.approx(-turn, rel=0.1)
+
+
 def test_its_uncertainty_is_honest() -> None:
     misses = []
     for seed in range(20):

@@ -62,7 +62,7 @@ def rival_evidence(
     correlated_px : float
         Pixels of full resolution that share one noise value.
     work : Workspace
-        For frames of this size or larger, with the tone of the warp.
+        For frames of this size or larger.
 
     Returns
     -------
@@ -85,7 +85,6 @@ def rival_evidence(
     if count == 0:
         return 0.0
     smallest = np.inf
-    gain, offset = work.tone[0], work.tone[1]
     for k in range(4):
         if k == 2 and smallest > _BEYOND_DOUBT:
             break
@@ -94,7 +93,6 @@ def rival_evidence(
         s, d = warp[2] + shift * s_follows, warp[3] + shift * along
         in_pixels_of(2.0, (a, b, s, d), start)
         in_pixels_of(2.0, (a, b, s, d), rival)
-        work.tone[0], work.tone[1] = gain, offset
         align(
             template, image, first, last, middle, _ROW_STEP, _STEPS, 0.02, False, start, held, correlated_px, rival,
             scratch, work,

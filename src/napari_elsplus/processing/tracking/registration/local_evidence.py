@@ -97,7 +97,6 @@ def look_again(
     """
     equations = work.equations
     stiff, middle_of_prior, scaled = equations[3], equations[5, 0], equations[5, 1]
-    work.tone[0], work.tone[1] = 1.0, 0.0
     correlation, count = 0.0, 0.0
     for level in range(coarsest, -1, -1):
         px = 2.0**level
@@ -143,7 +142,6 @@ def look_at_half(
     equations = work.equations
     stiff, middle_of_prior, scaled = equations[3], equations[5, 0], equations[5, 1]
     hold(2.0, prior, stiff)
-    work.tone[0], work.tone[1] = 1.0, 0.0
     in_pixels_of(2.0, (expected[0], expected[1], expected[2], expected[3]), middle_of_prior)
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), scaled)
     correlation, count = align(
@@ -189,7 +187,6 @@ def _against_rivals(
     unlikely = unlikelihood(warp, expected, prior)
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), found)
     smallest = np.inf
-    gain, offset = work.tone[0], work.tone[1]
     for k in range(len(_RIVALS_PX)):
         shift = _RIVALS_PX[k]
         a, b = warp[0] + shift * a_follows, warp[1] + shift * across
@@ -213,7 +210,6 @@ def _against_rivals(
         held[1, 3] += 4 * HELD * across * along
         held[3, 1] += 4 * HELD * across * along
         held[3, 3] += 4 * HELD * along * along
-        work.tone[0], work.tone[1] = gain, offset
         align(
             template, image, first, last, middle, 2, _RIVAL_STEPS, 0.02, False, start, held, CORRELATED_PX / 8, rival,
             equations[4], work,

@@ -200,13 +200,13 @@ def shared_information(
     information : numpy.ndarray
         (4, 4) inverse covariance of a, b, s, d in pixels of full resolution; zero where nothing is told.
     work : Workspace
-        For frames of this size.
+        For frames of this size, with the tone of the warp.
     """
     fill_blocks(template, image, first, last, middle, warp, warp, sums)
     least = least_noise(sums)
     for block in range(sums.shape[1]):
         sums[2, block] = 1 / (VALUE_PX * (sums[1, block] / max(sums[0, block], 1.0) + least))
-    normal, right = work.equations[0], work.equations[1, 0]
+    normal, right, gain = work.equations[0], work.equations[1, 0], work.tone[2]
     normal[:] = 0.0
     right[:] = 0.0
     height = template.shape[0]
@@ -226,8 +226,8 @@ def shared_information(
             col = begin + k
             weight = sums[2, row // BLOCK_PX * across + col // BLOCK_PX]
             t = template[row, col]
-            gy = 0.5 * (template[row + 1, col] - template[row - 1, col])
-            gx = 0.5 * (template[row, col + 1] - template[row, col - 1])
+            gy = 0.5 * gain * (template[row + 1, col] - template[row - 1, col])
+            gx = 0.5 * gain * (template[row, col + 1] - template[row, col - 1])
             hy = 0.5 * (between(lower, weights, k) - between(upper, weights, k))
             hx = 0.5 * (between(after, weights, k) - between(before, weights, k))
             yy, xx, yx = weight * gy * hy, weight * gx * hx, 0.5 * weight * (gy * hx + gx * hy)

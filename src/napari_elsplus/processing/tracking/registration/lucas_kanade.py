@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 PARAMETERS = 4
 """a, b, s, d of the warp."""
 _UNKNOWNS = PARAMETERS + 2  # and the gain and offset between the frames
+_TONE_ROWS = 4
+"""Of the rows that are used, every how many the first regression of gain and offset takes: chosen, steps refine it."""
 
 
 class Workspace(NamedTuple):
@@ -42,7 +44,8 @@ class Workspace(NamedTuple):
     samples : numpy.ndarray
         (2, n) float32, as wide as the frames.
     tone : numpy.ndarray
-        (2,) float64: gain and offset of the image against the template, found so far; :func:`align` goes on from them.
+        (3,) float64: gain and offset of the image against the template by regression; and the ratio of their standard
+        deviations, which noise does not dilute.
     """
 
     equations: NDArray[np.float64]
@@ -52,7 +55,7 @@ class Workspace(NamedTuple):
     @classmethod
     def of(cls, side: int) -> Workspace:
         """Return one for frames of so many pixels squared."""
-        return cls(np.zeros((7, _UNKNOWNS, _UNKNOWNS)), np.zeros((2, side), np.float32), np.array([1.0, 0.0]))
+        return cls(np.zeros((7, _UNKNOWNS, _UNKNOWNS)), np.zeros((2, side), np.float32), np.array([1.0, 0.0, 1.0]))
 
 
 @lean_kernel
@@ -177,6 +180,32 @@ def fitted_tone(count: float, t1: float, i1: float, tt: float, ti: float) -> tup
 
 
 @lean_kernel
+def tone_between(
+    template: NDArray[np.float32],
+    image: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle_row: float,
+    warp: NDArray[np.float64],
+    row_step: int,
+) -> tuple[float, float]:
+    """Estimate gain and offset of an image against a template by regression, from some rows and the nearest pixels."""
+    height = template.shape[0]
+    count, t1, i1, tt, ti = 0.0, 0.0, 0.0, 0.0, 0.0
+    for row in range(1, height - 1, row_step):
+        above, down, whole, across, begin, end = row_shift(row, height, middle_row, warp, first, last)
+        nearest, aside = above + int(down + 0.5), whole + int(across + 0.5)
+        for col in range(begin, end):
+            t, i = template[row, col], image[nearest, col + aside]
+            t1 += t
+            i1 += i
+            tt += t * t
+            ti += t * i
+        count += end - begin
+    return fitted_tone(count, t1, i1, tt, ti)
+
+
+@lean_kernel
 def correlation(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
@@ -271,7 +300,7 @@ def align(
     information : numpy.ndarray
         (4, 4) float64: inverse covariance of the result, what was known beforehand included.
     work : Workspace
-        For frames of this size or larger; its tone is where to start, and the result.
+        For frames of this size or larger; its tone is filled.
 
     Returns
     -------
@@ -281,6 +310,7 @@ def align(
         Number of pixels in it.
     """
     normal, right, tone = work.equations[0], work.equations[1, 0], work.tone
+    tone[0], tone[1] = tone_between(template, image, first, last, middle, warp, _TONE_ROWS * row_step)
     ncc, count = 0.0, 0.0
     information[:] = 0.0
     for _ in range(steps):
@@ -291,9 +321,8 @@ def align(
         if ncc == 0.0:
             return 0.0, count
         noise = max(noise, 1e-6 * image_sum / count) * correlated_px
-        # a pixel of motion changes the image by the template's gradient times the gain; the ratio of the standard
-        # deviations estimates it without the dilution by noise that a regression has
-        gain = np.sqrt(image_sum / template_sum)
+        # a pixel of motion changes the image by the template's gradient times the gain
+        gain = tone[2] = np.sqrt(image_sum / template_sum)
         for i in range(PARAMETERS):
             right[i] *= gain
             for k in range(PARAMETERS):

@@ -18,7 +18,7 @@ import numpy as np
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-from napari_elsplus.processing.tracking.registration.lucas_kanade import fitted_tone
+from napari_elsplus.processing.tracking.registration.lucas_kanade import tone_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _UNKNOWNS: Final = 8
 """a, b, s, d of the warp; rows from columns and columns from columns; gain and offset."""
+_TONE: Final = 6
+"""The first unknown that is no motion."""
 
 
 class MotionModel(IntEnum):
@@ -217,8 +219,8 @@ def unexplained(
     normal[:] = 0.0
     right[:] = 0.0
     height = template.shape[0]
-    gain, offset = tone_between(template, image, first, last, middle_row, warp)
-    count, steep, noise_level = 0.0, 0.0, 0.0
+    gain, offset = tone_between(template, image, first, last, middle_row, warp, 4)
+    count, steep, noise_level, sum_ee = 0.0, 0.0, 0.0, 0.0
     for row in range(1, height - 1):
         above, down, whole, across, begin, end = row_shift(row, height, middle_row, warp, first, last)
         if end <= begin:
@@ -233,7 +235,7 @@ def unexplained(
         half, g, o = np.float32(0.5), np.float32(gain), np.float32(offset)
         zero = np.float32(0)
         yy, yx, xx, y1, x1, yt, xt, ye, xe = zero, zero, zero, zero, zero, zero, zero, zero, zero
-        t1, e1, tt, te, gg = zero, zero, zero, zero, zero
+        t1, e1, tt, te, ee, gg = zero, zero, zero, zero, zero, zero
         for k in range(size):
             t = here[k]
             gy, gx = half * (under[k] - over[k]), half * (right_of[k] - left[k])
@@ -252,6 +254,7 @@ def unexplained(
             e1 += e
             tt += t * t
             te += t * e
+            ee += e * e
             gg += (gy * gy + gx * gx) * e * e
         uyy, uyx, uxx, uy1, ux1 = zero, zero, zero, zero, zero
         uyt, uxt, uye, uxe, vyy, vyx, vxx = zero, zero, zero, zero, zero, zero, zero
@@ -275,6 +278,7 @@ def unexplained(
         count += size
         steep += float(yy) + float(xx)
         noise_level += float(gg)
+        sum_ee += float(ee)
         normal[0, 0] += y * y * yy
         normal[0, 1] += y * yy
         normal[0, 2] += y * y * yx
@@ -319,34 +323,19 @@ def unexplained(
         right[5] += uxe
         right[6] += te
         right[7] += e1
+    if count == 0 or steep == 0:
+        return 0.0, 0.0
+    of_template = normal[6, 6] - normal[6, 7] ** 2 / count
+    of_both = gain * of_template + right[6] - normal[6, 7] * right[7] / count
+    of_image = gain * (2 * of_both - gain * of_template) + sum_ee - right[7] ** 2 / count
+    if not (of_template > 0 and of_image > 0):
+        return 0.0, 0.0
+    contrast = np.sqrt(of_image / of_template)  # what a pixel of motion does to the image, over the template's gradient
+    for m in range(_TONE):
+        right[m] *= contrast
+        for n in range(m, _UNKNOWNS):
+            normal[m, n] *= contrast * contrast if n < _TONE else contrast
     for m in range(_UNKNOWNS):
         for n in range(m):
             normal[m, n] = normal[n, m]
-    if count == 0 or steep == 0:
-        return 0.0, 0.0
     return count, noise_level / steep
-
-
-@lean_kernel
-def tone_between(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle_row: float,
-    warp: NDArray[np.float64],
-) -> tuple[float, float]:
-    """Gain and offset of an image against a template, from every fourth row and the nearest pixels."""
-    height = template.shape[0]
-    count, t1, i1, tt, ti = 0.0, 0.0, 0.0, 0.0, 0.0
-    for row in range(1, height - 1, 4):
-        above, down, whole, across, begin, end = row_shift(row, height, middle_row, warp, first, last)
-        nearest, aside = above + int(down + 0.5), whole + int(across + 0.5)
-        for col in range(begin, end):
-            t, i = template[row, col], image[nearest, col + aside]
-            t1 += t
-            i1 += i
-            tt += t * t
-            ti += t * i
-        count += end - begin
-    return fitted_tone(count, t1, i1, tt, ti)

@@ -79,7 +79,6 @@ def link_levels(
     equations = work.equations
     stiff, expected, scaled = equations[3], equations[5, 0], equations[5, 1]
     origin = warp[0], warp[1], warp[2], warp[3]
-    work.tone[0], work.tone[1] = 1.0, 0.0
     correlation, finest = 0.0, 0
     for level, row_step, finely, steps, tolerance_px in _STAGES:
         px = 2.0**level
@@ -123,7 +122,6 @@ def align_candidate(
     stiff, expected, scaled = equations[3], equations[5, 0], equations[5, 1]
     stiff[:] = 0.0
     stiff[0, 0] = stiff[2, 2] = _RIGID
-    work.tone[0], work.tone[1] = 1.0, 0.0
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), expected)
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), scaled)
     score = align(
