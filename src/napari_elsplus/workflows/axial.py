@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.io import beside, read_depths_um
+from napari_elsplus.io import beside, existing_beside, read_depths_um
 from napari_elsplus.processing.analysis.axial_response import AxialResponse, axial_profiles, axial_response
 from napari_elsplus.workflows.progress import without_display
 
@@ -75,7 +75,7 @@ def _depths_beside(scan: Path | None) -> NDArray[np.float64]:
     if scan is None:
         raise InputError("the depths of the scan are unknown", "give depth_um, a number per frame")
     own = beside(scan, ".depths.csv")
-    for path in (own, own.with_name("depths.csv")):
-        if path.is_file():
-            return read_depths_um(path)
+    path = existing_beside(scan, ".depths.csv") or own.with_name("depths.csv")
+    if path.is_file():
+        return read_depths_um(path)
     raise InputError(f"there is no {own.name} beside the scan", "name one with --depths")
