@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse, spatial
 
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.processing.calibration.calibrate import measure_flat
+from napari_elsplus.processing.calibration.measurements import measure_flat_field
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -109,7 +109,7 @@ def record(
     }
     calibration = Calibration.parse(content).model_copy(update={"background": np.full(shape, 4.0, np.float32)})
     even = rng.poisson(4 + 100 * (spread[0] + spread[1]) @ transmission).reshape(1, *shape).astype(np.float32)
-    calibration = calibration.model_copy(update={"flat": measure_flat(even, calibration)})
+    calibration = calibration.model_copy(update={"flat": measure_flat_field(even, calibration)})
     return Truth(frames, calibration, starts[:-1] + middle * np.diff(starts, axis=0), starts, scene)
 
 

@@ -14,7 +14,7 @@ from benchmarks.harness.peers import peer
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.bundle.location import locate_pair
-from napari_elsplus.processing.calibration.calibrate import locate_pair as measure_pair
+from napari_elsplus.processing.calibration.measurements import measure_pair
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -83,17 +83,17 @@ def make(
 
 def draw_calibration(found: Calibrated) -> Figure:
     """Draw the line in both views, and the galvo's map."""
-    findings = found.findings
-    assert findings.offset is not None
-    assert findings.galvo is not None
-    galvo = findings.galvo
+    draft = found.draft
+    assert draft.offset is not None
+    assert draft.galvo is not None
+    galvo = draft.galvo
     figure = Figure(figsize=(11, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for name, line, colour in (("left", findings.offset.left, "#0072b2"), ("right", findings.offset.right, "#d55e00")):
+    for name, line, colour in (("left", draft.offset.confocal, "#0072b2"), ("right", draft.offset.residual, "#d55e00")):
         rows = np.linspace(line.row - 12, line.row + 12, 200)
         bell = line.amplitude * np.exp(-((rows - line.row) ** 2) / (2 * line.width_rows**2))
         left.plot(rows, bell, color=colour, label=f"{name} view, row {line.row:.2f}")
-    left.set(xlabel="row", ylabel="fitted line / grey levels", title=f"slit offset {findings.offset.rows:.3f} rows")
+    left.set(xlabel="row", ylabel="fitted line / grey levels", title=f"slit offset {draft.offset.rows:.3f} rows")
     left.legend(frameon=False)
     right.plot(galvo.volts[galvo.used], galvo.rows[galvo.used], ".", color="0.4", markersize=3)
     volts = np.array([galvo.volts.min(), galvo.volts.max()])
@@ -106,7 +106,7 @@ def draw_calibration(found: Calibrated) -> Figure:
 
 def calibration_table(found: Calibrated) -> str:
     """Found, its uncertainty, and its error."""
-    calibration, errors = found.findings.calibration, found.errors
+    calibration, errors = found.draft.calibration, found.errors
     offset, galvo, bundle, quality = calibration.offset, calibration.galvo, calibration.bundle, calibration.quality
     assert offset is not None
     assert galvo is not None

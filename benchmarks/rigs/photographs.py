@@ -12,7 +12,7 @@ import tifffile
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import BundleSection, Calibration
 from napari_elsplus.processing.calibration.bundle.location import Disc, locate_bundle
-from napari_elsplus.processing.calibration.calibrate import measure_flat
+from napari_elsplus.processing.calibration.measurements import measure_flat_field
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def _look(folder: Path, name: str, flat_name: str | None) -> Photograph:
             residual_to_confocal=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
         )
         known = Calibration(bundle=section)
-        field = measure_flat([even], known)
+        field = measure_flat_field([even], known)
         flattened = _fine_contrast(
             np.divide(Sectioner(known, image.shape).ls(image), np.maximum(field, 0.1), dtype=np.float32)
         )

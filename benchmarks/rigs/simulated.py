@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.calibration.calibrate import measure_flat
+from napari_elsplus.processing.calibration.measurements import measure_flat_field
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.simulation.calibration_scenes import background, transmission
 from napari_elsplus.simulation.model.instrument import REFERENCE_SLIT_ROWS, Instrument
@@ -83,7 +83,7 @@ def measured(instrument: Instrument) -> SimulatedRig:
         light_dn=instrument.light_dn * min(1.0, REFERENCE_SLIT_ROWS / instrument.slit_rows),
         electrons_per_dn=max(instrument.electrons_per_dn, LEAST_ELECTRONS_PER_DN_OF_FLAT),
     )
-    flat = measure_flat(list(transmission(lit, seed=2)), known)
+    flat = measure_flat_field(list(transmission(lit, seed=2)), known)
     return SimulatedRig(instrument, known.model_copy(update={"flat": flat}))
 
 

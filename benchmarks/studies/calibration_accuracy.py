@@ -12,8 +12,8 @@ import numpy as np
 
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
-from napari_elsplus.processing.calibration.calibrate import BundlePair, Findings, measure
-from napari_elsplus.processing.calibration.lag import search_lag
+from napari_elsplus.processing.calibration.calibrate import measure
+from napari_elsplus.processing.calibration.lag import measure_lag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from benchmarks.rigs.random_rigs import Rig
+    from napari_elsplus.processing.calibration.draft import Draft
+    from napari_elsplus.processing.calibration.measurements import BundlePair
 
     Floats = NDArray[np.float64]
 
@@ -156,20 +158,20 @@ def _calibrated(rig: Rig, voltages: int) -> Errors | str:
             bundle=rig.bundle(),
             background=rig.background(10),
         )
-        lag = search_lag(lambda lead_s: rig.scanned_signal(lead_s * LINE_RATE_HZ), 1 / LINE_RATE_HZ)
+        lag = measure_lag(lambda lead_s: rig.scanned_signal(lead_s * LINE_RATE_HZ), 1 / LINE_RATE_HZ)
     except ElsPlusError as error:
         return str(error)
     late = lag.lag_s * LINE_RATE_HZ - rig.lag_rows
     return errors_of(found, rig) | {LAG: [(late, lag.uncertainty_s * LINE_RATE_HZ)]}
 
 
-def errors_of(found: Findings, rig: Rig) -> Errors:
+def errors_of(found: Draft, rig: Rig) -> Errors:
     """Error and stated uncertainty of everything that was measured."""
     errors: Errors = {}
     if found.offset is not None:
         offset = found.offset
         errors[OFFSET] = [(offset.rows - rig.offset_rows(LINE_AT_ROW), offset.uncertainty_rows)]
-        errors[TILT] = [(offset.left.tilt_deg - rig.tilt_deg, offset.left.tilt_uncertainty_deg)]
+        errors[TILT] = [(offset.confocal.tilt_deg - rig.tilt_deg, offset.confocal.tilt_uncertainty_deg)]
     if found.galvo is not None:
         galvo, per_row = found.galvo, abs(rig.volts_per_row)
         steeper = galvo.volts_per_row / rig.volts_per_row - 1
@@ -186,14 +188,14 @@ def _errors_of_pair(pair: BundlePair, rig: Rig) -> Errors:
     angle = 2 * np.pi * (np.random.default_rng(rig.seed).integers(RIM) / RIM)
     rim = np.array(rig.right) + 0.45 * rig.diameter_px * np.array([np.sin(angle), np.cos(angle)])
     misplaced = (alignment.residual_to_confocal - rig.residual_to_confocal) @ (*rim, 1.0)
-    wider = pair.left.diameter_px / rig.diameter_px - 1
+    wider = pair.confocal.diameter_px / rig.diameter_px - 1
     return {
         CENTRE: [
             (float(error), disc.centre_uncertainty_px)
-            for disc, centre in ((pair.left, rig.left), (pair.right, rig.right))
+            for disc, centre in ((pair.confocal, rig.left), (pair.residual, rig.right))
             for error in np.subtract(disc.centre, centre)
         ],
-        DIAMETER: [(100 * wider, 100 * pair.left.diameter_uncertainty_px / rig.diameter_px)],
+        DIAMETER: [(100 * wider, 100 * pair.confocal.diameter_uncertainty_px / rig.diameter_px)],
         ALIGNMENT: [(float(error), alignment.uncertainty_px) for error in misplaced],
         GAIN: [(100 * (alignment.gain / rig.gain - 1), 100 * alignment.gain_uncertainty / rig.gain)],
     }

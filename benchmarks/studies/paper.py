@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.choices.sectioning import Moment, judge
 from benchmarks.rigs.simulated import SimulatedRig, measured
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast
-from napari_elsplus.processing.calibration.calibrate import Findings, measure
+from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.tracking.registry import Method
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
     Image = NDArray[np.float32]
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 class Calibrated:
     """A calibration from raw frames, and how far it is from the instrument."""
 
-    findings: Findings
+    draft: Draft
     errors: CalibrationErrors
 
 
@@ -43,7 +44,7 @@ def calibrate_simulated(instrument: Instrument, steps: int = scenes.SWEEP_STEPS)
     """Calibrate the simulated rig from frames, as a user does."""
     optics = instrument.optics
     volts = scenes.sweep_volts(instrument)[:: scenes.SWEEP_STEPS // steps]
-    findings = measure(
+    draft = measure(
         line=list(scenes.standing_line(instrument, scenes.line_volts(instrument), seed=1)),
         sweep=list(scenes.standing_line(instrument, volts, seed=2)),
         volts=volts,
@@ -53,7 +54,7 @@ def calibrate_simulated(instrument: Instrument, steps: int = scenes.SWEEP_STEPS)
         line_period_s=optics.line_period_s,
         line_periods_per_frame=optics.line_periods_per_frame,
     )
-    return Calibrated(findings, calibration_errors(findings.calibration, instrument))
+    return Calibrated(draft, calibration_errors(draft.calibration, instrument))
 
 
 @dataclass(frozen=True)

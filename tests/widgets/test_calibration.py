@@ -14,17 +14,16 @@ import numpy as np
 import pytest
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus.acquisition.calibrating.whole import Target
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
-from napari_elsplus.acquisition.link.guided_calibration import TARGETS
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.io import read_calibration
 from napari_elsplus.io.settings import active_calibration
-from napari_elsplus.processing.calibration.draft import Step, StepState
+from napari_elsplus.processing.calibration.step import REGISTERED, StepState, Target
+from napari_elsplus.processing.calibration.steps import calibration_steps, find_step
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
@@ -64,7 +63,7 @@ def idle(qtbot, panel):
 
 
 def state(panel, step):
-    return panel.draft.state(step)[0]
+    return find_step(step).state(panel.draft)[0]
 
 
 def measure(qtbot, panel, step):
@@ -82,10 +81,10 @@ def from_file(qtbot, panel, step, path, volts=None):
 
 def test_calibrated_by_clicking_the_simulated_rig_shows_a_scene_as_it_is(viewer, live, qtbot, said, tmp_path):
     form = live.form
-    for step in Step:
+    for step in (step.key for step in calibration_steps()):
         measure(qtbot, live, step)
         assert not said(), step
-        assert (IMAGE in viewer.layers) == (OUTLINES in viewer.layers) == (step is Step.PAIR)
+        assert (IMAGE in viewer.layers) == (OUTLINES in viewer.layers) == (step == "pair")
         form.accept.click()
         assert state(live, step) is StepState.DONE
         assert "✓" in form.steps[step].text()
@@ -118,7 +117,7 @@ def middle(image, side):
 
 def test_watching_the_offset_goes_on_until_stopped_and_what_was_seen_can_be_accepted(live, qtbot):
     form = live.form
-    form.watch.click()
+    form.follow_button.click()
     seen = set()
 
     def several():
@@ -127,32 +126,31 @@ def test_watching_the_offset_goes_on_until_stopped_and_what_was_seen_can_be_acce
         return len(seen) >= 3
 
     qtbot.waitUntil(several, timeout=LONG_MS)
-    assert form.watch.text() == "Stop"
+    assert form.follow_button.text() == "Stop"
     assert not form.accept.isEnabled()
     assert not form.measure.isEnabled()
     assert "rows" in form.headline.text()
     assert "drop-offs" in form.numbers.text()
-    assert [curve.name for curve in form.plots[0].curves] == ["left", "left fit", "right", "right fit"]
+    assert [curve.name for curve in form.plots[0].curves] == ["confocal", "confocal fit", "residual", "residual fit"]
     (band,) = live.candidate.picture.plots[0].bands
     assert band.start < live.candidate.found.rows < band.stop
-    form.watch.click()
+    form.follow_button.click()
     idle(qtbot, live)
     assert live.connection.client.status.live is False
     form.accept.click()
-    assert state(live, Step.OFFSET) is StepState.DONE
+    assert state(live, "offset") is StepState.DONE
 
 
 def test_a_failed_step_keeps_what_was_known_and_says_why_in_one_line(live, qtbot, said, monkeypatch):
     form = live.form
-    measure(qtbot, live, Step.OFFSET)
+    measure(qtbot, live, "offset")
     form.accept.click()
     known = live.draft
     for step, wrong, words in (
-        (Step.OFFSET, Target.DARK_TUBE, "no voltage from"),
-        (Step.PAIR, Target.DARK_TUBE, "two bundle images expected"),
+        ("offset", Target.DARK_TUBE, "no voltage from"),
+        ("pair", Target.DARK_TUBE, "two bundle images expected"),
     ):
-        monkeypatch.setitem(TARGETS, step, wrong)
-        monkeypatch.setattr("napari_elsplus.acquisition.link.guided_calibration.GuidedCalibration._middle", search)
+        monkeypatch.setitem(REGISTERED, step, replace(find_step(step), target=wrong))
         measure(qtbot, live, step)
         assert live.candidate is None
         assert live.draft is known
@@ -162,7 +160,7 @@ def test_a_failed_step_keeps_what_was_known_and_says_why_in_one_line(live, qtbot
         assert "\n" not in message
     os.kill(live.connection.client.pid, signal.SIGKILL)
     qtbot.waitUntil(lambda: live.connection.client is None, timeout=LONG_MS)
-    form.steps[Step.GALVO].click()
+    form.steps["galvo"].click()
     assert live.draft is known
     assert not form.measure.isEnabled()
     assert "connect" in form.measure.toolTip()
@@ -172,14 +170,9 @@ def seen_something(qtbot, panel):
     qtbot.waitUntil(lambda: panel.candidate is not None, timeout=LONG_MS)
 
 
-def search(guided, _):
-    low, high = guided._client.find_span().result()
-    return (low + high) / 2
-
-
 def test_a_sweep_is_cancelled_and_the_mirror_parked(live, qtbot, said):
     live.form.voltages.setValue(2000)
-    live.form.steps[Step.GALVO].click()
+    live.form.steps["galvo"].click()
     live.form.measure.click()
     client = live.connection.client
     qtbot.waitUntil(lambda: (p := client.status.progress) is not None and p.total == 2000, timeout=LONG_MS)
@@ -193,22 +186,22 @@ def test_a_sweep_is_cancelled_and_the_mirror_parked(live, qtbot, said):
 
 def test_from_files_accepted_discarded_and_undone(viewer, panel, qtbot, open_recording, said):
     form = panel.form
-    from_file(qtbot, panel, Step.OFFSET, open_recording / "line.tif")
+    from_file(qtbot, panel, "offset", open_recording / "line.tif")
     form.discard.click()
     assert panel.candidate is None
-    assert state(panel, Step.OFFSET) is StepState.MISSING
-    from_file(qtbot, panel, Step.OFFSET, open_recording / "line.tif")
+    assert state(panel, "offset") is StepState.MISSING
+    from_file(qtbot, panel, "offset", open_recording / "line.tif")
     form.accept.click()
     first = panel.draft
-    from_file(qtbot, panel, Step.GALVO, open_recording / "sweep.tif", open_recording / "sweep_volts.csv")
+    from_file(qtbot, panel, "galvo", open_recording / "sweep.tif", open_recording / "sweep_volts.csv")
     assert len(form.plots[1].curves[0].x) > 20
     form.accept.click()
-    from_file(qtbot, panel, Step.PAIR, open_recording / "transmission.tif")
+    from_file(qtbot, panel, "pair", open_recording / "transmission.tif")
     assert viewer.layers[IMAGE].data.shape == (300, 600)
     form.accept.click()
-    from_file(qtbot, panel, Step.BACKGROUND, open_recording / "background.tif")
+    from_file(qtbot, panel, "background", open_recording / "background.tif")
     form.accept.click()
-    assert [state(panel, step) for step in Step] == [
+    assert [state(panel, step) for step in REGISTERED] == [
         StepState.DONE, StepState.DONE, StepState.DONE, StepState.MISSING, StepState.DONE, StepState.DONE,
     ]  # fmt: skip
     for _ in range(3):
@@ -216,8 +209,8 @@ def test_from_files_accepted_discarded_and_undone(viewer, panel, qtbot, open_rec
     assert panel.draft is first
     form.undo.click()
     assert not form.undo.isEnabled()
-    assert state(panel, Step.OFFSET) is StepState.MISSING
-    from_file(qtbot, panel, Step.PAIR, open_recording / "line.tif")
+    assert state(panel, "offset") is StepState.MISSING
+    from_file(qtbot, panel, "pair", open_recording / "line.tif")
     assert panel.candidate is None
     assert said()[-1][0] == "error"
 
@@ -234,25 +227,25 @@ def test_closing_the_window_leaves_no_engine(make_napari_viewer_proxy, qtbot):
 
 
 def test_an_offset_that_moved_makes_the_pair_stale(panel, qtbot, open_recording):
-    from_file(qtbot, panel, Step.OFFSET, open_recording / "line.tif")
+    from_file(qtbot, panel, "offset", open_recording / "line.tif")
     shown = panel.candidate
     found = shown.found
     panel.form.accept.click()
-    from_file(qtbot, panel, Step.PAIR, open_recording / "transmission.tif")
+    from_file(qtbot, panel, "pair", open_recording / "transmission.tif")
     panel.form.accept.click()
-    assert state(panel, Step.PAIR) is StepState.DONE
-    panel.choose(Step.OFFSET)
-    turned = replace(found, rows=found.rows + 3, right=replace(found.right, row=found.right.row + 3))
+    assert state(panel, "pair") is StepState.DONE
+    panel.choose("offset")
+    turned = replace(found, rows=found.rows + 3, residual=replace(found.residual, row=found.residual.row + 3))
     before = panel.draft.calibration.offset.rows
     panel.session.candidate = shown._replace(found=turned)
     panel.accept()
-    assert state(panel, Step.PAIR) is StepState.STALE
-    assert "the offset has moved by" in panel.form.steps[Step.PAIR].toolTip()
+    assert state(panel, "pair") is StepState.STALE
+    assert "the offset has moved by" in panel.form.steps["pair"].toolTip()
     assert panel.draft.calibration.offset.rows == pytest.approx(before + 3)
 
 
 def test_themes_and_loading(viewer, panel, qtbot, open_recording, tmp_path):
-    from_file(qtbot, panel, Step.OFFSET, open_recording / "line.tif")
+    from_file(qtbot, panel, "offset", open_recording / "line.tif")
     for theme in ("light", "dark"):
         viewer.theme = theme
         assert panel.form.plots[0].curves
@@ -260,10 +253,10 @@ def test_themes_and_loading(viewer, panel, qtbot, open_recording, tmp_path):
     panel.save(tmp_path / "cal.json")
     panel.form.undo.click()
     panel.load(tmp_path / "cal.json")
-    assert state(panel, Step.OFFSET) is StepState.DONE
+    assert state(panel, "offset") is StepState.DONE
     assert "from a file" in panel.form.headline.text()
     panel.form.undo.click()
-    assert state(panel, Step.OFFSET) is StepState.MISSING
+    assert state(panel, "offset") is StepState.MISSING
 
 
 def test_closing_the_dock_while_it_measures_leaves_no_panel_no_engine_and_no_thread(viewer, qtbot, said):
@@ -272,7 +265,7 @@ def test_closing_the_dock_while_it_measures_leaves_no_panel_no_engine_and_no_thr
     panel.form.connect_button.click()
     idle(qtbot, panel)
     pid = panel.connection.client.pid
-    panel.form.watch.click()
+    panel.form.follow_button.click()
     seen_something(qtbot, panel)
     gone = []
     panel.destroyed.connect(lambda: gone.append(True))
@@ -295,18 +288,18 @@ def faulty(panel, qtbot, monkeypatch, tmp_path):
     panel.form.connect_button.click()
     idle(qtbot, panel)
     panel.form.voltages.setValue(24)
-    measure(qtbot, panel, Step.OFFSET)
+    measure(qtbot, panel, "offset")
     panel.form.accept.click()
     return panel, fault, moves
 
 
 FAULTS = (
-    ("over-exposed", Step.OFFSET, "is saturated"),
-    ("laser off", Step.GALVO, "is the laser on"),
-    ("right view blocked", Step.OFFSET, "right view: no laser line"),
-    ("right view blocked", Step.PAIR, "two bundle images expected, 1 found"),
-    ("laser off", Step.PAIR, "is the probe lit from the far end?"),
-    ("unplugged", Step.GALVO, "the camera was unplugged"),
+    ("over-exposed", "offset", "is saturated"),
+    ("laser off", "galvo", "is the laser on"),
+    ("right view blocked", "offset", "residual view: no laser line"),
+    ("right view blocked", "pair", "two bundle images expected, 1 found"),
+    ("laser off", "pair", "is the probe lit from the far end?"),
+    ("unplugged", "galvo", "the camera was unplugged"),
 )
 
 
@@ -320,7 +313,7 @@ def test_faults_half_way_are_told_keep_the_last_good_calibration_and_park(faulty
         measure(qtbot, panel, step)
         assert panel.candidate is None, fault
         assert panel.draft is known
-        assert state(panel, Step.OFFSET) is StepState.DONE
+        assert state(panel, "offset") is StepState.DONE
         (severity, message), *more = said()[told:]
         assert severity == "error"
         assert words in message
@@ -328,7 +321,7 @@ def test_faults_half_way_are_told_keep_the_last_good_calibration_and_park(faulty
         assert moves.read_text().split()[-1] == "park", fault
         assert not panel.connection.client.status.live
     file.write_text("")
-    measure(qtbot, panel, Step.OFFSET)
+    measure(qtbot, panel, "offset")
     assert panel.candidate is not None, "it goes on once all is mended"
 
 
@@ -338,10 +331,10 @@ def test_plots_are_saved_and_the_script_makes_the_same_calibration(
     assert not panel.form.save_plots.isEnabled()
     assert not panel.form.script.isEnabled()
     volts = open_recording / "sweep_volts.csv"
-    for step, name in ((Step.OFFSET, "line.tif"), (Step.GALVO, "sweep.tif"), (Step.PAIR, "transmission.tif")):
-        from_file(qtbot, panel, step, open_recording / name, volts if step is Step.GALVO else None)
+    for step, name in (("offset", "line.tif"), ("galvo", "sweep.tif"), ("pair", "transmission.tif")):
+        from_file(qtbot, panel, step, open_recording / name, volts if step == "galvo" else None)
         panel.form.accept.click()
-    panel.form.steps[Step.GALVO].click()
+    panel.form.steps["galvo"].click()
     assert panel.form.save_plots.isEnabled()
     panel.save_plots(tmp_path / "galvo.csv")
     panel.save_plots(tmp_path / "galvo.png")
@@ -349,7 +342,7 @@ def test_plots_are_saved_and_the_script_makes_the_same_calibration(
         "galvo-2.csv", "galvo-2.png", "galvo.csv", "galvo.png",
     ]  # fmt: skip
     table = np.genfromtxt(tmp_path / "galvo.csv", delimiter=",", names=True)
-    galvo = panel.draft.found[Step.GALVO]
+    galvo = panel.draft.found["galvo"]
     assert np.allclose(table["measured"][: len(galvo.rows)], galvo.rows, rtol=1e-4)
     panel.form.script.click()
     script = QApplication.clipboard().text()
@@ -362,14 +355,14 @@ def test_plots_are_saved_and_the_script_makes_the_same_calibration(
 
 
 def test_what_another_panel_changes_makes_steps_stale(live, qtbot):
-    for step in (Step.GALVO, Step.PAIR, Step.BACKGROUND):
+    for step in ("galvo", "pair", "background"):
         measure(qtbot, live, step)
         live.form.accept.click()
-    button = live.form.steps[Step.BACKGROUND]
+    button = live.form.steps["background"]
     assert "✓" in button.text()
     live.connection.client.configure(Settings("240hz", gain_db=6.0)).result()
     qtbot.waitUntil(lambda: "⚠" in button.text(), timeout=LONG_MS)
     assert button.toolTip() == "stale: gain_db was 0.0, is 6.0"
-    assert "✓" in live.form.steps[Step.PAIR].text()
+    assert "✓" in live.form.steps["pair"].text()
     live.connection.client.configure(Settings("240hz")).result()
     qtbot.waitUntil(lambda: "✓" in button.text(), timeout=LONG_MS)

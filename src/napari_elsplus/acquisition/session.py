@@ -100,7 +100,7 @@ def open_engine(
     """
     with live_engine(rig, Settings(preset, slit_rows, frame_rate_hz, gain_db)) as (opened, engine):
         if calibration is None and opened.bench is not None:
-            calibrate_simulated(opened, engine, watch=lambda step: lambda numbers: progress(numbers, step))
+            calibrate_simulated(opened, engine, progress=lambda step: lambda numbers: progress(numbers, step))
         else:
             engine.use(calibration)
         yield engine

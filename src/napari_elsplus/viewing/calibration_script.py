@@ -1,4 +1,4 @@
-"""A calibration that was made by hand, step after step, as a script that makes it again."""
+"""Python script that repeats a calibration of the Calibration panel."""
 
 from __future__ import annotations
 
@@ -11,26 +11,24 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from napari_elsplus.processing.calibration.draft import Step
-
 
 @dataclass(frozen=True, slots=True)
 class MeasurementSource:
-    """Where a step's frames came from.
+    """Source of a step's frames.
 
     Parameters
     ----------
-    step : Step
-        Which.
+    step : str
+        Key of the step.
     path, volts : Path, optional
         The recording, and the table of a sweep's voltages; none if it was measured live.
     rig, preset : str
-        The rig on which it was measured live, and how that was set up.
+        The rig on which it was measured live, and its preset.
     voltages : int
-        Steps of a live sweep.
+        Of a live sweep.
     """
 
-    step: Step
+    step: str
     path: Path | None = None
     volts: Path | None = None
     rig: str = ""
@@ -38,15 +36,15 @@ class MeasurementSource:
     voltages: int = 0
 
 
-def calibration_script(sources: Sequence[MeasurementSource], bundle_um: float) -> str:
-    """Write a script that makes the same calibration.
+def calibration_script(sources: Sequence[MeasurementSource], bundle_um: float | None) -> str:
+    """Return a script that makes the same calibration from the same sources.
 
     Parameters
     ----------
     sources : sequence of MeasurementSource
         The steps that were accepted, in order.
     bundle_um : float
-        Diameter of the bundle's image.
+        Diameter of the bundle's image in micrometres.
 
     Raises
     ------
@@ -71,8 +69,9 @@ from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.io import open_recording, read_volts, write_calibration
-from napari_elsplus.processing.calibration.draft import Draft, Step
-from napari_elsplus.processing.calibration.stepwise import measure_step, setup_of
+from napari_elsplus.processing.calibration.draft import Draft, setup_of
+from napari_elsplus.processing.calibration.step import StepInputs
+from napari_elsplus.processing.calibration.steps import find_step
 
 draft = Draft(bundle_um={bundle_um!r})
 {body}
@@ -81,15 +80,17 @@ write_calibration("calibration.json", draft.calibration)
 
 
 def _step(source: MeasurementSource) -> list[str]:
-    step = f"Step.{source.step.name}"
+    step = f"find_step({source.step!r})"
     if source.path is None:
         return [
-            f'input("Prepare the {source.step}, then press Enter")',
-            f"guided = GuidedCalibration(client, {source.voltages})",
-            f"draft = draft.take(guided.measure({step}, draft), guided.setup())",
+            f"step, guided = {step}, GuidedCalibration(client, {source.voltages})",
+            'input(f"{step.preparation} Then press Enter.")',
+            "draft = step.accept(draft, guided.measure(step.key, draft), guided.setup())",
         ]
     volts = "None" if source.volts is None else f"read_volts({str(source.volts)!r})"
     return [
         f"with open_recording({str(source.path)!r}) as frames:",
-        f"    draft = draft.take(measure_step({step}, frames, draft, {volts}), setup_of(frames))",
+        f"    step, setup = {step}, setup_of(frames)",
+        f"    found = step.estimate(StepInputs(frames, setup, {volts}), draft)",
+        "    draft = step.accept(draft, found, setup)",
     ]

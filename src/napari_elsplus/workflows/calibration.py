@@ -1,4 +1,4 @@
-"""A calibration from recordings: files or frames in, the calibration and what was measured out."""
+"""A calibration from recordings: from files or frames to the calibration and the steps' results."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.io import open_recording, read_volts
-from napari_elsplus.processing.calibration.calibrate import Findings, measure
+from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.workflows.progress import without_display
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.workflows.progress import Progress
 
@@ -36,7 +37,8 @@ def calibrate(
     line_period_s: float | None = None,
     line_periods_per_frame: float | None = None,
     progress: Progress = without_display,
-) -> Findings:
+    **added: Source | None,
+) -> Draft:
     """Measure a calibration from any subset of its recordings.
 
     Parameters
@@ -63,10 +65,12 @@ def calibrate(
         Line periods from one frame to the next.
     progress : Progress
         Wraps the numbers of the sweep's frames.
+    **added : path-like or Frames, optional
+        Raw frames of steps that other packages have registered, by the steps' `option`.
 
     Returns
     -------
-    Findings
+    Draft
         ``calibration``, and the result of each step with its standard deviations; None for steps without input.
 
     Raises
@@ -76,7 +80,7 @@ def calibrate(
     MeasurementError
         If a step finds no line or no pair of bundle images.
     """
-    sources = {"line": line, "sweep": sweep, "bundle": bundle, "background": background, "flat": flat}
+    sources = {"line": line, "sweep": sweep, "bundle": bundle, "background": background, "flat": flat, **added}
     with ExitStack() as stack:
 
         def frames(source: Source) -> Frames:
@@ -91,7 +95,7 @@ def calibrate(
             bundle_um=bundle_um,
             line_period_s=line_period_s,
             line_periods_per_frame=line_periods_per_frame,
-            watch=lambda numbers: progress(numbers, "sweep"),
+            progress=lambda numbers: progress(numbers, "sweep"),
         )
 
 

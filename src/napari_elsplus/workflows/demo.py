@@ -150,7 +150,7 @@ def _calibrate(stage: _Stage) -> Calibration:
     instrument = stage.instrument
     volts = bench.sweep_volts(instrument)
     sweep = bench.standing_line(instrument, volts, seed=_SEED)
-    findings = measure(
+    draft = measure(
         line=list(bench.standing_line(instrument, bench.line_volts(instrument), seed=_SEED)),
         sweep=[next(sweep) for _ in stage.progress(range(len(volts)), "sweeping the line")],
         volts=volts,
@@ -159,10 +159,10 @@ def _calibrate(stage: _Stage) -> Calibration:
         um_per_px=instrument.optics.um_per_px,
         line_period_s=instrument.optics.line_period_s,
         line_periods_per_frame=instrument.optics.line_periods_per_frame,
-        watch=lambda numbers: stage.progress(numbers, "fitting the line"),
+        progress=lambda numbers: stage.progress(numbers, "fitting the line"),
     )
-    write_calibration(stage.folder / "calibration.json", findings.calibration, force=stage.force)
-    return findings.calibration
+    write_calibration(stage.folder / "calibration.json", draft.calibration, force=stage.force)
+    return draft.calibration
 
 
 def _record(stage: _Stage, calibration: Calibration) -> None:

@@ -20,6 +20,8 @@ from napari_elsplus.errors import CalibrationError, DeviceError, InputError
 from napari_elsplus.hardware.virtual.card.process import start_card
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording
+from napari_elsplus.processing.calibration.draft import Draft
+from napari_elsplus.processing.calibration.steps import find_step
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
@@ -273,8 +275,8 @@ def test_whoever_is_killed_the_mirror_is_parked_at_once(victim: str, command: tu
         until(lambda: not exists(engine))
 
 
-def test_a_procedure_can_be_cancelled(client: EngineClient, log: Path) -> None:
-    sweeping = client.map_galvo(np.linspace(-0.2, 0.6, 400))
+def test_a_procedure_can_be_cancelled(client: EngineClient, log: Path, calibration: Calibration) -> None:
+    sweeping = client.measure_step(find_step("galvo"), Draft(calibration), 400)
     until(lambda: client.status.progress is not None and client.status.progress.done > 3)
     assert client.status.progress.total == 400  # type: ignore[union-attr]
     client.cancel().result(60)

@@ -101,7 +101,7 @@ def bad(tmp_path: Path, open_recording: Path) -> Path:
         ("--bundle one.tif", "two bundle images expected, 1 found (threshold"),
         ("--bundle black.tif", "all pixels are 0"),
         ("--bundle white.tif", "100 % of the image of the bundle is saturated"),
-        ("--line black.tif", "left view: no laser line"),
+        ("--line black.tif", "confocal view: no laser line"),
         ("--line white.tif", "saturated"),
         ("--line nan.tif", "NaN"),
         ("--line rgb.tif", "rgb.tif"),

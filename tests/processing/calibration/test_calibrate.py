@@ -14,12 +14,12 @@ from benchmarks.documents.calibration_accuracy import FIRST_SEED
 from benchmarks.rigs.random_rigs import Rig
 from benchmarks.studies.calibration_accuracy import AIMED, survey
 from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError, MeasurementError
-from napari_elsplus.processing.calibration.calibrate import (
+from napari_elsplus.processing.calibration.calibrate import measure
+from napari_elsplus.processing.calibration.measurements import (
     map_galvo,
     mean_frame,
-    measure,
     measure_background,
-    measure_flat,
+    measure_flat_field,
     measure_offset,
 )
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
@@ -86,14 +86,14 @@ def test_flat_field_has_mean_one_and_takes_the_illumination_away() -> None:
     flattened = again[inside] / calibration.flat[inside]
     assert flattened.std() / flattened.mean() < 0.3 * again[inside].std() / again[inside].mean()
     with pytest.raises(MeasurementError, match="flat field is dark"):
-        measure_flat(np.zeros((1, *rig.shape)), calibration)
+        measure_flat_field(np.zeros((1, *rig.shape)), calibration)
     lit = rig.bundle(4)
     with pytest.raises(MeasurementError, match=r"\d+ % of the flat field is saturated"):
-        measure_flat(np.where(lit > 40, 255, lit).astype(np.uint8), calibration)
+        measure_flat_field(np.where(lit > 40, 255, lit).astype(np.uint8), calibration)
     with pytest.raises(MeasurementError, match="the flat field drifts by -"):
-        measure_flat(lit * np.array([1, 1, 0.8, 0.8])[:, None, None], calibration)
+        measure_flat_field(lit * np.array([1, 1, 0.8, 0.8])[:, None, None], calibration)
     with pytest.raises(CalibrationError, match="no bundle section"):
-        measure_flat(rig.bundle(), measure(line=rig.line()).calibration)
+        measure_flat_field(rig.bundle(), measure(line=rig.line()).calibration)
 
 
 def test_a_saturated_patch_has_no_say_in_gain_or_flat_field() -> None:

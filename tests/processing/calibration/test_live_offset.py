@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.calibrate import measure_offset
-from napari_elsplus.processing.calibration.live_offset import SEARCH_AGAIN, OffsetFollower
+from napari_elsplus.processing.calibration.live_offset import SEARCH_INTERVAL_FRAMES, OffsetFollower
+from napari_elsplus.processing.calibration.measurements import measure_offset
 
 RIG = Rig(left=(100.0, 98.0), right=(91.0, 302.5), diameter_px=180.0, line_rows=2.2, tilt_deg=1.0)
 
@@ -44,6 +44,6 @@ def test_a_reflection_is_not_followed_for_ever() -> None:
     faint = (RIG.lit_by_line(-30) / RIG.electrons_per_dn / 2 + 4).astype(np.uint8)
     follower.measure(faint)
     both = ((RIG.lit_by_line(-30) / 2 + RIG.lit_by_line(30)) / RIG.electrons_per_dn + 4).astype(np.uint8)
-    rows = [follower.measure(both).left.row_at(RIG.left[1]) for _ in range(SEARCH_AGAIN + 1)]
+    rows = [follower.measure(both).confocal.row_at(RIG.left[1]) for _ in range(SEARCH_INTERVAL_FRAMES + 1)]
     assert rows[0] == pytest.approx(RIG.left[0] - 30, abs=0.3)
     assert rows[-1] == pytest.approx(RIG.left[0] + 30, abs=0.3)

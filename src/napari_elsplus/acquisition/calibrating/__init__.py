@@ -1,1 +1,1 @@
-"""The calibration's steps on a running engine."""
+"""Calibration steps on a running engine."""

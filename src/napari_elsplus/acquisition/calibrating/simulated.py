@@ -1,46 +1,48 @@
-"""What a user does at a real rig's tip, done for the simulated one: targets for its calibration, tissue afterwards."""
+"""The simulated rig's bench: targets before its probe for a calibration, moving lens tissue afterwards."""
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.acquisition.calibrating.whole import Target, calibrate_rig
+from napari_elsplus.acquisition.calibrating.live import calibrate_rig
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
+from napari_elsplus.processing.calibration.step import Target
 from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibres, uniform
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Iterator
 
-    from napari_elsplus.acquisition.calibrating.procedures import Watch
+    from napari_elsplus.acquisition.calibrating.live import StepProgress
     from napari_elsplus.acquisition.engine.engine import Engine
     from napari_elsplus.hardware.rig import Rig
-    from napari_elsplus.processing.calibration.calibrate import Findings
-    from napari_elsplus.processing.calibration.lag import ScanLag
+    from napari_elsplus.processing.calibration.draft import Draft
 
 PATH: Final = Circle(diameter_um=800.0, period_s=1.75)
-"""How the probe moves over the tissue; 420 frames at 240 Hz, which then come again."""
+"""Path of the probe over the tissue; chosen: 420 frames at 240 Hz, which then repeat."""
 QUICK_VOLTAGES: Final = 60
-"""Steps of the sweep: enough for 0.05 rows, and over in seconds."""
+"""Of the sweep; chosen: enough for 0.05 rows, and over in seconds."""
+SCENES: Final = {Target.FAR_END_LIT: distal_light, Target.FLUORESCENT: uniform, Target.DARK_TUBE: empty}
 
 
 def open_live(name: str, *, own_process: bool = False) -> Rig:
-    """Open a rig for live images; the simulated one looks at moving lens tissue.
+    """Open a rig for live images; before the probe of the simulated one moves lens tissue.
 
     Parameters
     ----------
     name : str
         One of :func:`napari_elsplus.hardware.rigs.rig_names`.
     own_process : bool
-        Whether the simulated card outlives this process, as a real one does, so that a guardian has something to park.
+        Run the simulated card in a process that outlives this one, as a real card does, so that a guardian can park it.
 
     Raises
     ------
     InputError
-        If there is no such rig, or its file is wrong.
+        If no rig has that name, or its file is wrong.
     DeviceError
         If a device is absent, busy or fails.
     """
@@ -49,31 +51,40 @@ def open_live(name: str, *, own_process: bool = False) -> Rig:
     return open_rig(name, Simulation(scene=fibres(), trajectory=PATH, own_process=own_process))
 
 
-def calibrate_simulated(
-    rig: Rig, engine: Engine, *, voltages: int = QUICK_VOLTAGES, watch: Callable[[str], Watch] = lambda _: iter
-) -> tuple[Findings, ScanLag]:
-    """Calibrate the simulated rig by itself, and put the probe onto moving lens tissue.
+def place_target(rig: Rig, target: Target | None) -> None:
+    """Place a target before the simulated rig's probe, or moving lens tissue if it is None; skip a real rig."""
+    if rig.bench is None:
+        return
+    if target is None:
+        rig.bench.optics.show(fibres(), PATH)
+    else:
+        rig.bench.optics.show(SCENES[target]())
 
-    Parameters and results are those of :func:`napari_elsplus.acquisition.calibrating.whole.calibrate_rig`.
+
+@contextmanager
+def target_placed(rig: Rig, target: Target) -> Iterator[None]:
+    """Place a target before the simulated rig's probe, and moving lens tissue in the end; skip a real rig."""
+    place_target(rig, target)
+    try:
+        yield
+    finally:
+        place_target(rig, None)
+
+
+def calibrate_simulated(
+    rig: Rig, engine: Engine, *, voltages: int = QUICK_VOLTAGES, progress: StepProgress = lambda _: iter
+) -> Draft:
+    """Calibrate the simulated rig without a user, and place the probe onto moving lens tissue.
+
+    Parameters and results are those of :func:`napari_elsplus.acquisition.calibrating.live.calibrate_rig`.
 
     Raises
     ------
     InputError
         If the rig is a real one.
     """
-    bench = rig.bench
-    if bench is None:
-        raise InputError(f"the rig {rig.name} cannot calibrate itself", "give a calibration with -c")
-
-    def prepare(target: Target) -> None:
-        match target:
-            case Target.FAR_END_LIT:
-                bench.optics.show(distal_light())
-            case Target.FLUORESCENT:
-                bench.optics.show(uniform())
-            case Target.DARK_TUBE:
-                bench.optics.show(empty())
-
-    found = calibrate_rig(engine, prepare, voltages=voltages, watch=watch)
-    bench.optics.show(fibres(), PATH)
-    return found
+    if rig.bench is None:
+        raise InputError(f"the rig {rig.name} cannot be calibrated without its user", "give a calibration with -c")
+    draft = calibrate_rig(engine, lambda target: place_target(rig, target), voltages=voltages, progress=progress)
+    place_target(rig, None)
+    return draft

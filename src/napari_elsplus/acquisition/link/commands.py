@@ -15,10 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from concurrent.futures import Future
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from napari_elsplus.acquisition.calibrating.whole import Target
     from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.acquisition.link.session import Session
@@ -27,10 +23,9 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.streaming.usage import Usage
     from napari_elsplus.errors import MeasurementError
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.calibration.calibrate import Background, BundlePair, Findings, SlitOffset
-    from napari_elsplus.processing.calibration.draft import Flat, LitPair, Setup
-    from napari_elsplus.processing.calibration.galvo import GalvoMap
-    from napari_elsplus.processing.calibration.lag import ScanLag
+    from napari_elsplus.processing.calibration.draft import Draft, Setup
+    from napari_elsplus.processing.calibration.measurements import SlitOffset
+    from napari_elsplus.processing.calibration.step import CalibrationStep
     from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 P = ParamSpec("P")
@@ -196,95 +191,41 @@ class Commands:
 
     @command()
     def setup(session: Session) -> Setup:
-        """Return with what settings frames are taken now."""
-        from napari_elsplus.acquisition.calibrating import stepwise
+        """Return the settings with which frames are taken now."""
+        from napari_elsplus.acquisition.calibrating.live import engine_setup
 
-        return stepwise.setup(session.engine)
-
-    @command()
-    def prepare(session: Session, target: Target | None) -> bool:
-        """Put a target before the simulated rig's probe; return False for a real rig, whose user has to do it."""
-        from napari_elsplus.acquisition.calibrating import stepwise
-
-        return stepwise.prepare(session.rig, target)
+        return engine_setup(session.engine)
 
     @command(Turn.PROCEDURE)
-    def find_span(session: Session) -> tuple[float, float]:
-        """Find the voltages between which the line lies on the bundle."""
-        from napari_elsplus.acquisition.calibrating.whole import span_of_the_bundle
+    def measure_step(session: Session, step: CalibrationStep[Any], draft: Draft, voltages: int) -> Any:
+        """Measure a calibration step with what a draft contains, a sweep with so many voltages."""
+        from napari_elsplus.acquisition.calibrating.live import LiveMeasurement
+        from napari_elsplus.acquisition.calibrating.simulated import target_placed
 
-        return span_of_the_bundle(session.engine, session.watch("search for the bundle"))
-
-    @command(Turn.PROCEDURE)
-    def measure_offset(
-        session: Session, volts: float, background: NDArray[np.float32] | None = None, pair: BundlePair | None = None
-    ) -> SlitOffset:
-        """Measure the slit offset, the line held at a voltage, from frames less a background."""
-        from napari_elsplus.acquisition.calibrating import procedures
-
-        return procedures.offset(session.engine, volts, background, pair)
+        with target_placed(session.rig, step.target):
+            return LiveMeasurement(session.engine, voltages, session.watch).measure(step, draft)
 
     @command(Turn.PROCEDURE)
-    def follow_offset(session: Session, volts: float, background: NDArray[np.float32] | None = None) -> None:
-        """Measure the slit offset in every frame less a background, the line held at a voltage, until `cancel`."""
-        from napari_elsplus.acquisition.calibrating import procedures
+    def follow_offset(session: Session, draft: Draft) -> None:
+        """Measure the slit offset in every frame, the line held where a draft places it, until `cancel`."""
+        from napari_elsplus.acquisition.calibrating.live import follow_offset
+        from napari_elsplus.acquisition.calibrating.simulated import target_placed
+        from napari_elsplus.processing.calibration.steps import OFFSET
 
-        procedures.follow_offset(
-            session.engine, volts, background, tell=session.offsets.put, go_on=lambda: not session.cancelled
-        )
+        with target_placed(session.rig, OFFSET.target):
+            follow_offset(session.engine, draft, session.offsets.put, lambda: not session.cancelled)
 
     @command(needs_rig=False)
     def newest_offset(session: Session, number: int) -> tuple[int, SlitOffset | MeasurementError] | None:
         """Wait shortly for a result of `follow_offset` later than that number; return it with its number, or None."""
         return session.offsets.after(number)
 
-    @command(Turn.PROCEDURE)
-    def map_galvo(
-        session: Session,
-        volts: NDArray[np.floating],
-        background: NDArray[np.float32] | None = None,
-        pair: BundlePair | None = None,
-    ) -> GalvoMap:
-        """Sweep the line over voltages, and fit the galvo's map to frames less a background."""
-        from napari_elsplus.acquisition.calibrating import procedures
-
-        sweep, fit = session.watch("sweep"), session.watch("fit of the lines")
-        return procedures.sweep(session.engine, volts, background, pair, sweep, fit)
-
-    @command(Turn.PROCEDURE)
-    def lit_pair(session: Session) -> LitPair:
-        """Locate the pair of bundle images, and return the frame in which they were found."""
-        from napari_elsplus.acquisition.calibrating import stepwise
-
-        return stepwise.lit_pair(session.engine)
-
-    @command(Turn.PROCEDURE)
-    def lag_by(session: Session, calibration: Calibration) -> ScanLag:
-        """Measure the scan's lag, scanning by a calibration."""
-        from napari_elsplus.acquisition.calibrating import stepwise
-
-        return stepwise.lag_by(session.engine, calibration, session.watch("scan lag"))
-
-    @command(Turn.PROCEDURE)
-    def background_by(session: Session, calibration: Calibration) -> Background:
-        """Measure the background, scanning by a calibration."""
-        from napari_elsplus.acquisition.calibrating import stepwise
-
-        return stepwise.background_by(session.engine, calibration)
-
-    @command(Turn.PROCEDURE)
-    def flat_by(session: Session, calibration: Calibration) -> Flat:
-        """Measure a flat field, scanning by a calibration."""
-        from napari_elsplus.acquisition.calibrating import stepwise
-
-        return stepwise.flat_by(session.engine, calibration)
-
     @command(Turn.PROCEDURE, activates=True)
-    def calibrate_simulated(session: Session) -> tuple[Findings, ScanLag]:
+    def calibrate_simulated(session: Session) -> Draft:
         """Calibrate the simulated rig unattended, and activate the calibration."""
         from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
 
-        return calibrate_simulated(session.rig, session.engine, watch=session.watch)
+        return calibrate_simulated(session.rig, session.engine, progress=session.watch)
 
 
 COMMANDS: Final[Mapping[str, Command[..., Any]]] = {

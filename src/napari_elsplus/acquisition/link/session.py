@@ -19,11 +19,11 @@ from napari_elsplus.hardware.guardian import Guardian
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from napari_elsplus.acquisition.calibrating.procedures import Watch
     from napari_elsplus.acquisition.streaming.ring import Layout, Ring
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.calibration.calibrate import SlitOffset
+    from napari_elsplus.processing.calibration.measurements import SlitOffset
+    from napari_elsplus.processing.calibration.step import ProgressWrapper
 
 
 class Session:
@@ -127,7 +127,7 @@ class Session:
         finally:
             self._progress = None
 
-    def watch(self, step: str) -> Watch:
+    def watch(self, step: str) -> ProgressWrapper:
         """Return what wraps the numbers of a step's parts: it counts them in the status, and ends when cancelled."""
 
         def counted(numbers: Iterable[int]) -> Iterator[int]:

@@ -16,7 +16,7 @@ from napari_elsplus.acquisition.session import live_engine
 from napari_elsplus.acquisition.streaming.priority import keep_pace, settle_memory
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
-from napari_elsplus.cli.rig.live import watch_calibration
+from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.optics import PRESETS
@@ -69,7 +69,7 @@ def command(
         if given is not None:
             engine.use(given)
         else:
-            calibrate_simulated(rig, engine, watch=watch_calibration)
+            calibrate_simulated(rig, engine, progress=calibration_progress)
         assert engine.calibration is not None
         tracker = None
         if mosaic is not None or track is not None:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from napari_elsplus.cli.options import progress
 
 if TYPE_CHECKING:
-    from napari_elsplus.acquisition.calibrating.procedures import Watch
+    from napari_elsplus.processing.calibration.step import ProgressWrapper
 
 
-def watch_calibration(step: str) -> Watch:
+def calibration_progress(step: str) -> ProgressWrapper:
     """Return the progress bar of a step of the calibration."""
     return lambda numbers: progress(numbers, f"Calibrating: {step}")

@@ -1,6 +1,6 @@
-"""The scan's lag: what a static sweep cannot see, fitted from the signal at full speed.
+"""The scan lag, fitted to the signal at full speed.
 
-The mirror answers late and the trigger has a delay, so a scan must run ahead of the slit by a lead. The light that
+The galvo responds late and the trigger has a delay, so a scan must run ahead of the slit by a lead. The light that
 passes the slit is largest where the lead equals the lag; against the lead it falls off as the line's profile does.
 """
 
@@ -21,25 +21,30 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-_REACH_ROWS: Final = 13.0
-"""Leads that are farther than this from the best one show the halo of the line, not the line."""
-_LEAST_POINTS: Final = 6
-LONGEST_LAG_S: Final = 0.8e-3
+_FIT_RANGE_ROWS: Final = 13.0
+"""To either side of the best lead; chosen: farther leads measure the halo of the line, not the line."""
+_MIN_POINTS: Final = 6
+"""Chosen: the Gaussian on a pedestal has four parameters."""
+MAX_LAG_S: Final = 0.8e-3
+"""Longest lead that is tried; chosen, above the lag of galvos of 1 kHz with their triggers."""
 _COARSE_STEP_ROWS: Final = 5.0
+"""Chosen: narrower than the line with its slit, so that one lead meets it."""
 _FINE_STEP_ROWS: Final = 1.5
+"""Chosen: several leads across the line."""
 _FINE_STEPS: Final = 8
+"""To either side of the best coarse lead; derived: they cover the range of the fit."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanLag:
-    """How much the line is late.
+    """Delay of the line behind the drive.
 
     Parameters
     ----------
     lag_s, uncertainty_s : float
         The lag and its standard deviation.
     leads_s, signal : numpy.ndarray
-        What was measured: mean confocal grey level at each lead.
+        Mean confocal grey level at each lead, shape (n,).
     """
 
     lag_s: float
@@ -48,10 +53,10 @@ class ScanLag:
     signal: Floats
 
 
-def search_lag(
-    signal_at: Callable[[float], float], line_period_s: float, watch: Callable[[Iterable[int]], Iterable[int]] = iter
+def measure_lag(
+    signal_at: Callable[[float], float], line_period_s: float, progress: Callable[[Iterable[int]], Iterable[int]] = iter
 ) -> ScanLag:
-    """Try leads, coarsely over all that a galvo may need and finely about the best, and fit the lag to them.
+    """Measure the scan lag with leads that are coarse over the range of galvos and fine about the best.
 
     Parameters
     ----------
@@ -59,8 +64,8 @@ def search_lag(
         Scans with a lead in seconds, and returns the mean confocal grey level.
     line_period_s : float
         Seconds from one row to the next.
-    watch : callable, optional
-        Wraps the numbers of the leads, to show how far it is, or to give up.
+    progress : callable, optional
+        Wraps the numbers of the leads, to display progress, or to cancel.
 
     Returns
     -------
@@ -71,10 +76,10 @@ def search_lag(
     MeasurementError
         If the signal has no maximum within the leads.
     """
-    leads = np.arange(0.0, LONGEST_LAG_S, _COARSE_STEP_ROWS * line_period_s).tolist()
+    leads = np.arange(0.0, MAX_LAG_S, _COARSE_STEP_ROWS * line_period_s).tolist()
     coarse, fine = len(leads), np.arange(-_FINE_STEPS, _FINE_STEPS + 1) * _FINE_STEP_ROWS * line_period_s
     signal: list[float] = []
-    for number in watch(range(coarse + len(fine))):
+    for number in progress(range(coarse + len(fine))):
         if number == coarse:
             leads += (leads[int(np.argmax(signal))] + fine).tolist()
         signal.append(signal_at(leads[number]))
@@ -82,7 +87,7 @@ def search_lag(
 
 
 def fit_lag(leads_s: Floats, signal: Floats, line_period_s: float) -> ScanLag:
-    """Find the lead at which the signal is largest.
+    """Fit the lead at which the signal is largest.
 
     Parameters
     ----------
@@ -112,10 +117,10 @@ def fit_lag(leads_s: Floats, signal: Floats, line_period_s: float) -> ScanLag:
     """
     rows = leads_s / line_period_s
     best = rows[int(np.argmax(signal))]
-    near = np.abs(rows - best) <= _REACH_ROWS
+    near = np.abs(rows - best) <= _FIT_RANGE_ROWS
     x, y = rows[near], signal[near]
     span = float(y.max() - y.min())
-    if len(x) < _LEAST_POINTS or span <= 0 or not x.min() < best < x.max():
+    if len(x) < _MIN_POINTS or span <= 0 or not x.min() < best < x.max():
         raise MeasurementError(
             f"the signal has no maximum at leads of {1e6 * leads_s.min():.0f} to {1e6 * leads_s.max():.0f} us",
             "put the probe onto something that fluoresces evenly, and check the galvo map",
@@ -123,7 +128,7 @@ def fit_lag(leads_s: Floats, signal: Floats, line_period_s: float) -> ScanLag:
     bounds = (x.min(), 1.0, 0, -np.inf), (x.max(), 60.0, np.inf, np.inf)
     fit = least_squares(lambda guess: _gaussian(x, *guess) - y, (best, 5.0, span, float(y.min())), bounds=bounds)
     found, uncertainty = fit.x, _first_uncertainty(fit.jac, fit.fun)
-    if not (fit.success and uncertainty < 0.5 * _REACH_ROWS) or found[2] < 0.05 * abs(y.max()):
+    if not (fit.success and uncertainty < 0.5 * _FIT_RANGE_ROWS) or found[2] < 0.05 * abs(y.max()):
         raise MeasurementError(
             f"the signal hardly depends on the lead ({100 * span / max(abs(float(y.max())), 1e-9):.1f} %)",
             "put the probe onto something that fluoresces evenly, and raise the light",

@@ -1,31 +1,31 @@
-"""The slit offset frame after frame, while the tilt mirror is being turned."""
+"""Measurement of the slit offset in frame after frame, while the tilt mirror is being turned."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.steps import measure_offset
+from napari_elsplus.processing.calibration.measurements import measure_offset
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.calibration.steps import BundlePair, SlitOffset
+    from napari_elsplus.processing.calibration.measurements import BundlePair, SlitOffset
 
-SEARCH_AGAIN: Final = 60
-"""After so many frames the brightest line is looked for anew: what was followed may be a reflection."""
+SEARCH_INTERVAL_FRAMES: Final = 60
+"""Frames between searches of the whole view, as the followed line may be a reflection; chosen: half a second."""
 
 
 class OffsetFollower:
-    """Measures the slit offset in one frame after the other, each line looked for where it was.
+    """Measures the slit offset in one frame after the other, each line searched near its last position.
 
     Parameters
     ----------
     background : numpy.ndarray, optional
         Mean frame of the dark tube.
     pair : BundlePair, optional
-        The bundle images, if they are known.
+        The bundle images.
     """
 
     def __init__(self, background: NDArray[np.float32] | None = None, pair: BundlePair | None = None) -> None:
@@ -41,7 +41,7 @@ class OffsetFollower:
         MeasurementError
             If there is no line in one of the views.
         """
-        last = self._last if self._followed < SEARCH_AGAIN else None
+        last = self._last if self._followed < SEARCH_INTERVAL_FRAMES else None
         self._followed = 0 if last is None else self._followed + 1
         try:
             self._last = measure_offset([frame], self._background, self._pair, near=last)

@@ -1,1 +1,1 @@
-"""The Calibration panel: step after step, each measured, looked at, accepted or discarded."""
+"""The Calibration panel: steps that are measured, reviewed, accepted or discarded."""

@@ -1,37 +1,39 @@
-"""Which files the Calibration panel reads and writes, as the user says; empty where none was chosen."""
+"""File dialogs of the Calibration panel; each returns an empty name where none was chosen."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from qtpy.QtWidgets import QFileDialog
 
 from napari_elsplus.io.formats.registry import CALIBRATION, PICTURE, TABLE, dialog_filter, recordings_filter
-from napari_elsplus.processing.calibration.draft import Step
+from napari_elsplus.processing.calibration.step import Capture
 
 if TYPE_CHECKING:
     from qtpy.QtWidgets import QWidget
 
+    from napari_elsplus.processing.calibration.step import CalibrationStep
 
-def recording_for(panel: QWidget, step: Step) -> tuple[str, str]:
-    """Ask for the frames of a step, and for the voltages where it needs them."""
-    frames, _ = QFileDialog.getOpenFileName(panel, f"Frames for the {step}", "", recordings_filter())
-    if not frames or step is not Step.GALVO:
+
+def recording_for(panel: QWidget, step: CalibrationStep[Any]) -> tuple[str, str]:
+    """Return the chosen recording of a step of the panel, and the table of voltages where it needs one."""
+    frames, _ = QFileDialog.getOpenFileName(panel, f"Frames for the {step.title}", "", recordings_filter())
+    if not frames or step.capture is not Capture.SWEEP:
         return frames, ""
     volts, _ = QFileDialog.getOpenFileName(panel, "Voltages, one per frame", "", dialog_filter(TABLE))
     return frames, volts
 
 
 def calibration_to_load(panel: QWidget) -> str:
-    """Ask for a calibration."""
+    """Return the chosen calibration for a panel."""
     return QFileDialog.getOpenFileName(panel, "Load a calibration", "", dialog_filter(CALIBRATION))[0]
 
 
 def where_to_save(panel: QWidget) -> str:
-    """Ask where the calibration goes."""
+    """Return the chosen file for the calibration of a panel."""
     return QFileDialog.getSaveFileName(panel, "Save the calibration", "calibration.json", dialog_filter(CALIBRATION))[0]
 
 
-def where_to_save_plots(panel: QWidget, step: Step) -> str:
-    """Ask where the plots of a step go."""
-    return QFileDialog.getSaveFileName(panel, "Save the plots", f"{step}.png", dialog_filter(PICTURE, TABLE))[0]
+def where_to_save_plots(panel: QWidget, key: str) -> str:
+    """Return the chosen file for the plots of a panel's step, by its key."""
+    return QFileDialog.getSaveFileName(panel, "Save the plots", f"{key}.png", dialog_filter(PICTURE, TABLE))[0]

@@ -1,4 +1,4 @@
-"""The Calibration panel's fields, buttons and plots; what they do is the panel's."""
+"""Fields, buttons and plots of the Calibration panel; their actions are those of the panel."""
 
 from __future__ import annotations
 
@@ -19,15 +19,17 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_elsplus.acquisition.calibrating.whole import SWEEP_VOLTAGES
+from napari_elsplus.acquisition.calibrating.live import SWEEP_VOLTAGES
 from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS
-from napari_elsplus.processing.calibration.draft import Step, StepState
+from napari_elsplus.processing.calibration.step import Capture, StepState
+from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from napari_elsplus.processing.calibration.step import CalibrationStep
     from napari_elsplus.widgets.calibration.picture import Picture
 
 MARKS: Final = {
@@ -35,14 +37,15 @@ MARKS: Final = {
     StepState.STALE: "\N{WARNING SIGN}",
     StepState.MISSING: "\N{WHITE CIRCLE}",
 }
-"""Told apart without colour."""
-PLOTS: Final = 2
+"""Distinguishable without colour."""
+MAX_PLOTS: Final = 2
+"""Of a step; chosen: more do not fit a dock."""
 HEADLINE_PT: Final = 17
 FAR_PT: Final = 40
-"""To be read from across the bench, with both hands on the tilt mirror."""
+"""In points; chosen: legible from across the bench, with both hands on the tilt mirror."""
 NEAR_PT: Final = 11
 PLOT_STRETCH: Final = 1000
-"""A plot takes all the room there is; without one, nothing else grows."""
+"""Of the layout; chosen: far above 1, so that plots take all free space."""
 
 
 class Form:
@@ -51,7 +54,7 @@ class Form:
     Parameters
     ----------
     panel : QWidget
-        What it fills.
+        The panel that they fill.
     work : QWidget
         The progress bar.
     theme : str
@@ -61,42 +64,42 @@ class Form:
     def __init__(self, panel: QWidget, work: QWidget, theme: str) -> None:
         self.rig, self.preset = QComboBox(), QComboBox()
         self.rig.addItems(rig_names())
-        self.rig.setToolTip("Rigs that are known; the simulated one is always there")
+        self.rig.setToolTip("Rigs with a rig file, and the simulated rig")
         self.preset.addItems(list(PRESETS))
         self.preset.setToolTip("Region of the camera and objective")
         self.connect_button = QPushButton()
-        self.steps = {step: self._step_button(number, step) for number, step in enumerate(Step, 1)}
+        self.steps = {step.key: self._step_button(number, step) for number, step in enumerate(calibration_steps(), 1)}
         self.explanation, self.headline, self.numbers = (_text() for _ in range(3))
         self.headline.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.target, self.voltages = QDoubleSpinBox(), QSpinBox()
         self.target.setRange(3, 100)
         self.target.setValue(29)
         self.target.setSuffix(" \N{MICRO SIGN}m")
-        self.target.setToolTip("Slit offset that is wanted, either sign, 3 to 100 \N{MICRO SIGN}m; green within 1")
+        self.target.setToolTip("Target slit offset, either sign, 3 to 100 \N{MICRO SIGN}m; green within 1")
         self.voltages.setRange(20, 4000)
         self.voltages.setValue(SWEEP_VOLTAGES)
-        self.voltages.setToolTip("Steps of the sweep, 20 to 4000; the paper takes at least 400")
-        self.measure, self.watch, self.from_file = QPushButton(), QPushButton(), QPushButton("From file...")
+        self.voltages.setToolTip("Voltages of the sweep, 20 to 4000; the paper takes at least 400")
+        self.measure, self.follow_button, self.from_file = QPushButton(), QPushButton(), QPushButton("From file...")
         self.accept, self.discard, self.undo = QPushButton("Accept"), QPushButton("Discard"), QPushButton("Undo")
         self.load, self.save = QPushButton("Load..."), QPushButton("Save...")
-        self.load.setToolTip("Read a calibration and take it into force")
+        self.load.setToolTip("Read and activate a calibration")
         self.save_plots, self.script = QPushButton("Save plots..."), QPushButton("Copy as script")
-        self.plots = [ThemedPlot("", "", theme) for _ in range(PLOTS)]
+        self.plots = [ThemedPlot("", "", theme) for _ in range(MAX_PLOTS)]
         self._lay_out(panel, work)
-        self.follow(theme)
+        self.apply_theme(theme)
 
     @property
     def target_um(self) -> float:
-        """The offset that is wanted."""
+        """Target slit offset in micrometres."""
         return float(self.target.value())
 
-    def remembered(self, rig: str, preset: str) -> None:
-        """Choose what was chosen last time, where it still exists."""
+    def restore(self, rig: str, preset: str) -> None:
+        """Choose the rig and preset of the last time, where they still exist."""
         self.rig.setCurrentText(rig)
         self.preset.setCurrentText(preset)
 
-    def follow(self, theme: str) -> None:
-        """Take the colours of one of napari's themes."""
+    def apply_theme(self, theme: str) -> None:
+        """Use the colours of one of napari's themes."""
         for plot in self.plots:
             plot.follow(theme)
         ink = self.plots[0].ink("blue")
@@ -104,24 +107,36 @@ class Form:
         for button in self.steps.values():
             button.setStyleSheet(style)
 
-    def show_states(self, states: Mapping[Step, tuple[StepState, str]], now: Step) -> None:
-        """Mark each step as done, stale or missing."""
-        for number, (step, button) in enumerate(self.steps.items(), 1):
-            state, why = states[step]
-            button.setText(f"{MARKS[state]} {number} {step}")
-            button.setToolTip(f"{state}{': ' + why if why else ''}")
-            button.setChecked(step is now)
+    def show_states(self, states: Mapping[str, tuple[StepState, str]], chosen: str) -> None:
+        """Mark each step as done, stale or missing.
 
-    def explain(self, what: str, prepare: str) -> None:
-        """Say what the step measures, and what it needs."""
-        self.explanation.setText(f"{what}<br><i>{prepare}</i>")
+        Parameters
+        ----------
+        states : mapping
+            State and its reason, by the step's key.
+        chosen : str
+            Key of the displayed step.
+        """
+        for number, step in enumerate(calibration_steps(), 1):
+            button, (state, reason) = self.steps[step.key], states[step.key]
+            button.setText(f"{MARKS[state]} {number} {step.title}")
+            button.setToolTip(f"{state}{': ' + reason if reason else ''}")
+            button.setChecked(step.key == chosen)
 
-    def say(self, text: str) -> None:
-        """Say a line in place of the headline."""
+    def show_headline(self, text: str) -> None:
+        """Display a text in place of the headline."""
         self.headline.setText(text)
 
     def show_picture(self, picture: Picture | None, *, numbers: bool = True) -> None:
-        """Show what was found, or nothing; without its numbers where headline and plots have to keep up."""
+        """Display a step's picture.
+
+        Parameters
+        ----------
+        picture : Picture or None
+            None if the step has no result.
+        numbers : bool
+            Update the lines below the plots, too; left out at times while results follow each other quickly.
+        """
         if picture is None:
             self.headline.setText("not measured yet")
             self.numbers.setText("")
@@ -131,11 +146,13 @@ class Form:
             style = f"font-size:{HEADLINE_PT}pt; font-weight:600; {ink[picture.good]}"
             far = f"<span style='{style}; font-size:{FAR_PT}pt'>{picture.far}</span><br>" if picture.far else ""
             smaller = f"font-size:{NEAR_PT}pt" if far else ""
-            self.headline.setText(f"{far}<span style='{style}; {smaller}'>{picture.headline}</span>")
+            self.headline.setText(f"{far}<span style='{style}; {smaller}'>{_html(picture.headline)}</span>")
             warn = self.plots[0].ink("vermilion")
-            said = [f"<span style='color:{warn}'>{MARKS[StepState.STALE]} {line}</span>" for line in picture.warnings]
+            warnings = [
+                f"<span style='color:{warn}'>{MARKS[StepState.STALE]} {line}</span>" for line in picture.warnings
+            ]
             if numbers:
-                self.numbers.setText("<br>".join([*picture.lines, *said]))
+                self.numbers.setText("<br>".join([*picture.lines, *warnings]))
             plots = list(picture.plots)
         for index, widget in enumerate(self.plots):
             if index < len(plots):
@@ -148,52 +165,67 @@ class Form:
     def allow(
         self,
         *,
-        step: Step,
+        step: CalibrationStep[Any],
+        state: StepState,
+        missing: tuple[str, str],
         connected: bool,
         busy: bool,
-        watching: bool,
-        needs: str,
+        following: bool,
         candidate: bool,
         past: bool,
         scripted: bool,
-        state: StepState,
     ) -> None:
-        """Enable what may be done now; what may not says why."""
+        """Enable the actions that are possible; the others have the reason as tooltip.
+
+        Parameters
+        ----------
+        step : CalibrationStep
+            The displayed step.
+        state : StepState
+            Of the step.
+        missing : tuple of str
+            Steps that must come first, live and from a file; empty if none.
+        connected, busy, following : bool
+            A rig is connected; something is being measured; the slit offset is being followed.
+        candidate, past, scripted : bool
+            A result is not accepted yet; a step can be undone; a step was measured here.
+        """
         self.connect_button.setText("Disconnect" if connected else "Connect")
         self.connect_button.setEnabled(not busy)
         self.rig.setEnabled(not busy and not connected)
         self.preset.setEnabled(not busy and not connected)
         self.measure.setText("Measure" if state is StepState.MISSING else "Measure again")
-        why = "connect to a rig first" if not connected else "something is being measured" if busy else needs
-        _allow(self.measure, why, f"Measure the {step} live")
-        self.watch.setVisible(step is Step.OFFSET)
-        self.watch.setText("Stop" if watching else "Watch live")
+        measured = "something is being measured" if busy else ""
+        why = "connect to a rig first" if not connected else measured or missing[0]
+        _allow(self.measure, why, f"Measure the {step.title} live")
+        self.follow_button.setVisible(step.key == OFFSET.key)
+        self.follow_button.setText("Stop" if following else "Follow live")
         _allow(
-            self.watch, "" if watching else why, "Measure on and on while you turn the tilt mirror; press again to stop"
+            self.follow_button,
+            "" if following else why,
+            "Measure in frame after frame while you turn the tilt mirror; press again to stop",
         )
-        file_why = "something is being measured" if busy else "a file cannot show it" if step is Step.LAG else ""
-        if step is Step.FLAT:
-            file_why = file_why or needs
-        _allow(self.from_file, file_why, f"Measure the {step} from a recording")
-        nothing = "nothing new was measured" if not candidate else "stop watching first" if watching else ""
-        _allow(self.accept, nothing, "Take it into the calibration")
-        _allow(self.discard, nothing, "Forget it; the calibration stays as it was")
+        live_only = "it can only be measured live" if not step.option else ""
+        _allow(self.from_file, measured or live_only or missing[1], f"Measure the {step.title} from a recording")
+        nothing = "nothing new was measured" if not candidate else "stop following first" if following else ""
+        _allow(self.accept, nothing, "Accept the result into the calibration, and activate it")
+        _allow(self.discard, nothing, "Discard the result; the calibration stays as it was")
         _allow(self.undo, "" if past else "nothing was accepted yet", "Go back to before the last step was accepted")
         _allow(self.save, "", "Write the calibration, for recordings that have none of their own")
-        unseen = "" if self.plots[0].curves else "nothing is plotted yet"
-        _allow(self.save_plots, unseen, "Save what is plotted as pictures (.png) or tables (.csv)")
+        unplotted = "" if self.plots[0].curves else "nothing is plotted yet"
+        _allow(self.save_plots, unplotted, "Save what is plotted as pictures (.png) or tables (.csv)")
         _allow(self.script, "" if scripted else "no step was measured here", "Copy Python that makes this calibration")
-        for plain, shown in ((self.target, Step.OFFSET), (self.voltages, Step.GALVO)):
-            plain.setVisible(step is shown)
+        for plain, shown in ((self.target, step.key == OFFSET.key), (self.voltages, step.capture is Capture.SWEEP)):
+            plain.setVisible(shown)
             label = self._options.labelForField(plain)
             if label is not None:
-                label.setVisible(step is shown)
+                label.setVisible(shown)
 
-    def _step_button(self, number: int, step: Step) -> QToolButton:
+    def _step_button(self, number: int, step: CalibrationStep[Any]) -> QToolButton:
         button = QToolButton()
         button.setCheckable(True)
         button.setSizePolicy(button.sizePolicy().Policy.Expanding, button.sizePolicy().Policy.Fixed)
-        button.setText(f"{number} {step}")
+        button.setText(f"{number} {step.title}")
         return button
 
     def _lay_out(self, panel: QWidget, work: QWidget) -> None:
@@ -209,7 +241,7 @@ class Form:
         self._options.addRow("target", self.target)
         self._options.addRow("voltages", self.voltages)
         layout.addLayout(self._options)
-        layout.addLayout(_row(self.measure, self.watch, self.from_file))
+        layout.addLayout(_row(self.measure, self.follow_button, self.from_file))
         layout.addWidget(work)
         layout.addWidget(self.headline)
         for plot in self.plots:
@@ -220,6 +252,10 @@ class Form:
         layout.addLayout(_row(self.accept, self.discard, self.undo))
         layout.addLayout(_row(self.load, self.save))
         layout.addLayout(_row(self.save_plots, self.script))
+
+
+def _html(text: str) -> str:
+    return text.replace("\n", "<br>")
 
 
 def _allow(button: QPushButton, why_not: str, tooltip: str) -> None:

@@ -1,4 +1,4 @@
-"""What the Calibration panel does in a thread: measure a step live, from a file, or on and on."""
+"""Measurements that the Calibration panel runs in a thread: a step live or from a file, or the offset repeatedly."""
 
 from __future__ import annotations
 
@@ -8,26 +8,35 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.io import open_recording, read_volts
-from napari_elsplus.processing.calibration.stepwise import measure_step, setup_of
-from napari_elsplus.viewing.calibration_script import MeasurementSource
+from napari_elsplus.processing.calibration.draft import setup_of
+from napari_elsplus.processing.calibration.step import StepInputs
+from napari_elsplus.processing.calibration.steps import OFFSET, find_step
 from napari_elsplus.widgets.calibration.pictures import picture
 from napari_elsplus.widgets.calibration.session import ShownResult
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from pathlib import Path
-
     from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
-    from napari_elsplus.processing.calibration.draft import Draft, Step
+    from napari_elsplus.processing.calibration.draft import Draft
+    from napari_elsplus.processing.calibration.step import ProgressWrapper
+    from napari_elsplus.viewing.calibration_script import MeasurementSource
 
-LOOK_S: Final = 0.04
-"""The engine measures the offset in every frame; nobody reads more than so often."""
+READING_INTERVAL_S: Final = 0.04
+"""Between displayed offsets; chosen: 25 a second look continuous."""
 
 
-def measure_live(
-    guided: GuidedCalibration, step: Step, draft: Draft, target_um: float, source: MeasurementSource
-) -> ShownResult:
+def measure_live(guided: GuidedCalibration, draft: Draft, target_um: float, source: MeasurementSource) -> ShownResult:
     """Measure a step on the rig.
+
+    Parameters
+    ----------
+    guided : GuidedCalibration
+        On the rig.
+    draft : Draft
+        Results accepted so far.
+    target_um : float
+        Wanted slit offset in micrometres.
+    source : MeasurementSource
+        Names the step.
 
     Raises
     ------
@@ -35,19 +44,25 @@ def measure_live(
         As :meth:`~napari_elsplus.acquisition.link.guided_calibration.GuidedCalibration.measure`.
     """
     setup = guided.setup()
-    found = guided.measure(step, draft)
-    return ShownResult(found, setup, picture(found, draft, setup, target_um), source)
+    found = guided.measure(source.step, draft)
+    return ShownResult(found, setup, picture(find_step(source.step), found, draft, setup, target_um), source)
 
 
 def measure_recorded(
-    path: Path,
-    volts: Path | None,
-    step: Step,
-    draft: Draft,
-    target_um: float,
-    watch: Callable[[Iterable[int]], Iterable[int]],
+    source: MeasurementSource, draft: Draft, target_um: float, progress: ProgressWrapper
 ) -> ShownResult:
     """Measure a step from a recording.
+
+    Parameters
+    ----------
+    source : MeasurementSource
+        Names the step, its recording and the table of its voltages.
+    draft : Draft
+        Results accepted so far.
+    target_um : float
+        Wanted slit offset in micrometres.
+    progress : callable
+        Wraps the numbers of the frames, to display progress, or to cancel.
 
     Raises
     ------
@@ -56,39 +71,41 @@ def measure_recorded(
     MeasurementError
         If it finds nothing.
     """
-    with open_recording(path) as frames:
+    assert source.path is not None
+    step, volts = find_step(source.step), None if source.volts is None else read_volts(source.volts)
+    with open_recording(source.path) as frames:
         if len(frames) == 0:
-            raise InputError(f"{path.name} holds 0 frames", "choose another file")
+            raise InputError(f"{source.path.name} contains 0 frames", "choose another file")
         setup = setup_of(frames)
-        found = measure_step(step, frames, draft, None if volts is None else read_volts(volts), watch)
-    return ShownResult(found, setup, picture(found, draft, setup, target_um), MeasurementSource(step, path, volts))
+        found = step.estimate(StepInputs(frames, setup, volts, progress=progress), draft)
+    return ShownResult(found, setup, picture(step, found, draft, setup, target_um), source)
 
 
-class Watching:
-    """The slit offset again and again, while the tilt mirror is being turned.
+class OffsetFollowing:
+    """Measures the slit offset repeatedly while the tilt mirror is being turned.
 
     Parameters
     ----------
     guided : GuidedCalibration
         On the rig.
     draft : Draft
-        What is known so far.
+        Results accepted so far.
     target_um : float
-        Slit offset that is wanted.
+        Wanted slit offset in micrometres.
     source : MeasurementSource
-        Where the frames come from.
+        Source of the frames.
 
     Attributes
     ----------
     target_um : float
-        May be changed meanwhile.
+        May be changed while it runs.
     readings : int
-        How many were taken with :meth:`newest`.
+        Number of results that :meth:`newest` has returned.
     """
 
     def __init__(self, guided: GuidedCalibration, draft: Draft, target_um: float, source: MeasurementSource) -> None:
         self._guided, self._draft, self._source = guided, draft, source
-        self._goes_on = True
+        self._running = True
         self._newest: ShownResult | str | None = None
         self.target_um = target_um
         self.readings = 0
@@ -102,25 +119,25 @@ class Watching:
             If camera or mirror fail.
         """
         setup, begun_s = self._guided.setup(), perf_counter()
-        for count, found in self._guided.watch_offset(self._draft, lambda: self._goes_on):
+        for count, found in self._guided.follow_offset(self._draft, lambda: self._running):
             if count == 1:
                 begun_s = perf_counter()
             if isinstance(found, MeasurementError):
                 self._newest = str(found)
             else:
-                shown = picture(found, self._draft, setup, self.target_um)
+                shown = picture(OFFSET, found, self._draft, setup, self.target_um)
                 if count > 1:
                     rate = f"{(count - 1) / max(perf_counter() - begun_s, 1e-3):.0f} measurements a second"
                     shown = replace(shown, lines=[*shown.lines, rate])
                 self._newest = ShownResult(found, setup, shown, self._source)
-            sleep(LOOK_S)
+            sleep(READING_INTERVAL_S)
 
     def stop(self) -> None:
-        """Measure no more."""
-        self._goes_on = False
+        """End :meth:`run`."""
+        self._running = False
 
     def newest(self) -> ShownResult | str | None:
-        """Return what was found since the last call, or why nothing was; None if nothing is new."""
+        """Return the result since the last call, or the reason why there is none; None if nothing is new."""
         newest, self._newest = self._newest, None
         self.readings += isinstance(newest, ShownResult)
         return newest

@@ -1,10 +1,11 @@
-"""What a step of the calibration shows: a number to read from across the bench, the numbers behind it, its plots."""
+"""A step's result as the Calibration panel displays it: its summary, a number to read from a distance, plots."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import floor, inf, log10
 from typing import TYPE_CHECKING
+
+from napari_elsplus.processing.calibration.step import StepSummary
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,40 +25,19 @@ class Plot:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """What a step shows.
+class Picture(StepSummary):
+    """A summary with plots.
 
     Parameters
     ----------
-    headline : str
-        The number that matters, with its uncertainty.
-    far : str
-        The number to read from across the bench, if there is one.
-    lines : sequence of str
-        The numbers behind it.
-    warnings : sequence of str
-        What is not as it should be.
     plots : sequence of Plot
         At most two.
     good : bool, optional
-        Whether the headline is where it should be; None if nobody said where.
+        True if the headline is within its target, False if it is not, None if it has no target.
+    far : str
+        The number to read from across the bench; empty for none.
     """
 
-    headline: str
-    lines: Sequence[str] = ()
-    warnings: Sequence[str] = ()
     plots: Sequence[Plot] = field(default_factory=tuple)
     good: bool | None = None
     far: str = ""
-
-
-def told(value: float, spread: float) -> str:
-    """Write a value to the first digit of its uncertainty, but no finer than a millionth.
-
-    Examples
-    --------
-    >>> told(-21.7474, 0.0067), told(1.74836831, 0.00011)
-    ('-21.747 ± 0.007', '1.7484 ± 0.0001')
-    """
-    digits = min(max(-floor(log10(spread)), 2), 6) if 0 < spread < inf else 2
-    return f"{value:.{digits}f} ± {spread:.{digits}f}"

@@ -1,22 +1,23 @@
-"""What was measured and accepted in the Calibration panel so far, and the way back."""
+"""Results that were accepted in the Calibration panel, and their history for undo."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from napari_elsplus.processing.calibration.draft import Draft
+from napari_elsplus.processing.calibration.steps import find_step
 
 if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.calibration.draft import Setup, Step, StepResult
+    from napari_elsplus.processing.calibration.draft import Setup
     from napari_elsplus.viewing.calibration_script import MeasurementSource
     from napari_elsplus.widgets.calibration.picture import Picture
 
 
 class ShownResult(NamedTuple):
-    """What a step found, what it was measured with, how it is shown, and where its frames came from."""
+    """Result of a step, its setup, its picture, and the source of its frames."""
 
-    found: StepResult
+    found: Any
     setup: Setup
     picture: Picture
     source: MeasurementSource
@@ -28,37 +29,38 @@ class Session:
     Attributes
     ----------
     draft : Draft
-        What was accepted.
+        Accepted results.
     candidate : ShownResult or None
-        What was found last, neither accepted nor discarded yet.
+        Newest result, neither accepted nor discarded yet.
     """
 
     def __init__(self) -> None:
         self.draft = Draft()
         self.candidate: ShownResult | None = None
-        self._accepted: dict[Step, ShownResult] = {}
-        self._past: list[tuple[Draft, dict[Step, ShownResult]]] = []
+        self._accepted: dict[str, ShownResult] = {}
+        self._past: list[tuple[Draft, dict[str, ShownResult]]] = []
 
     @property
     def past(self) -> bool:
-        """Whether there is something to undo."""
+        """True if a change can be undone."""
         return bool(self._past)
 
     @property
     def sources(self) -> list[MeasurementSource]:
-        """Where the frames of what was accepted came from, in the order in which it was."""
+        """Sources of the accepted results, in the order in which they were accepted."""
         return [shown.source for shown in self._accepted.values()]
 
-    def shown(self, step: Step) -> ShownResult | None:
-        """Return what is known of a step: the candidate, or what was accepted here."""
-        return self.candidate or self._accepted.get(step)
+    def shown(self, key: str) -> ShownResult | None:
+        """Return the candidate, or else the accepted result of the step with a key."""
+        return self.candidate or self._accepted.get(key)
 
-    def accept(self, step: Step) -> bool:
-        """Take the candidate into the draft; whether there was one."""
+    def accept(self) -> bool:
+        """Accept the candidate into the draft; return True if there was one."""
         candidate = self.candidate
         if candidate is None:
             return False
-        draft = self.draft.take(candidate.found, candidate.setup)
+        step = candidate.source.step
+        draft = find_step(step).accept(self.draft, candidate.found, candidate.setup)
         self._past.append((self.draft, dict(self._accepted)))
         self._accepted.pop(step, None)  # the order in which steps were accepted is the script's
         self._accepted[step] = candidate
@@ -66,7 +68,7 @@ class Session:
         return True
 
     def undo(self) -> bool:
-        """Go back to before the last change of the draft; whether there was one."""
+        """Restore the draft before its last change; return True if there was one."""
         if not self._past:
             return False
         self.candidate = None
@@ -74,7 +76,7 @@ class Session:
         return True
 
     def begin_with(self, calibration: Calibration) -> None:
-        """Go on from a calibration that was not made here."""
+        """Continue with a calibration that was not made here."""
         self._past.append((self.draft, dict(self._accepted)))
         self.candidate, self._accepted = None, {}
         self.draft = Draft(calibration, bundle_um=self.draft.bundle_um)

@@ -1,4 +1,4 @@
-"""The panel's calibration and the one that all panels work by: each follows the other."""
+"""Synchronization of the panel's calibration with the active calibration of all panels."""
 
 from __future__ import annotations
 
@@ -13,36 +13,50 @@ if TYPE_CHECKING:
 
 
 class Sharing:
-    """Offers what was accepted, and notices what another panel has loaded or measured.
+    """Activates accepted calibrations, and returns those that another panel has activated.
 
     Parameters
     ----------
     connection : Connection
-        What the panels share.
+        Shared by the panels.
     """
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
-        self._asked: Future[None] | None = None
-        self._known: Calibration | None = None
-        self._refused: BaseException | None = None
+        self._activation: Future[None] | None = None
+        self._seen: Calibration | None = None
+        self._error: BaseException | None = None
 
-    def offer(self, calibration: Calibration, path: Path | None = None) -> None:
-        """Let the other panels and the engine work by a calibration, once it says where the bundle is."""
+    def activate(self, calibration: Calibration, path: Path | None = None) -> None:
+        """Activate a calibration for all panels and the engine, once it contains the bundle.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            Complete or not.
+        path : Path, optional
+            Its file.
+        """
         if calibration.bundle is None:
             return
-        self._asked = self._connection.take(calibration, path)
-        self._asked.add_done_callback(lambda done: setattr(self, "_refused", done.exception()))
+        self._activation = self._connection.take(calibration, path)
+        self._activation.add_done_callback(lambda done: setattr(self, "_error", done.exception()))
 
-    def refusal(self) -> BaseException | None:
-        """Return what the engine had against the last offer, once."""
-        refused, self._refused = self._refused, None
-        return refused
+    def error(self) -> BaseException | None:
+        """Return the error of the last activation, once."""
+        error, self._error = self._error, None
+        return error
 
-    def news(self, own: Calibration) -> Calibration | None:
-        """Return the calibration that all work by now, if it is new, and not one's own."""
+    def activated_elsewhere(self, own: Calibration) -> Calibration | None:
+        """Return the active calibration if another panel has activated it since the last call.
+
+        Parameters
+        ----------
+        own : Calibration
+            Of this panel.
+        """
         shared = self._connection.calibration
-        if shared is self._known or not (self._asked is None or self._asked.done()):
+        if shared is self._seen or not (self._activation is None or self._activation.done()):
             return None
-        self._known = shared
+        self._seen = shared
         return None if shared is own else shared

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from napari_elsplus.acquisition.calibrating.capture import find_span
 from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
@@ -16,17 +17,18 @@ from napari_elsplus.simulation.specimen.scenes import empty
 def test_the_simulated_rig_is_calibrated_to_its_truth_and_scans_by_it() -> None:
     with open_rig("simulated") as rig, Engine(rig) as engine:
         engine.configure(Settings("240hz"))
-        findings, lag = calibrate_simulated(rig, engine)
+        draft = calibrate_simulated(rig, engine)
         assert rig.bench is not None
         true, found = rig.bench.optics.calibration(preset("240hz")), engine.calibration
-        assert found == findings.calibration
+        assert found == draft.calibration
         assert found is not None
         assert found.offset is not None
         assert found.offset.rows == pytest.approx(true.offset.rows, abs=0.05)  # type: ignore[union-attr]
         assert found.galvo is not None
         assert found.galvo.row(0.1) == pytest.approx(true.galvo.row(0.1), abs=0.1)  # type: ignore[union-attr]
-        assert lag.lag_s == found.galvo.lag_s
-        assert lag.lag_s / engine.setup.line_period_s == pytest.approx(
+        assert draft.lag is not None
+        assert draft.lag.lag_s == found.galvo.lag_s
+        assert draft.lag.lag_s / engine.setup.line_period_s == pytest.approx(
             true.galvo.lag_s / engine.setup.line_period_s,  # type: ignore[union-attr]
             abs=0.3,
         )
@@ -36,18 +38,16 @@ def test_the_simulated_rig_is_calibrated_to_its_truth_and_scans_by_it() -> None:
 
 
 def test_without_a_line_the_search_says_so_and_the_calibration_before_stays(calibration: object) -> None:
-    from napari_elsplus.acquisition.calibrating.whole import span_of_the_bundle
-
     with open_rig("simulated") as rig, Engine(rig) as engine:
         engine.configure(Settings("240hz"))
         assert rig.bench is not None
         rig.bench.optics.show(empty())
         with pytest.raises(MeasurementError, match="no voltage"):
-            span_of_the_bundle(engine)
+            find_span(engine)
         assert not engine.status().live
         assert rig.bench.card.last_volts == pytest.approx(rig.scanner.park_v)
 
 
 def test_a_real_rig_does_not_calibrate_itself(rig: object, engine: Engine) -> None:
-    with pytest.raises(InputError, match="cannot calibrate itself"):
+    with pytest.raises(InputError, match="cannot be calibrated without its user"):
         calibrate_simulated(rig, engine)  # type: ignore[arg-type]

@@ -1,0 +1,130 @@
+"""Frames for the calibration's steps on a running engine: move the line, wait until it stands, take frames.
+
+Each function streams if nothing streams yet, and leaves the line parked whatever happens.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.errors import MeasurementError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.acquisition.engine.engine import Engine
+    from napari_elsplus.processing.calibration.step import ProgressWrapper
+
+SETTLED_S: Final = 2e-3
+"""Chosen: twice the period of a galvo of 1 kHz."""
+SEARCH_VOLTAGES: Final = 61
+"""Of the search for the bundle; chosen: a bundle over a thirtieth of the galvo's range is met by two."""
+SEARCH_FRAMES: Final = 10
+"""Averaged for the dark level of the search; chosen, a third of one frame's noise."""
+MIN_LINE_HEIGHT: Final = 0.25
+"""Part of the brightest line's height above which a line counts as on the bundle; chosen."""
+
+
+@contextmanager
+def streaming(engine: Engine) -> Iterator[None]:
+    """Stream with an engine, and park the line afterwards; leave a stream that runs already running."""
+    was_live = engine.status().live
+    try:
+        if not was_live:
+            engine.start()
+        yield
+    finally:
+        engine.park()
+        if not was_live:
+            engine.stop()
+
+
+def settled_frames(engine: Engine, count: int) -> NDArray[np.uint8]:
+    """Take a count of frames, (count, rows, cols), with a streaming engine as soon as the galvo has settled."""
+    return engine.fresh_frames(count, time.perf_counter() + SETTLED_S)
+
+
+def take_held(engine: Engine, volts: float, count: int) -> NDArray[np.uint8]:
+    """Take a count of frames, (count, rows, cols), with an engine, the line held at a voltage in volts."""
+    with streaming(engine):
+        engine.hold(volts)
+        return settled_frames(engine, count)
+
+
+def take_parked(engine: Engine, count: int) -> NDArray[np.uint8]:
+    """Take a count of frames, (count, rows, cols), with an engine, the line parked."""
+    with streaming(engine):
+        engine.park()
+        return settled_frames(engine, count)
+
+
+def take_scanning(engine: Engine, count: int) -> NDArray[np.uint8]:
+    """Take a count of frames, (count, rows, cols), with an engine, the line scanning."""
+    with streaming(engine):
+        engine.scan()
+        return settled_frames(engine, count)
+
+
+def take_sweep(engine: Engine, volts: NDArray[np.floating], progress: ProgressWrapper = iter) -> NDArray[np.uint8]:
+    """Take one frame, (voltages, rows, cols), of the line held at each voltage.
+
+    Parameters
+    ----------
+    engine : Engine
+        Streaming or not.
+    volts : numpy.ndarray
+        Voltages, shape (voltages,).
+    progress : callable
+        Wraps the numbers of the voltages, to display progress, or to cancel.
+    """
+    with streaming(engine):
+        rows, cols = engine.setup.frame_shape
+        frames = np.empty((len(volts), rows, cols), np.uint8)
+        for number in progress(range(len(volts))):
+            engine.hold(float(volts[number]))
+            frames[number] = settled_frames(engine, 1)[0]
+    return frames
+
+
+def find_span(engine: Engine, progress: ProgressWrapper = iter) -> tuple[float, float]:
+    """Find the voltages between which the line stands on the bundle, within the limits of the rig.
+
+    Parameters
+    ----------
+    engine : Engine
+        Streaming or not.
+    progress : callable
+        Wraps the numbers of the voltages, to display progress, or to cancel.
+
+    Raises
+    ------
+    MeasurementError
+        If no voltage puts a line onto the bundle.
+    """
+    limits = engine.mirror.limits
+    volts = np.linspace(limits.min_v, limits.max_v, SEARCH_VOLTAGES)
+    dark = take_parked(engine, SEARCH_FRAMES).mean(axis=0)
+    heights = _heights(take_sweep(engine, volts, progress), dark)
+    seen = np.flatnonzero(heights > MIN_LINE_HEIGHT * heights.max())
+    noise = float(np.median(heights))
+    if not heights.max() > 3 * max(noise, 1.0) or len(seen) > 0.7 * len(volts):
+        raise MeasurementError(
+            f"no voltage from {volts[0]:g} to {volts[-1]:g} V puts a line onto the bundle "
+            f"(brightest row {heights.max():.1f} grey levels)",
+            "is the laser on, and the target fluorescent? widen the mirror's range in the rig's file if it is",
+        )
+    step = volts[1] - volts[0]
+    low, high = volts[seen[0]] - step, volts[seen[-1]] + step
+    return max(float(low), limits.min_v), min(float(high), limits.max_v)
+
+
+def _heights(frames: NDArray[np.uint8], dark: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean grey level of each frame's brightest row above the dark frame."""
+    dark_rows = dark.mean(axis=1)
+    return np.array([float((frame.mean(axis=1) - dark_rows).max()) for frame in frames])

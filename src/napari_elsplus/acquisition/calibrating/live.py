@@ -1,0 +1,232 @@
+"""The calibration's steps on a running engine: one, the slit offset again and again, or all of them in a safe order."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from napari_elsplus.acquisition.calibrating.capture import (
+    find_span,
+    settled_frames,
+    streaming,
+    take_held,
+    take_parked,
+    take_scanning,
+    take_sweep,
+)
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.instrument.optics import BUNDLE_UM, preset
+from napari_elsplus.processing.calibration.draft import Draft, Setup
+from napari_elsplus.processing.calibration.live_offset import OffsetFollower
+from napari_elsplus.processing.calibration.step import Capture, StepInputs
+from napari_elsplus.processing.calibration.steps import calibration_steps
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.acquisition.engine.engine import Engine
+    from napari_elsplus.processing.calibration.measurements import SlitOffset
+    from napari_elsplus.processing.calibration.step import CalibrationStep, ProgressWrapper, Target
+
+    StepProgress = Callable[[str], ProgressWrapper]
+
+SWEEP_VOLTAGES: Final = 400
+"""Of the galvo map; as many as the paper takes."""
+FOLLOW_INTERVAL_S: Final = 6e-3
+"""Shortest time from one offset to the next; chosen: 120 Hz needs no more, and leaves time to the window."""
+SWEEP_REACH: Final = 0.55
+"""Of the bundle's diameter to either side of its centre; chosen: a tenth beyond the rim."""
+MEASURED_FIRST: Final = ("pair", "offset", "galvo")
+"""Keys in the order of a whole calibration: the pair gives the columns at which offset and galvo map are taken."""
+
+
+def engine_setup(engine: Engine) -> Setup:
+    """Return the settings with which an engine takes frames now."""
+    setup = engine.setup
+    um_per_px = preset(setup.settings.preset).optics.um_per_px
+    return Setup(setup.frame, setup.acquired_with, setup.line_period_s, setup.line_periods_per_frame, um_per_px)
+
+
+class LiveMeasurement:
+    """Measures calibration steps on a running engine; its target must lie before the probe.
+
+    Parameters
+    ----------
+    engine : Engine
+        Configured.
+    voltages : int
+        Of a sweep.
+    progress : callable
+        Returns for the name of a part the wrapper of its numbers, to display progress, or to cancel.
+    """
+
+    def __init__(self, engine: Engine, voltages: int = SWEEP_VOLTAGES, progress: StepProgress = lambda _: iter) -> None:
+        self._engine, self._voltages, self._progress = engine, voltages, progress
+        self._found_span: tuple[float, float] | None = None
+
+    def measure(self, step: CalibrationStep[Any], draft: Draft) -> Any:
+        """Measure a step with what a draft contains; the line is parked in the end.
+
+        Parameters
+        ----------
+        step : CalibrationStep
+            With its target before the probe. A line that scans does so by the draft's calibration, which is activated.
+        draft : Draft
+            Results so far.
+
+        Returns
+        -------
+        object
+            The step's result.
+
+        Raises
+        ------
+        MeasurementError
+            If the step finds nothing.
+        DeviceError
+            If camera or galvo fail.
+        """
+        engine, setup, progress = self._engine, engine_setup(self._engine), self._progress(step.title)
+        if step.capture in {Capture.SCANNING, Capture.LEADS}:
+            draft.calibration.require("galvo", "bundle")
+            engine.use(draft.calibration)
+        match step.capture:
+            case Capture.HELD:
+                inputs = StepInputs(take_held(engine, self.middle_v(draft), step.frames), setup)
+            case Capture.SWEEP:
+                volts = np.linspace(*self._span(draft), self._voltages)
+                frames = take_sweep(engine, volts, progress)
+                inputs = StepInputs(frames, setup, volts, progress=self._progress(f"{step.title}: fit"))
+            case Capture.PARKED:
+                inputs = StepInputs(take_parked(engine, step.frames), setup)
+            case Capture.SCANNING:
+                inputs = StepInputs(take_scanning(engine, step.frames), setup)
+            case Capture.LEADS:
+                with streaming(engine):
+                    scan = self._scan_with_lead(step, draft)
+                    return step.estimate(StepInputs((), setup, scan_with_lead=scan, progress=progress), draft)
+        return step.estimate(inputs, draft)
+
+    def middle_v(self, draft: Draft) -> float:
+        """Return the voltage that puts the line onto the middle of the bundle; searched if no draft contains it."""
+        known = draft.calibration
+        if known.galvo is not None and known.bundle is not None:
+            return float(known.galvo.volts(known.bundle.confocal_centre[0]))
+        if draft.galvo is not None:
+            return float(np.mean(draft.galvo.volts[draft.galvo.used]))
+        return sum(self._search()) / 2
+
+    def _span(self, draft: Draft) -> tuple[float, float]:
+        """Return the voltages that sweep the line over the whole bundle."""
+        known = draft.calibration
+        if known.galvo is None or known.bundle is None:
+            return self._search()
+        centre, reach = known.bundle.confocal_centre[0], SWEEP_REACH * known.bundle.diameter_px
+        first, last = (float(known.galvo.volts(row)) for row in (centre - reach, centre + reach))
+        return min(first, last), max(first, last)
+
+    def _search(self) -> tuple[float, float]:
+        if self._found_span is None:
+            self._found_span = find_span(self._engine, self._progress("search for the bundle"))
+        return self._found_span
+
+    def _scan_with_lead(self, step: CalibrationStep[Any], draft: Draft) -> Callable[[float], NDArray[np.uint8]]:
+        engine, known, galvo = self._engine, draft.calibration, draft.calibration.galvo
+        assert galvo is not None
+
+        def scan(lead_s: float) -> NDArray[np.uint8]:
+            engine.scan(known.model_copy(update={"galvo": galvo.model_copy(update={"lag_s": lead_s})}))
+            return settled_frames(engine, step.frames)
+
+        return scan
+
+
+def follow_offset(
+    engine: Engine,
+    draft: Draft,
+    publish: Callable[[SlitOffset | MeasurementError], None],
+    keep_on: Callable[[], bool],
+) -> None:
+    """Measure the slit offset in frame after frame while the tilt mirror is being turned, the line held.
+
+    Parameters
+    ----------
+    engine : Engine
+        Streaming or not.
+    draft : Draft
+        Results so far; the place of the line and the background are taken from it.
+    publish : callable
+        Receives each offset, or the reason why there is none.
+    keep_on : callable
+        Called before each frame; False ends the measurement.
+    """
+    volts = LiveMeasurement(engine).middle_v(draft)
+    follower = OffsetFollower(draft.calibration.background)
+    with streaming(engine):
+        engine.hold(volts)
+        frame = settled_frames(engine, 1)[0]
+        while keep_on():
+            next_s = time.perf_counter() + FOLLOW_INTERVAL_S
+            try:
+                publish(follower.measure(frame))
+            except MeasurementError as error:
+                publish(error)
+            time.sleep(max(next_s - time.perf_counter(), 0.0))
+            frame = engine.fresh_frames(1)[0]
+
+
+def calibrate_rig(
+    engine: Engine,
+    prepare: Callable[[Target], None],
+    *,
+    voltages: int = SWEEP_VOLTAGES,
+    bundle_um: float = BUNDLE_UM,
+    progress: StepProgress = lambda _: iter,
+) -> Draft:
+    """Calibrate a rig from nothing, with every step that is not optional, and activate the result.
+
+    Parameters
+    ----------
+    engine : Engine
+        Configured.
+    prepare : callable
+        Receives a target, and returns when it lies before the probe.
+    voltages : int
+        Of the sweep.
+    bundle_um : float
+        Diameter of the bundle's image in micrometres.
+    progress : callable
+        Returns for the name of a part the wrapper of its numbers, to display progress, or to cancel.
+
+    Returns
+    -------
+    Draft
+        The steps' results, and the complete calibration made of them.
+
+    Raises
+    ------
+    MeasurementError
+        If a step finds nothing; the calibration before stays active.
+    DeviceError
+        If camera or galvo fail.
+    """
+    before, placed, draft = engine.calibration, None, Draft(bundle_um=bundle_um)
+    measurement = LiveMeasurement(engine, voltages, progress)
+    engine.use(None)
+    try:
+        for step in calibration_steps(first=MEASURED_FIRST):
+            if step.optional:
+                continue
+            if step.target is not placed:
+                prepare(step.target)
+                placed = step.target
+            draft = step.accept(draft, measurement.measure(step, draft), engine_setup(engine))
+        engine.use(draft.calibration)
+    except BaseException:
+        engine.use(before)
+        raise
+    return draft

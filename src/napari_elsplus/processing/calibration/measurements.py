@@ -1,0 +1,373 @@
+"""Measurements of the calibration: from frames to a slit offset, galvo map, bundle pair, background or flat field.
+
+(i) slit offset, (ii) galvo map, (iii) bundle pair are those of the paper's System Calibration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma
+from napari_elsplus.processing.calibration.bundle import location as bundles
+from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
+from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, lines_in_sweep
+from napari_elsplus.processing.calibration.line import Line, locate_line
+from napari_elsplus.processing.images.sectioning import Sectioner, disc
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.images.sectioning import Frames
+
+    Image = NDArray[np.float32]
+
+MAX_SATURATED: Final = 0.01
+"""Largest saturated share of a frame; chosen, well above the share of hot pixels and below that of a core's image."""
+MAX_SATURATED_BUNDLE: Final = 0.05
+"""Largest saturated share of the bundle's image; chosen: saturated pixels are left out of the gain."""
+SATURATION_LEVEL: Final = 0.98
+"""Share of the largest grey level; chosen: reached by the mean of a pixel that is saturated in most frames."""
+MAX_DRIFT: Final = 0.05
+"""Largest relative change of the mean level between halves of the frames; chosen, above that of a warm laser."""
+_NEIGHBOURS: Final = 4
+"""Runs of columns whose errors are correlated; chosen: the cores of the two views differ by fewer columns."""
+
+
+@dataclass(frozen=True, slots=True)
+class SlitOffset:
+    """Row of a standing line in the residual view minus its row in the confocal view.
+
+    Parameters
+    ----------
+    rows, uncertainty_rows : float
+        The offset and its standard deviation; errors that both views share, from the cores, do not add to it.
+    confocal, residual : Line
+        The line in each view; columns count in the view, which begins at ``split`` for the residual one.
+    split : int
+        Column of the frame between the views.
+    """
+
+    rows: float
+    uncertainty_rows: float
+    confocal: Line
+    residual: Line
+    split: int
+
+
+@dataclass(frozen=True, slots=True)
+class BundlePair:
+    """Both bundle images and their alignment.
+
+    Parameters
+    ----------
+    confocal, residual : Disc
+        The bundle's image in each view.
+    alignment : Alignment
+        Map from the residual to the confocal image, and the gain.
+    image : numpy.ndarray
+        Mean frame (rows, cols) in which they were located, float32.
+    saturated : float
+        Share of the frame that is saturated.
+    """
+
+    confocal: bundles.Disc
+    residual: bundles.Disc
+    alignment: Alignment
+    image: Image
+    saturated: float = 0.0
+
+    @property
+    def shows_flat_field(self) -> bool:
+        """True if the frame may serve as a flat field."""
+        return self.saturated <= MAX_SATURATED
+
+    @property
+    def split(self) -> int:
+        """Column of the frame between the views."""
+        return round((self.confocal.centre[1] + self.residual.centre[1]) / 2)
+
+    @property
+    def offset_rows(self) -> float:
+        """Row of the residual bundle image minus that of the confocal: the slit offset, independent of the line."""
+        return self.residual.centre[0] - self.confocal.centre[0]
+
+    @property
+    def offset_uncertainty_rows(self) -> float:
+        """One standard deviation of :attr:`offset_rows`."""
+        return float(np.hypot(self.residual.centre_uncertainty_px, self.confocal.centre_uncertainty_px))
+
+
+@dataclass(frozen=True, slots=True)
+class Background:
+    """Mean frame of the dark tube.
+
+    Parameters
+    ----------
+    mean : numpy.ndarray
+        (rows, cols) float32.
+    frames : int
+        Number of frames that were averaged; the paper averages 50.
+    drift : float
+        Relative change of the mean level from the first half of the frames to the second.
+    """
+
+    mean: Image
+    frames: int
+    drift: float
+
+
+def measure_background(frames: Frames) -> Background:
+    """Average the frames of a dark tube with the laser on.
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols).
+
+    Raises
+    ------
+    MeasurementError
+        If more than 1 % is saturated, or the level drifts by more than 5 %.
+    """
+    mean, drift = mean_frame(frames), _drift(frames, "background")
+    _must_not_be_saturated(frames[0], "background")
+    return Background(mean, len(frames), drift)
+
+
+def _drift(frames: Frames, name: str) -> float:
+    """Return the relative change of the mean level from the first half of the frames to the second, unless large."""
+    half = len(frames) // 2
+    levels = [float(np.mean(np.asarray(frames[k][::4, ::4], np.float64))) for k in range(len(frames))]
+    first, second = (float(np.mean(part)) for part in (levels[: max(half, 1)], levels[half:]))
+    drift = (second - first) / max(abs(first), 1.0)
+    if abs(drift) > MAX_DRIFT:
+        raise MeasurementError(
+            f"the {name} drifts by {100 * drift:.1f} % while it is taken", "let laser and camera warm up"
+        )
+    return drift
+
+
+def measure_offset(
+    frames: Frames, background: Image | None = None, pair: BundlePair | None = None, near: SlitOffset | None = None
+) -> SlitOffset:
+    """Measure the slit offset from a standing line (step i).
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols) of the line standing near the middle of the bundle, to be averaged.
+    background : numpy.ndarray, optional
+        Mean frame of the dark tube.
+    pair : BundlePair, optional
+        The bundle images; without them the offset is taken at the middle of the lit part of the line.
+    near : SlitOffset, optional
+        The offset of the frame before, near which the lines are searched.
+
+    Raises
+    ------
+    MeasurementError
+        If there is no line in one of the views.
+    """
+    alone = near is not None and len(frames) == 1
+    frame: NDArray[Any] = np.asarray(frames[0]) if alone else mean_frame(frames)
+    _must_not_be_saturated(frames[0], "image of the line")
+    if near is not None:
+        split = near.split
+    elif pair is not None:
+        split = pair.split
+    else:
+        split = _between_views(np.asarray(frame, np.float32) if background is None else frame - background)
+    lines = []
+    for name, part in (("confocal", slice(0, split)), ("residual", slice(split, None))):
+        dark = None if background is None else background[:, part]
+        before = None if near is None else near.confocal if name == "confocal" else near.residual
+        try:
+            lines.append(locate_line(frame[:, part], dark, before))
+        except MeasurementError as error:
+            raise MeasurementError(f"{name} view: {error.problem}", error.remedy) from None
+    confocal, residual = lines
+    columns = (confocal.column, residual.column)
+    if pair is not None:
+        columns = (pair.confocal.centre[1], pair.residual.centre[1] - split)
+    return _offset_at(columns, confocal, residual, split)
+
+
+def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
+    """Return a slit offset at the centres of a bundle pair that was located later.
+
+    Parameters
+    ----------
+    offset : SlitOffset
+        At the middle of the lit part of the line.
+    pair : BundlePair
+        The bundle images.
+    """
+    columns = pair.confocal.centre[1], pair.residual.centre[1] - offset.split
+    return _offset_at(columns, offset.confocal, offset.residual, offset.split)
+
+
+def _offset_at(columns: tuple[float, float], confocal: Line, residual: Line, split: int) -> SlitOffset:
+    influence = residual.influence_at(columns[1]) - confocal.influence_at(columns[0])
+    rows = residual.row_at(columns[1]) - confocal.row_at(columns[0])
+    return SlitOffset(rows, newey_west_sigma(influence, _NEIGHBOURS), confocal, residual, split)
+
+
+def map_galvo(
+    frames: Frames,
+    volts: NDArray[np.floating],
+    background: Image | None = None,
+    pair: BundlePair | None = None,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+) -> GalvoMap:
+    """Fit the voltage that puts the line onto a row of the confocal view (step ii).
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        A raw frame (rows, cols) per voltage.
+    volts : numpy.ndarray
+        Voltages, shape (frames,).
+    background : numpy.ndarray, optional
+        Mean frame of the dark tube.
+    pair : BundlePair, optional
+        The bundle images; without them rows are taken at the middle of the longest lines.
+    progress : callable, optional
+        Wraps the frames' numbers, to display progress.
+
+    Raises
+    ------
+    InputError
+        If the numbers of voltages and frames differ.
+    MeasurementError
+        If too few frames show a line.
+    """
+    if len(volts) != len(frames):
+        raise InputError(f"{len(volts)} voltages for {len(frames)} frames of the sweep", "give one voltage per frame")
+    split = pair.split if pair is not None else _between_views(_brightest(frames, background))
+
+    def views() -> Iterator[NDArray[np.generic]]:
+        for number in progress(range(len(frames))):
+            yield np.asarray(frames[number])[:, :split]
+
+    lines = lines_in_sweep(views(), None if background is None else background[:, :split])
+    return fit_galvo(volts, lines, None if pair is None else pair.confocal.centre[1])
+
+
+def measure_pair(frames: Frames) -> BundlePair:
+    """Locate both bundle images, and measure their alignment and gain (step iii).
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols) of the bundle lit from its far end.
+
+    Raises
+    ------
+    MeasurementError
+        If there are not two bundle images that show the same cores, or the level drifts by more than 5 %.
+    """
+    frame = mean_frame(frames)
+    share = _must_not_be_saturated(frames[0], "image of the bundle", MAX_SATURATED_BUNDLE)
+    confocal, residual = bundles.locate_pair(frame)
+    saturated = frame >= SATURATION_LEVEL * _largest_level(frames[0])
+    pair = BundlePair(confocal, residual, align_views(frame, confocal, residual, saturated), frame, share)
+    if pair.shows_flat_field:
+        _drift(frames, "flat field")
+    return pair
+
+
+def measure_flat_field(frames: Frames, calibration: Calibration) -> Image:
+    """Measure the relative brightness of the confocal view's pixels under uniform light, mean 1 inside the disc.
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols) of a uniform scene, or of the bundle lit from its far end.
+    calibration : Calibration
+        With its bundle section.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n, n) float32, on the grid of :class:`napari_elsplus.processing.images.sectioning.Sectioner`.
+
+    Raises
+    ------
+    MeasurementError
+        If the disc is dark, more than 1 % is saturated, or the level drifts by more than 5 %.
+    """
+    calibration.require("bundle")
+    assert calibration.bundle is not None
+    frame = mean_frame(frames)
+    _must_not_be_saturated(frames[0], "flat field")
+    _drift(frames, "flat field")
+    sectioner = Sectioner(calibration, frame.shape)
+    image = sectioner.ls(frame)
+    inside = disc(len(image), calibration.bundle.diameter_px)
+    level = float(image[inside].mean())
+    if not level > 0.5:
+        raise MeasurementError(f"the flat field is dark (mean {level:.2g} grey levels)", "light the scene evenly")
+    return np.where(inside, np.maximum(image, 0) / level, 1).astype(np.float32)
+
+
+def mean_frame(frames: Frames) -> Image:
+    """Return the mean of raw frames, float32 (rows, cols).
+
+    Raises
+    ------
+    InputError
+        If there are no frames, or one contains NaN or infinity.
+    """
+    if not len(frames):
+        raise InputError("there are 0 frames", "give at least one")
+    total = np.zeros(frames[0].shape, np.float64)
+    for number in range(len(frames)):
+        total += np.asarray(frames[number], np.float64)
+    if not np.isfinite(total).all():
+        raise InputError("a frame holds NaN or infinity", "record it again")
+    return (total / len(frames)).astype(np.float32)
+
+
+def _must_not_be_saturated(frame: NDArray[Any], name: str, limit: float = MAX_SATURATED) -> float:
+    """Return the saturated share of the frame, unless it exceeds the limit."""
+    white = _largest_level(frame)
+    share = float(np.mean(frame == white))
+    if share > limit:
+        raise MeasurementError(
+            f"{100 * share:.0f} % of the {name} is saturated (grey level {white:g})", "lower the light or the gain"
+        )
+    return share
+
+
+def _largest_level(frame: NDArray[Any]) -> float:
+    """Return the largest grey level of a camera with integer pixels."""
+    return float(np.iinfo(frame.dtype).max) if np.issubdtype(frame.dtype, np.integer) else float("inf")
+
+
+def _brightest(frames: Frames, background: Image | None) -> Image:
+    """Return the brightest value of each pixel over a sweep: an image of the bundle."""
+    painted = np.asarray(frames[0], np.float32)
+    for number in range(1, len(frames), max(1, len(frames) // 100)):
+        np.maximum(painted, frames[number], out=painted, casting="unsafe")
+    return painted if background is None else painted - background
+
+
+def _between_views(frame: Image) -> int:
+    """Return the column between the two views: the middle of the darkest gap near the middle of the frame."""
+    light = frame - np.median(frame, axis=0)
+    brightness = np.sort(light, axis=0)[-max(3, len(light) // 50) :].mean(axis=0)
+    width = max(3, len(brightness) // 60)
+    brightness = np.convolve(brightness, np.full(width, 1 / width), mode="same")
+    start, stop = int(0.3 * len(brightness)), int(0.7 * len(brightness))
+    middle = brightness[start:stop]
+    low, high = float(middle.min()), float(np.percentile(brightness, 90))
+    dark = np.flatnonzero(middle <= low + 0.15 * max(high - low, 0))
+    runs = np.split(dark, np.flatnonzero(np.diff(dark) > 1) + 1)
+    return start + round(float(max(runs, key=len).mean()))

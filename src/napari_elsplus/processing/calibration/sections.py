@@ -1,0 +1,166 @@
+"""Results of the calibration's steps as sections of the calibration."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.instrument.calibration import (
+    BundleSection,
+    GalvoSection,
+    OffsetSection,
+    OpticsSection,
+    QualitySection,
+)
+from napari_elsplus.instrument.optics import BUNDLE_UM
+from napari_elsplus.processing.analysis.image_quality import alignment_error
+from napari_elsplus.processing.calibration.bundle.view_alignment import darkness
+from napari_elsplus.processing.calibration.measurements import measure_flat_field, offset_at
+from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.sectioning import Sectioner, disc
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.calibration.draft import Draft
+    from napari_elsplus.processing.calibration.galvo import GalvoMap
+    from napari_elsplus.processing.calibration.lag import ScanLag
+    from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
+
+    Image = NDArray[np.float32]
+
+PARK_CLEARANCE_UM: Final = 120.0
+"""From the rim to the parked line; derived from the halo's width, 100 um, and a fifth for the map beyond the bundle."""
+
+
+def apply_offset(draft: Draft, offset: SlitOffset) -> Calibration:
+    """Return the draft's calibration with a slit offset, taken at the centres of the bundle pair where it is known."""
+    seen = offset if draft.pair is None else offset_at(offset, draft.pair)
+    section = OffsetSection(rows=seen.rows, uncertainty_rows=seen.uncertainty_rows, tilt_deg=seen.confocal.tilt_deg)
+    return draft.calibration.model_copy(update={"offset": section})
+
+
+def apply_galvo(draft: Draft, galvo: GalvoMap) -> Calibration:
+    """Return the draft's calibration with a galvo map; with the bundle pair, also with the voltage for parking."""
+    pair, known, park_v = draft.pair, draft.calibration, None
+    before = known.galvo
+    if pair is not None:
+        centre, diameter_px = pair.confocal.centre, pair.confocal.diameter_px
+        galvo = galvo.at_column(centre[1])
+        clear = diameter_px / 2 + PARK_CLEARANCE_UM / (draft.um_per_px or BUNDLE_UM / diameter_px)
+        park_v = galvo.park_v(centre[0] - clear, centre[0] + clear)
+    elif before is not None:
+        park_v = before.park_v
+    section = GalvoSection(
+        volts_per_row=galvo.volts_per_row,
+        volts_at_row_zero=galvo.volts_at_row_zero,
+        volts_per_row_uncertainty=galvo.volts_per_row_uncertainty,
+        volts_at_row_zero_uncertainty=galvo.volts_at_row_zero_uncertainty,
+        r_squared=galvo.r_squared,
+        rms_rows=galvo.rms_rows,
+        park_v=park_v,
+        **({} if before is None else {"lag_s": before.lag_s}),
+    )
+    return known.model_copy(update={"galvo": section})
+
+
+def apply_pair(draft: Draft, pair: BundlePair) -> Calibration:
+    """Return the draft's calibration with a bundle pair: bundle, scale, flat field, quality; offset and galvo at it.
+
+    Parameters
+    ----------
+    draft : Draft
+        Contains the pair.
+    pair : BundlePair
+        Located.
+
+    Raises
+    ------
+    MeasurementError
+        If the two views do not fit each other.
+    """
+    known = draft.calibration.model_copy(update={"bundle": _bundle_section(pair)})
+    if draft.bundle_um is not None:
+        scale = draft.bundle_um / pair.confocal.diameter_px
+        known = known.model_copy(
+            update={"optics": (known.optics or OpticsSection()).model_copy(update={"um_per_px": scale})}
+        )
+    above_dark = _above_dark(known, pair)
+    flat = measure_flat_field(pair.image[None], above_dark) if pair.shows_flat_field else None
+    known = known.model_copy(update={"flat": flat, "quality": _quality(above_dark, pair, flat)})
+    if draft.offset is not None:
+        known = apply_offset(draft.with_calibration(known), draft.offset)
+    if draft.galvo is not None:
+        known = apply_galvo(draft.with_calibration(known), draft.galvo)
+    return known
+
+
+def apply_lag(draft: Draft, lag: ScanLag) -> Calibration:
+    """Return the draft's calibration with a scan lag.
+
+    Raises
+    ------
+    InputError
+        If there is no galvo map.
+    """
+    known = draft.calibration
+    if known.galvo is None:
+        raise InputError("a scan's lag belongs to a galvo map", "measure the galvo map first")
+    update = {"lag_s": lag.lag_s, "lag_uncertainty_s": lag.uncertainty_s}
+    return known.model_copy(update={"galvo": known.galvo.model_copy(update=update)})
+
+
+def apply_background(draft: Draft, background: Background) -> Calibration:
+    """Return the draft's calibration with a background."""
+    return draft.calibration.model_copy(update={"background": background.mean})
+
+
+def apply_flat_field(draft: Draft, flat: Image) -> Calibration:
+    """Return the draft's calibration with a flat field, and the quality of the bundle pair that it gives."""
+    update: dict[str, Any] = {"flat": flat}
+    if draft.pair is not None:
+        update["quality"] = _quality(_above_dark(draft.calibration, draft.pair), draft.pair, flat)
+    return draft.calibration.model_copy(update=update)
+
+
+def with_darkness(draft: Draft) -> Calibration:
+    """Return the draft's calibration with a background: its own, or else the darkness around the bundle pair."""
+    known = draft.calibration
+    return known if known.background is not None or draft.pair is None else _above_dark(known, draft.pair)
+
+
+def _bundle_section(pair: BundlePair) -> BundleSection:
+    top, bottom = (tuple(float(value) for value in row) for row in pair.alignment.residual_to_confocal)
+    return BundleSection(
+        confocal_centre=pair.confocal.centre,
+        residual_centre=pair.residual.centre,
+        diameter_px=pair.confocal.diameter_px,
+        residual_to_confocal=((top[0], top[1], top[2]), (bottom[0], bottom[1], bottom[2])),
+        residual_gain=pair.alignment.gain,
+        residual_gain_uncertainty=pair.alignment.gain_uncertainty,
+        centre_uncertainty_px=pair.confocal.centre_uncertainty_px,
+        diameter_uncertainty_px=pair.confocal.diameter_uncertainty_px,
+        alignment_uncertainty_px=pair.alignment.uncertainty_px,
+    )
+
+
+def _above_dark(calibration: Calibration, pair: BundlePair) -> Calibration:
+    """Return the calibration with the darkness of the pair's own image as background."""
+    return calibration.model_copy(update={"background": darkness(pair.image, pair.confocal, pair.residual)})
+
+
+def _quality(above_dark: Calibration, pair: BundlePair, flat: Image | None) -> QualitySection:
+    """Estimate how well the two views cancel, before and after the core filter."""
+    sectioner = Sectioner(above_dark, pair.image.shape)
+    views = [sectioner.ls(pair.image), sectioner.residual(pair.image)]
+    inside = disc(sectioner.side, pair.confocal.diameter_px)
+    try:
+        smooth = CoreFilter.GAUSSIAN.prepared(flat, inside)
+    except MeasurementError:
+        smooth = CoreFilter.MEDIAN.prepared(None, inside)
+    return QualitySection(
+        alignment_error=alignment_error(views[0], views[1], pair.confocal.diameter_px),
+        alignment_error_filtered=alignment_error(smooth(views[0]), smooth(views[1]), pair.confocal.diameter_px),
+    )

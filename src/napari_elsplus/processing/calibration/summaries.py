@@ -1,0 +1,127 @@
+"""Results of the calibration's steps in words: numbers with their uncertainties."""
+
+from __future__ import annotations
+
+from math import floor, inf, log10
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.instrument.optics import BUNDLE_UM
+from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT
+from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
+from napari_elsplus.processing.calibration.step import StepSummary
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.calibration.draft import Draft, Setup
+    from napari_elsplus.processing.calibration.galvo import GalvoMap
+    from napari_elsplus.processing.calibration.lag import ScanLag
+    from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
+
+MAX_OFFSET_DIFFERENCE_ROWS: Final = 0.5
+"""Between the slit offset and that of the bundle images, above which one is out of date; chosen, five times the
+uncertainty of a bundle's centre."""
+DEFAULT_SLIT_ROWS: Final = 3.0
+"""Slit width where the setup does not contain it: that of the presets."""
+
+
+def with_uncertainty(value: float, uncertainty: float) -> str:
+    """Format a value to the first digit of its uncertainty, but no finer than a millionth.
+
+    Examples
+    --------
+    >>> with_uncertainty(-21.7474, 0.0067), with_uncertainty(1.74836831, 0.00011)
+    ('-21.747 ± 0.007', '1.7484 ± 0.0001')
+    """
+    digits = min(max(-floor(log10(uncertainty)), 2), 6) if 0 < uncertainty < inf else 2
+    return f"{value:.{digits}f} ± {uncertainty:.{digits}f}"
+
+
+def summarize_offset(offset: SlitOffset, draft: Draft, setup: Setup) -> StepSummary:
+    """Summarize a slit offset: rows and micrometres, tilt and what it costs at the rim."""
+    scale, slit_rows = draft.um_per_px or setup.um_per_px, setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
+    line, headline, warnings = offset.confocal, f"{with_uncertainty(offset.rows, offset.uncertainty_rows)} rows", []
+    radius_px = (BUNDLE_UM / scale if scale else line.columns[1] - line.columns[0]) / 2
+    cost = abs(np.tan(np.radians(line.tilt_deg))) * radius_px
+    if scale is not None:
+        headline += f"\n{with_uncertainty(offset.rows * scale, offset.uncertainty_rows * scale)} µm"
+    if cost > slit_rows / 2:
+        warnings.append(f"the tilt costs more than half the slit of {slit_rows:g} rows: turn the line level")
+    if abs(offset.rows) < slit_rows:
+        warnings.append("the offset is smaller than the slit: the residual contains most of the signal")
+    tilt = with_uncertainty(line.tilt_deg, line.tilt_uncertainty_deg)
+    return StepSummary(headline, [f"tilt {tilt}°: {cost:.1f} rows at the rim"], warnings)
+
+
+def summarize_galvo(galvo: GalvoMap, _draft: Draft, _setup: Setup) -> StepSummary:
+    """Summarize a galvo map: its slope and intercept, the fit, the frames that were left out."""
+    frames, warnings = len(galvo.volts) + galvo.dark, []
+    lines = [
+        f"{with_uncertainty(1e3 * galvo.volts_at_row_zero, 1e3 * galvo.volts_at_row_zero_uncertainty)} mV at row 0, "
+        f"tilt {galvo.tilt_deg:.2f}°",
+        f"R² {galvo.r_squared:.6f}, residuals {galvo.rms_rows:.3f} rows RMS",
+        f"{galvo.lines} of {frames} voltages fitted, {galvo.dark} without a whole line, {galvo.outliers} outliers",
+    ]
+    if galvo.curved:
+        warnings.append(f"the galvo is not linear: it departs by up to {galvo.curvature_rows:.2f} rows")
+    if frames < PAPER_VOLTAGES:
+        warnings.append(f"{frames} voltages; the paper takes at least {PAPER_VOLTAGES}")
+    per_row = with_uncertainty(1e3 * galvo.volts_per_row, 1e3 * galvo.volts_per_row_uncertainty)
+    return StepSummary(f"{per_row}\nmV per row", lines, warnings)
+
+
+def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary:
+    """Summarize a bundle pair: centres, alignment and gain, how well the views cancel, its slit offset."""
+    known, alignment, warnings = draft.calibration, pair.alignment, []
+    evidence = ", ".join(f"{name} {extra:+.0f}" for name, extra in alignment.evidence.items())
+    lines = [
+        f"{name}: {disc.centre[0]:.2f}, {disc.centre[1]:.2f} ± {disc.centre_uncertainty_px:.2f}, "
+        f"Ø {disc.diameter_px:.2f} ± {disc.diameter_uncertainty_px:.2f} px"
+        for name, disc in (("confocal", pair.confocal), ("residual", pair.residual))
+    ]
+    lines.append(f"view alignment: {alignment.model} to {alignment.uncertainty_px:.3f} px (BIC: {evidence})")
+    lines.append(f"gain of the residual view {with_uncertainty(alignment.gain, alignment.gain_uncertainty)}")
+    if not pair.shows_flat_field:
+        warnings.append(f"{100 * pair.saturated:.0f} % of the image is saturated: it gives no flat field")
+    if known.offset is not None:
+        lines.append(
+            f"offset: {with_uncertainty(known.offset.rows, known.offset.uncertainty_rows)} rows by the line, "
+            f"{with_uncertainty(pair.offset_rows, pair.offset_uncertainty_rows)} by the bundle"
+        )
+        difference = known.offset.rows - pair.offset_rows
+        if abs(difference) > MAX_OFFSET_DIFFERENCE_ROWS:
+            warnings.append(f"the two offsets differ by {difference:.1f} rows: measure the slit offset again")
+    if known.galvo is not None and known.galvo.park_v is not None:
+        lines.append(f"park voltage {known.galvo.park_v:.4f} V")
+    headline = f"{alignment.model}, {alignment.uncertainty_px:.3f} px"
+    if known.quality is not None:
+        raw, filtered = 100 * known.quality.alignment_error, 100 * known.quality.alignment_error_filtered
+        headline = f"alignment error {raw:.1f} %\n{filtered:.2f} % after the filter"
+        paper = PAPER_ALIGNMENT_PERCENT
+        lines.append(f"the paper's alignment error: {paper[0]} %, {paper[1]} % after its filter")
+    return StepSummary(headline, lines, warnings)
+
+
+def summarize_lag(lag: ScanLag, _draft: Draft, setup: Setup) -> StepSummary:
+    """Summarize a scan lag: microseconds and rows."""
+    lines = []
+    if setup.line_period_s is not None:
+        rows = with_uncertainty(lag.lag_s / setup.line_period_s, lag.uncertainty_s / setup.line_period_s)
+        lines.append(f"{rows} rows by which the scan leads the slit")
+    return StepSummary(f"{with_uncertainty(1e6 * lag.lag_s, 1e6 * lag.uncertainty_s)} µs", lines)
+
+
+def summarize_background(background: Background, _draft: Draft, _setup: Setup) -> StepSummary:
+    """Summarize a background: its mean level and drift."""
+    lines = [f"{background.frames} frames, drift {100 * background.drift:.2f} %, less than 1 % saturated"]
+    return StepSummary(f"{float(background.mean.mean()):.2f} grey levels", lines)
+
+
+def summarize_flat_field(flat: NDArray[np.float32], _draft: Draft, _setup: Setup) -> StepSummary:
+    """Summarize a flat field: its unevenness."""
+    at = np.arange(len(flat)) - (len(flat) - 1) / 2
+    inside = np.hypot(at[:, None], at) < 0.45 * len(flat)
+    unevenness = 100 * float(flat[inside].std())
+    return StepSummary(f"{unevenness:.1f} % uneven", ["standard deviation in the 90 % disc, cores included"])
