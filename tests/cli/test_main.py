@@ -83,10 +83,14 @@ def test_with_a_screen_it_opens_napari(monkeypatch: pytest.MonkeyPatch) -> None:
     assert opened == ["napari_elsplus._window"]
 
 
-def test_version_and_help_load_nothing_heavy() -> None:
-    code = (
-        "import sys; from napari_elsplus.cli import main; main(['--version']);"
-        "print([m for m in ('napari', 'qtpy', 'cv2', 'numba', 'numpy') if m in sys.modules])"
+@pytest.mark.parametrize(("argument", "code"), [("--version", 0), ("--help", 0), ("--wrong", 2), ("mosiac", 2)])
+def test_version_help_and_errors_load_nothing_heavy(argument: str, code: int) -> None:
+    program = (
+        "import sys; from napari_elsplus.cli import main\n"
+        f"try: main([{argument!r}])\n"
+        "finally: print([m for m in ('napari', 'qtpy', 'cv2', 'numba', 'numpy') if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split("\n")[:2] == [f"napari-elsplus, version {napari_elsplus.__version__}", "[]"]
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (code, "[]")
+    if argument == "--version":
+        assert done.stdout.startswith(f"napari-elsplus, version {napari_elsplus.__version__}\n")

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    short_help="Axial response from a scan of depths.",
     epilog=f"SCAN is one of: {supported_recordings()}.",
 )
 @click.argument("scan", type=FILE)

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    short_help="LS, ELSA and ELS+ of one frame side by side.",
     epilog=f"RAW is one of: {supported_recordings()}.",
 )
 @click.argument("raw", type=FILE)

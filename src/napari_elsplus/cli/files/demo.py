@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
-@click.command(short_help="Calibrate, acquire, section and mosaic with the simulated rig.")
+@click.command()
 @click.option("--out", type=FILE, default=Path("elsplus-demo"), show_default=True, help="Folder for the results.")
 @force_option
 def command(out: Path, force: bool) -> None:

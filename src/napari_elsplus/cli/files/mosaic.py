@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    short_help="Track the probe and insert its images into a mosaic.",
     epilog=f"RAW is one of: {supported_recordings()}.",
 )
 @click.argument("raw", type=FILE)

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    short_help="LS, residual, ELS+ or ELSA images of raw frames.",
     epilog=f"RAW is one of: {supported_recordings()}.",
 )
 @click.argument("raw", type=FILE)

@@ -36,7 +36,7 @@ slit_option = click.option("--slit-um", type=POSITIVE, help="Slit width, rounded
 seed_option = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of scene and camera noise.")
 
 
-@click.group(short_help="Simulate raw frames with known truth.")
+@click.group()
 def command() -> None:
     """Simulate raw frames of the model instrument, with truth and calibration beside them."""
 

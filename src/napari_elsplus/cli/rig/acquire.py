@@ -34,7 +34,7 @@ _STEP_S = 0.1
 ALL_OF_IT_S = 3600.0
 
 
-@click.command(short_help="Acquire live, without a screen.")
+@click.command()
 @click.option("--rig", "rig_name", default=SIMULATED, show_default=True, help="Which rig; `doctor` lists them.")
 @click.option("-c", "--calibration", type=FILE, help="The rig's calibration; the simulated rig calibrates itself.")
 @click.option("--preset", type=click.Choice(list(PRESETS)), default="240hz", show_default=True, help="Camera region.")

@@ -38,7 +38,7 @@ def _step_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-@click.command(short_help="Measure slit offset, galvo map and bundle pair.")
+@click.command()
 @_step_options
 @click.option("--volts", type=FILE, help="CSV with header `volts`, a line per frame of the sweep.")
 @click.option("--um-per-px", type=POSITIVE, help="Micrometres at the bundle for one camera pixel.")

@@ -12,7 +12,7 @@ from napari_elsplus.diagnosis.finding import Level
 COLOURS = {Level.OK: "green", Level.WARNING: "yellow", Level.PROBLEM: "red"}
 
 
-@click.command(short_help="Check software and devices.")
+@click.command()
 def command() -> None:
     """Report installed software, devices and problems, with the command that solves each problem.
 
