@@ -25,6 +25,11 @@ DOCUMENTED: tuple[str, ...] = (
     "diagnosis",
     "hardware",
     "processing/mosaicing",
+    "viewing",
+    "widgets/analysis",
+    "widgets/live",
+    "widgets/mosaic",
+    "widgets/shared",
     "workflows",
 )
 """Folders of which every public function documents its parameters."""

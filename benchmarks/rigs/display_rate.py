@@ -83,7 +83,7 @@ def measure(seconds: float, canvases_px: Sequence[int], most: int) -> None:
     try:
         client = panel.connection.connect(SIMULATED, Settings(PRESET))
         client.use(_calibration()).result()
-        _until(lambda: not panel.asking.busy)
+        _until(lambda: not panel.requests.busy)
         panel.toggle()
         _until(lambda: panel.live)
         for wanted_px in canvases_px:
@@ -114,7 +114,7 @@ def _measure(panel: LivePanel, client: EngineClient, layers: int, wanted_px: int
 
     _go_on(SETTLE_S)
     panel.layers.update = timed  # type: ignore[method-assign,assignment] # while it is measured
-    drawn, begin_s, spent_s = panel.drawing.drawn, time.perf_counter(), time.thread_time()
+    drawn, begin_s, spent_s = panel.canvas.drawn, time.perf_counter(), time.thread_time()
     _go_on(seconds)
     measured_s, spent_s = time.perf_counter() - begin_s, time.thread_time() - spent_s
     panel.layers.update = update  # type: ignore[method-assign]
@@ -122,9 +122,9 @@ def _measure(panel: LivePanel, client: EngineClient, layers: int, wanted_px: int
     return Rate(
         layers,
         wanted_px,
-        panel.drawing.canvas_px,
+        panel.canvas.canvas_px,
         len(took_s) / measured_s,
-        (panel.drawing.drawn - drawn) / measured_s,
+        (panel.canvas.drawn - drawn) / measured_s,
         1e3 * float(np.median(took_s)),
         1e3 * spent_s / len(took_s),
         status.camera_hz,

@@ -14,7 +14,7 @@ from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording, write_calibration, write_column, write_stack
 from napari_elsplus.processing.analysis.axial_response import axial_response
 from napari_elsplus.viewing.axial import (
-    HandScan,
+    ManualScan,
     Scan,
     axial_script,
     drop_offs,
@@ -33,9 +33,9 @@ def stack():
 
 def test_a_stack_and_frames_taken_by_hand_in_any_order_agree():
     seen = []
-    measured = measure_scan(stack(), calibration(), watch=lambda numbers: (seen.append(k) or k for k in numbers))
+    measured = measure_scan(stack(), calibration(), progress=lambda numbers: (seen.append(k) or k for k in numbers))
     assert seen == list(range(len(DEPTH_UM)))
-    by_hand = HandScan()
+    by_hand = ManualScan()
     for k in (3, 0, 1, 8, 2, 7, 6, 5, 4):
         by_hand.take(frames()[k], calibration(), DEPTH_UM[k])
     taken = by_hand.scan(calibration())
@@ -46,7 +46,7 @@ def test_a_stack_and_frames_taken_by_hand_in_any_order_agree():
 
 
 def test_too_few_depths_and_unknown_depths_are_refused():
-    by_hand = HandScan()
+    by_hand = ManualScan()
     by_hand.take(frames()[0], calibration(), 0)
     with pytest.raises(InputError, match="1 different depths"):
         by_hand.scan(calibration())
@@ -97,7 +97,7 @@ def test_the_script_runs_and_says_the_same(tmp_path):
             axial_script(of_file, "")
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert f"ELS+: 3 dB at {measured.response.els_3db.um:.1f} um" in run.stdout
-    with pytest.raises(InputError, match="lies in no file"):
+    with pytest.raises(InputError, match="has no file"):
         axial_script(stack(), "c.json")
 
 

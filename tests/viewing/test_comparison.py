@@ -52,9 +52,9 @@ def test_white_is_what_the_scaling_says():
         mode: rng.random((40, 40)).astype(np.float32) * top for mode, top in zip(Mode, (90, 10, 50, 60), strict=True)
     }
     own = {mode: white_level(image, inside) for mode, image in images.items()}
-    assert white_levels(images, inside, "each its own") == own
+    assert white_levels(images, inside, "individual") == own
     assert set(white_levels(images, inside, "shared").values()) == {own[Mode.LS]}
-    paper = white_levels(images, inside, "as the paper")
+    paper = white_levels(images, inside, "0.01 % saturated")
     assert paper[Mode.ELSA] == paper[Mode.ELS] == own[Mode.ELS]
     assert paper[Mode.LS] == own[Mode.LS]
 
@@ -81,7 +81,7 @@ def test_the_script_runs_and_says_what_the_panel_says(tmp_path):
         script = comparison_script(of_file, str(tmp_path / "scan.calibration.json"), "median", "shared", 2)
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert [line.split(":")[0] for line in run.stdout.splitlines()] == ["ls", "elsa", "els"]
-    with pytest.raises(InputError, match="lies in no file"):
+    with pytest.raises(InputError, match="has no file"):
         comparison_script(stack(), "c.json", "none", "shared", 0)
     with pytest.raises(CalibrationError, match="no file of its own"):
         comparison_script(of_file, "", "none", "shared", 0)

@@ -1,1 +1,1 @@
-"""Recordings as a viewer wants them: lazy arrays, and layers with scale, units and names; no viewer in here."""
+"""Lazy arrays and layer data of recordings and mosaics, independent of Qt and napari."""

@@ -1,11 +1,11 @@
-"""Axial scans as a panel shows them: from a stack, taken by hand, or simulated; several against offset or width."""
+"""Axial responses measured from a stack, by manual steps, or by simulation; drop-offs against slit parameters."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -33,11 +33,14 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
 
-FEWEST_FOR_A_FIT = 3
+MANUAL_SCAN: Final = "manual"
+"""Beginning of the name of a manual scan."""
+MIN_SCANS_FOR_FIT: Final = 3
+"""Distinct offsets, one more than the two parameters of the saturating curve."""
 
 
-class Against(StrEnum):
-    """What drop-offs are plotted against."""
+class SlitParameter(StrEnum):
+    """Slit parameter against which drop-offs are plotted."""
 
     OFFSET = "slit offset"
     SLIT = "slit width"
@@ -50,7 +53,7 @@ class Scan:
     Attributes
     ----------
     name : str
-        Where it comes from.
+        Name of the recording, or how the scan was made.
     response : AxialResponse
         Curves and drop-offs.
     offset_um, slit_um : float or None
@@ -63,7 +66,7 @@ class Scan:
     slit_um: float | None
 
     def content(self) -> dict[str, Any]:
-        """Everything, ready for JSON."""
+        """Return the scan as a dictionary for JSON."""
         return {
             "name": self.name,
             "offset_um": self.offset_um,
@@ -73,18 +76,27 @@ class Scan:
 
 
 @dataclass
-class HandScan:
-    """A scan that is taken frame by frame while the stage is moved by hand."""
+class ManualScan:
+    """A scan acquired frame by frame while the stage is moved by hand."""
 
     depth_um: list[float] = field(default_factory=list)
     ls: list[float] = field(default_factory=list)
     residual: list[float] = field(default_factory=list)
-    doubts: SystematicUncertainty | None = None
-    """What is uncertain in all depths alike, from the two darkest frames taken one after the other."""
+    systematic: SystematicUncertainty | None = None
+    """Uncertainty common to all depths, from the two darkest successive frames."""
     _last: NDArray[Any] | None = None
 
     def take(self, frame: NDArray[Any], calibration: Calibration, depth_um: float) -> None:
-        """Add a raw frame (rows, cols) that was taken at a depth.
+        """Add a raw frame acquired at a depth.
+
+        Parameters
+        ----------
+        frame : numpy.ndarray
+            (rows, cols), raw.
+        calibration : Calibration
+            Of the rig that acquired it.
+        depth_um : float
+            Depth of the plate.
 
         Raises
         ------
@@ -94,16 +106,21 @@ class HandScan:
             If the measured square does not fit into the bundle.
         """
         frames = [frame] if self._last is None else [frame, self._last]
-        ls, residual, doubts = axial_profiles(frames, calibration)
-        if self.doubts is None or ls.sum() <= min(map(sum, pairwise(self.ls)), default=np.inf):
-            self.doubts = doubts
+        ls, residual, systematic = axial_profiles(frames, calibration)
+        if self.systematic is None or ls.sum() <= min(map(sum, pairwise(self.ls)), default=np.inf):
+            self.systematic = systematic
         self._last = np.array(frame)
         self.depth_um.append(float(depth_um))
         self.ls.append(float(ls[0]))
         self.residual.append(float(residual[0]))
 
     def scan(self, calibration: Calibration) -> Scan:
-        """Return what the frames say so far.
+        """Return the axial response of the frames so far.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            Contains offset, slit width and scale, for the scan's slit.
 
         Raises
         ------
@@ -112,15 +129,15 @@ class HandScan:
         MeasurementError
             If there is no signal in contact.
         """
-        response = axial_response(self.depth_um, self.ls, self.residual, self.doubts or SystematicUncertainty())
-        return Scan(f"by hand, {len(self.depth_um)} frames", response, *slit_um(calibration))
+        response = axial_response(self.depth_um, self.ls, self.residual, self.systematic or SystematicUncertainty())
+        return Scan(f"{MANUAL_SCAN}, {len(self.depth_um)} frames", response, *slit_um(calibration))
 
 
 def measure_scan(
     stack: Stack,
     calibration: Calibration,
     *,
-    watch: Callable[[Iterable[int]], Iterable[int]] = lambda numbers: numbers,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> Scan:
     """Measure the axial response of a stack of depths.
 
@@ -129,9 +146,9 @@ def measure_scan(
     stack : Stack
         Raw frames with their depths.
     calibration : Calibration
-        Needs the bundle pair and the scale.
-    watch : callable
-        Wraps the frame numbers, say with a progress bar.
+        Contains the bundle section and the scale.
+    progress : callable
+        Wraps the iterable of frame indices, for instance with a progress bar.
 
     Raises
     ------
@@ -142,14 +159,14 @@ def measure_scan(
     """
     if stack.depth_um is None:
         raise InputError(
-            f"the depths of {stack.file_name} are unknown", "put NAME.depths.csv beside it: a depth per frame"
+            f"the depths of {stack.file_name} are unknown", "put NAME.depths.csv beside it, one depth per frame"
         )
-    profiles = axial_profiles(stack.planes, calibration, progress=watch)
+    profiles = axial_profiles(stack.planes, calibration, progress=progress)
     return Scan(stack.name, axial_response(stack.depth_um, *profiles), *slit_um(calibration))
 
 
 def slit_um(calibration: Calibration) -> tuple[float | None, float | None]:
-    """Offset (as a distance) and width of the slit at the bundle, where they are known, micrometres.
+    """Return offset (as a distance) and width of the slit at the bundle, micrometres; None if a calibration lacks them.
 
     Examples
     --------
@@ -178,7 +195,7 @@ class DropOffs:
     x_um : numpy.ndarray
         (m,), increasing.
     drop_3db_um, drop_10db_um : numpy.ndarray
-        (m,); NaN where a scan does not reach it.
+        (m,); NaN where the signal does not drop so far within the scan.
     fit_3db, fit_10db : Saturation or None
         Fits against the offset; None if there are too few scans or they do not saturate.
     """
@@ -190,27 +207,34 @@ class DropOffs:
     fit_10db: Saturation | None
 
 
-def drop_offs(scans: Sequence[Scan], against: Against | str) -> DropOffs:
-    """Collect the drop-offs of scans whose slit is known.
+def drop_offs(scans: Sequence[Scan], against: SlitParameter | str) -> DropOffs:
+    """Collect the ELS+ drop-offs of scans against a slit parameter, and fit the paper's saturating curve.
+
+    Parameters
+    ----------
+    scans : sequence of Scan
+        Those of unknown slit are left out.
+    against : SlitParameter or str
+        Slit offset, which is fitted, or slit width.
 
     Raises
     ------
     InputError
         If no scan's slit is known.
     """
-    against = Against(against)
-    known = [(scan.offset_um if against is Against.OFFSET else scan.slit_um, scan.response) for scan in scans]
+    against = SlitParameter(against)
+    known = [(scan.offset_um if against is SlitParameter.OFFSET else scan.slit_um, scan.response) for scan in scans]
     rows = sorted((x, one.els_3db.um, one.els_10db.um) for x, one in known if x is not None)
     if not rows:
-        raise InputError(f"no scan's {against.value} is known", "calibrate the offset, and give the slit's width")
+        raise InputError(f"no scan's {against.value} is known", "calibrate the offset, and give the slit width")
     x, three, ten = np.array(rows, np.float64).T
-    fits = [_fit(x, drop) if against is Against.OFFSET else None for drop in (three, ten)]
+    fits = [_fit(x, drop) if against is SlitParameter.OFFSET else None for drop in (three, ten)]
     return DropOffs(x, three, ten, *fits)
 
 
 def _fit(x_um: NDArray[np.float64], drop_um: NDArray[np.float64]) -> Saturation | None:
     there = np.isfinite(drop_um)
-    if len(np.unique(x_um[there])) < FEWEST_FOR_A_FIT:
+    if len(np.unique(x_um[there])) < MIN_SCANS_FOR_FIT:
         return None
     try:
         return fit_saturation(x_um[there], drop_um[there])
@@ -221,7 +245,7 @@ def _fit(x_um: NDArray[np.float64], drop_um: NDArray[np.float64]) -> Saturation 
 def simulated_scan(
     offset_um: float = 29.0, slit_um: float = 2.9, *, depth_um: NDArray[np.float64] | None = None, seed: int = 0
 ) -> tuple[Stack, Calibration]:
-    """Simulate a stained plate that moves away from the probe, frame by frame as it is looked at.
+    """Simulate an axial scan of a stained plate; frames are rendered when they are read.
 
     Parameters
     ----------
@@ -230,14 +254,14 @@ def simulated_scan(
     slit_um : float
         Slit width, rounded to whole rows.
     depth_um : numpy.ndarray, optional
-        Depths; by default close together near the focus.
+        (T,); by default close together near the focus.
     seed : int
-        Seed of the camera's noise.
+        Seed of the camera noise.
 
     Returns
     -------
     tuple
-        The stack of raw frames with its depths, and the calibration that fits it.
+        Stack of raw frames with its depths, and its calibration.
     """
     instrument = lit_for_plate(Instrument.of("120hz", offset_um=offset_um, slit_um=slit_um))
     depths = scan_depths_um() if depth_um is None else np.asarray(depth_um, np.float64)
@@ -250,7 +274,14 @@ def simulated_scan(
 
 
 def axial_script(stack: Stack, calibration: Path | str | None) -> str:
-    """Write a script that makes the same measurement.
+    """Return a script that makes the same measurement.
+
+    Parameters
+    ----------
+    stack : Stack
+        Raw frames of a recording in a file.
+    calibration : path-like or None
+        Its calibration file.
 
     Raises
     ------

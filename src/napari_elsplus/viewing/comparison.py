@@ -1,4 +1,4 @@
-"""LS, ELSA and ELS+ of the same moments, scaled, profiled and put into numbers as the paper compares them."""
+"""LS, ELSA and ELS+ of the same frames: display scaling, line profiles, contrast and background as in the paper."""
 
 from __future__ import annotations
 
@@ -31,24 +31,25 @@ if TYPE_CHECKING:
     Point = tuple[float, float]
 
 MODES: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
-"""From left to right."""
+"""Modes in display order, from left to right."""
 PROFILE_WIDTH_PX: Final = 5
+"""Width over which profiles are averaged, pixels; chosen, a few cores."""
 
 
 class Scaling(StrEnum):
-    """What grey level is shown as white."""
+    """Rule for the grey level displayed as white."""
 
-    PAPER = "as the paper"
-    """LS and ELS+ each to 0.01 % saturation, ELSA by ELS+'s factor."""
+    PAPER = "0.01 % saturated"
+    """LS and ELS+ each with 0.01 % of the pixels saturated, ELSA by the factor of ELS+, as in the paper."""
     SHARED = "shared"
-    """One level for all: the brightest image's."""
-    OWN = "each its own"
-    """Each to 0.01 % saturation."""
+    """One level for all images: that of the brightest."""
+    INDIVIDUAL = "individual"
+    """Each with 0.01 % of its pixels saturated."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The modes of one recording, image k of each made of raw frame k.
+    """LS, ELSA and ELS+ images of one recording; image k of each is made from raw frame k.
 
     Attributes
     ----------
@@ -56,7 +57,7 @@ class Comparison:
         Mode to lazy planes (T, n, n) float32, signed grey levels. ELSA takes its residual from the frame after (at the
         end, before) it, and is absent from a recording of one frame.
     inside : numpy.ndarray
-        (n, n) bool: the 90 % disc, in which images are judged.
+        (n, n) bool: the disc of 90 % of the bundle diameter, in which images are evaluated.
     um_per_px : float or None
         Scale.
     """
@@ -71,13 +72,13 @@ class Comparison:
         return len(self.inside)
 
     def at(self, index: int) -> dict[Mode, Image]:
-        """Return the images of one moment."""
+        """Return the images at a frame index, as a dictionary of mode to (n, n) float32."""
         return {mode: planes[index] for mode, planes in self.images.items()}
 
 
 @dataclass(frozen=True)
 class LineProfiles:
-    """Grey levels along a line.
+    """Line profiles of several images.
 
     Attributes
     ----------
@@ -95,8 +96,8 @@ class LineProfiles:
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
-    """How an image does in numbers.
+class ImageStatistics:
+    """Contrast and background of an image.
 
     Attributes
     ----------
@@ -105,7 +106,7 @@ class Figures:
     background : float
         Lowest decile, grey levels.
     background_left : float
-        The same as a share of the LS image's.
+        Background as a fraction of that of the LS image.
     """
 
     contrast: float
@@ -114,16 +115,16 @@ class Figures:
 
 
 def compare_stack(stack: Stack, calibration: Calibration, cores: CoreFilter | str = CoreFilter.NONE) -> Comparison:
-    """Prepare LS, ELSA and ELS+ of a recording; nothing is computed but the first images.
+    """Return lazy LS, ELSA and ELS+ images of a recording.
 
     Parameters
     ----------
     stack : Stack
         Raw frames.
     calibration : Calibration
-        Of the rig that made them.
+        Of the rig that acquired them.
     cores : CoreFilter or str
-        How the core pattern is suppressed, in all of them alike.
+        Suppression of the core pattern, applied to all modes.
 
     Raises
     ------
@@ -144,16 +145,16 @@ def compare_stack(stack: Stack, calibration: Calibration, cores: CoreFilter | st
 
 
 def white_levels(images: Mapping[Mode, Image], inside: NDArray[np.bool_], scaling: Scaling | str) -> dict[Mode, float]:
-    """Grey level that is shown as white, for each image.
+    """Return the grey level displayed as white, for each image.
 
     Parameters
     ----------
     images : mapping
         Mode to (n, n) grey levels.
     inside : numpy.ndarray
-        (n, n) bool, the pixels that count.
+        (n, n) bool, pixels that are evaluated.
     scaling : Scaling or str
-        How.
+        Rule.
 
     Returns
     -------
@@ -162,7 +163,7 @@ def white_levels(images: Mapping[Mode, Image], inside: NDArray[np.bool_], scalin
     """
     own = {mode: white_level(image, inside) for mode, image in images.items()}
     match Scaling(scaling):
-        case Scaling.OWN:
+        case Scaling.INDIVIDUAL:
             return own
         case Scaling.SHARED:
             return dict.fromkeys(own, max(own.values()))
@@ -170,20 +171,29 @@ def white_levels(images: Mapping[Mode, Image], inside: NDArray[np.bool_], scalin
             return {mode: own[Mode.ELS] if mode is Mode.ELSA else white for mode, white in own.items()}
 
 
-def figures(images: Mapping[Mode, Image], inside: NDArray[np.bool_]) -> dict[Mode, Figures]:
-    """Contrast and background of each image, and how much of the LS background is left in it.
+def image_statistics(images: Mapping[Mode, Image], inside: NDArray[np.bool_]) -> dict[Mode, ImageStatistics]:
+    """Return contrast, background, and fraction of the LS background, of each image.
+
+    Parameters
+    ----------
+    images : mapping
+        Mode to (n, n) grey levels; contains `Mode.LS`.
+    inside : numpy.ndarray
+        (n, n) bool, pixels that are evaluated.
 
     Examples
     --------
     >>> haze, bars = np.full((8, 8), 60, np.float32), np.tile(np.float32([0, 100]), (8, 4))
-    >>> found = figures({Mode.LS: haze + bars, Mode.ELS: bars + 6}, np.ones((8, 8), bool))
+    >>> found = image_statistics({Mode.LS: haze + bars, Mode.ELS: bars + 6}, np.ones((8, 8), bool))
     >>> round(found[Mode.ELS].background_left, 3), found[Mode.LS].background
     (0.1, 60.0)
     """
     levels = {mode: contrast(image, inside) for mode, image in images.items()}
     whole = levels[Mode.LS].background
     return {
-        mode: Figures(level.michelson, level.background, level.background / whole if whole > 0 else float("nan"))
+        mode: ImageStatistics(
+            level.michelson, level.background, level.background / whole if whole > 0 else float("nan")
+        )
         for mode, level in levels.items()
     }
 
@@ -191,7 +201,7 @@ def figures(images: Mapping[Mode, Image], inside: NDArray[np.bool_]) -> dict[Mod
 def line_profiles(
     images: Mapping[Mode, Image], start: Point, end: Point, um_per_px: float | None = None
 ) -> LineProfiles:
-    """Profiles of several images along one line.
+    """Return profiles of several images along one line.
 
     Parameters
     ----------
@@ -210,14 +220,14 @@ def line_profiles(
     Raises
     ------
     InputError
-        If the line is shorter than a pixel, or misses the images.
+        If the line is shorter than a pixel, or lies outside the images.
     """
     length_px = float(np.hypot(*np.subtract(end, start)))
     if not length_px >= 1:
         raise InputError(f"the line is {length_px:.1f} px long", "draw a longer one")
     side = len(next(iter(images.values())))
     if max(*start, *end) < 0 or min(*start, *end) > side - 1:
-        raise InputError("the line lies beside the images", "draw it across one of them")
+        raise InputError("the line lies outside the images", "draw it across one of them")
     values = {
         mode: profile_line(image, start, end, linewidth=PROFILE_WIDTH_PX, order=1, mode="constant", cval=0.0)
         for mode, image in images.items()
@@ -228,7 +238,14 @@ def line_profiles(
 
 
 def difference_planes(comparison: Comparison, minuend: Mode, subtrahend: Mode) -> LazyPlanes:
-    """One mode minus another, image by image.
+    """Return lazy differences of two modes, image by image.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Contains both modes.
+    minuend, subtrahend : Mode
+        The difference is the first minus the second.
 
     Raises
     ------
@@ -243,7 +260,18 @@ def difference_planes(comparison: Comparison, minuend: Mode, subtrahend: Mode) -
 
 
 def comparison_script(stack: Stack, calibration: Path | str | None, cores: str, scaling: str, frame: int) -> str:
-    """Write a script that makes the same comparison.
+    """Return a script that makes the same comparison.
+
+    Parameters
+    ----------
+    stack : Stack
+        Raw frames of a recording in a file.
+    calibration : path-like or None
+        Its calibration file.
+    cores, scaling : str
+        Core filter and rule for white.
+    frame : int
+        Index of the frame that is compared.
 
     Raises
     ------
@@ -256,7 +284,7 @@ def comparison_script(stack: Stack, calibration: Path | str | None, cores: str, 
     return f'''"""LS, ELSA and ELS+ of one moment of {stack.file_name}."""
 
 from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.viewing.comparison import compare_stack, figures, white_levels
+from napari_elsplus.viewing.comparison import compare_stack, image_statistics, white_levels
 from napari_elsplus.viewing.stack import Stack
 
 with open_recording({frames_file!r}) as recording:
@@ -266,13 +294,13 @@ with open_recording({frames_file!r}) as recording:
 
 white = white_levels(images, comparison.inside, {scaling!r})
 scaled = {{mode: image / white[mode] for mode, image in images.items()}}
-for mode, found in figures(images, comparison.inside).items():
+for mode, found in image_statistics(images, comparison.inside).items():
     print(f"{{mode}}: contrast {{found.contrast:.3f}}, background {{found.background:.1f}} grey levels")
 '''
 
 
 class _Successive:
-    """Raw frames two by two, each with the one after it (the last with the one before), as ELSA takes them."""
+    """Pairs of raw frames, as ELSA takes them: each with the next, the last one with the previous."""
 
     def __init__(self, raw: Frames) -> None:
         self._raw = raw

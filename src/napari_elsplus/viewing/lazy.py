@@ -1,4 +1,4 @@
-"""Raw frames and images as arrays of which only the planes that are looked at are ever computed."""
+"""Lazy arrays of raw frames and images: a plane is computed when it is read."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.images.sectioning import Frames, Mode
 
 CACHE_BYTES: Final = 64 << 20
-"""Planes that each array keeps in memory."""
+"""Memory for computed planes of each array, bytes; chosen, 64 MiB or 80 images of 450 x 450 float32."""
 
 
 class LazyPlanes:
-    """An array (T, rows, cols) whose planes are computed when they are asked for, from any thread.
+    """An array (T, rows, cols) whose planes are computed when they are read, from any thread.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class LazyPlanes:
     shape : tuple of int
         (T, rows, cols).
     dtype : numpy.dtype
-        Of the planes.
+        Data type of the planes.
 
     Examples
     --------
@@ -82,7 +82,7 @@ class LazyPlanes:
 
 
 def raw_planes(recording: Recording) -> LazyPlanes:
-    """Raw frames of an open recording."""
+    """Return the raw frames of an open recording."""
     return LazyPlanes(recording.__getitem__, recording.shape, recording.dtype)
 
 
@@ -94,9 +94,25 @@ def image_planes(
     cores: CoreFilter | str = CoreFilter.NONE,
     flat_field: bool = False,
 ) -> LazyPlanes:
-    """Images of one mode, made of raw planes when they are looked at.
+    """Return images of one mode, computed from raw frames when they are read.
 
-    Parameters and errors are those of ``sectioning.SectionedImages``, of which each thread has its own.
+    Parameters
+    ----------
+    raw : Frames
+        (T, rows, cols), raw.
+    calibration : Calibration
+        Contains the bundle section.
+    mode : Mode or str
+        LS, residual, ELS+ or ELSA.
+    cores : CoreFilter or str
+        Suppression of the core pattern.
+    flat_field : bool
+        Divide by the flat field.
+
+    Raises
+    ------
+    CalibrationError
+        As :class:`napari_elsplus.workflows.sectioning.SectionedImages`, of which each thread has its own.
     """
     own = local()
 

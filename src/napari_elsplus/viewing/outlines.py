@@ -1,4 +1,4 @@
-"""A calibration in a viewer: the outlines of the two bundle images, and a line that says how good it is."""
+"""A calibration as layer data: outlines of the two bundle images, and a one-line summary of its accuracy."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from napari_elsplus.viewing.layers import Layer
 
 OUTLINE_COLOURS: Final = ("#56b4e9", "#e69f00")
-"""Of the confocal and the residual outline: blue and orange, told apart by everyone."""
+"""Colours of the confocal and the residual outline: blue and orange of Okabe and Ito, colour-blind safe."""
 
 
 def calibration_layers(path: str | os.PathLike[str]) -> Opened:
-    """Show a calibration: the outlines of the two bundle images, in the raw frame's pixels or micrometres.
+    """Return a calibration as a layer: outlines of the two bundle images, in pixels of the raw frame or micrometres.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def calibration_layers(path: str | os.PathLike[str]) -> Opened:
     Returns
     -------
     Opened
-        A shapes layer if the bundle was located, and a line that says what the calibration holds.
+        A shapes layer if the bundle was located, and a summary of the calibration.
 
     Raises
     ------
@@ -43,14 +43,24 @@ def calibration_layers(path: str | os.PathLike[str]) -> Opened:
     """
     path = Path(path)
     calibration = read_calibration(path)
-    note = f"{path.name} is the active calibration: {summary(calibration)}"
+    note = f"{path.name} is now the active calibration: {summary(calibration)}"
     if calibration.bundle is None:
         return Opened([], [note])
     return Opened([outline_layer(calibration, f"{path.name.removesuffix('.json')} bundle", path)], [note])
 
 
 def outline_layer(calibration: Calibration, name: str, path: Path | None = None) -> Layer:
-    """Outline the two bundle images of a calibration that knows them, as a shapes layer."""
+    """Return the outlines of the two bundle images of a calibration as a shapes layer.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Contains the bundle section.
+    name : str
+        Name of the layer.
+    path : pathlib.Path, optional
+        The calibration's file, for the metadata.
+    """
     calibration.require("bundle")
     assert calibration.bundle is not None
     bundle = calibration.bundle
@@ -68,7 +78,7 @@ def outline_layer(calibration: Calibration, name: str, path: Path | None = None)
 
 
 def summary(calibration: Calibration) -> str:
-    """Say in a line what a calibration holds, and how good it is.
+    """Return a one-line summary of a calibration's sections and their accuracy.
 
     Examples
     --------
@@ -76,18 +86,18 @@ def summary(calibration: Calibration) -> str:
     >>> summary(Calibration.parse({"offset": {"rows": -12.03, "uncertainty_rows": 0.01}}))
     'slit offset -12.03 ± 0.01 rows'
     """
-    said = []
+    parts = []
     if calibration.offset is not None:
-        said.append(f"slit offset {calibration.offset.rows:.2f} ± {calibration.offset.uncertainty_rows:.2f} rows")
+        parts.append(f"slit offset {calibration.offset.rows:.2f} ± {calibration.offset.uncertainty_rows:.2f} rows")
     if calibration.bundle is not None:
-        said.append(f"bundle {calibration.bundle.diameter_px:.1f} px wide")
+        parts.append(f"bundle {calibration.bundle.diameter_px:.1f} px wide")
     if calibration.galvo is not None:
-        said.append(f"mirror {1e3 * calibration.galvo.volts_per_row:.3f} mV per row")
+        parts.append(f"galvo {1e3 * calibration.galvo.volts_per_row:.3f} mV per row")
     if calibration.quality is not None:
-        said.append(f"alignment error {100 * calibration.quality.alignment_error:.1f} %")
+        parts.append(f"alignment error {100 * calibration.quality.alignment_error:.1f} %")
     if calibration.background is not None:
-        said.append("background")
-    return ", ".join(said) or "it holds no measured section"
+        parts.append("background")
+    return ", ".join(parts) or "no measured section"
 
 
 def _outlines(bundle: BundleSection) -> list[NDArray[np.float64]]:

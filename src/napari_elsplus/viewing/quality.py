@@ -1,4 +1,4 @@
-"""Checks of an instrument as the paper makes them: how well its views cancel, what it resolves, where its rim fails."""
+"""Image quality as in the paper: alignment error of the views, resolution on a bar target, artefact at the rim."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ if TYPE_CHECKING:
 
     Box = tuple[float, float, float, float]
 
-LEAST_BOX_PX: Final = 5.0
-"""Three bars and two gaps of a pixel each."""
+MIN_BOX_PX: Final = 5.0
+"""Smallest side of a box, pixels: three bars and two gaps of one pixel each."""
 _PROFILE_SHARE: Final = 0.1
+"""Half-width of the columns averaged into the profile, as a fraction of the disc's radius; chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ class AlignmentErrors:
     Attributes
     ----------
     before, after : float
-        Fractions: of the bare views, and after the core filter.
+        Fractions, before and after the core filter.
     """
 
     before: float
@@ -54,14 +55,14 @@ class AlignmentErrors:
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """An element of a bar target that was marked in an image.
+    """A marked element of a USAF 1951 bar target.
 
     Attributes
     ----------
     group, element : int
-        Of the USAF 1951 target.
+        Numbers on the target.
     line_pair_um : float
-        Its period, a bar and a gap.
+        Period: one bar and one gap.
     contrast : float
         Michelson contrast of bars and gaps.
     """
@@ -73,20 +74,20 @@ class Element:
 
     @property
     def resolved(self) -> bool:
-        """Whether the bars can be told apart."""
+        """True if the contrast reaches the threshold of resolution."""
         return self.contrast >= RESOLVED_CONTRAST
 
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """What the marked elements of a target tell.
+    """Contrasts of the marked elements, and the smallest resolved line pair.
 
     Attributes
     ----------
     elements : tuple of Element
         In the order of their boxes.
     finest_um : float
-        Finest period at which, and above which, all marked elements are resolved; not-a-number if none is.
+        Finest period at which, and above which, all marked elements are resolved; NaN if none is.
     """
 
     elements: tuple[Element, ...]
@@ -95,16 +96,16 @@ class Resolution:
 
 @dataclass(frozen=True)
 class EdgeMap:
-    """Mean residual image over its central level.
+    """Mean residual image, normalised to its level at the centre.
 
     Attributes
     ----------
     image : numpy.ndarray
-        (n, n); below 1 where the line has left the bundle while the residual is read.
+        (n, n); below 1 where the line has left the bundle during the residual's exposure.
     position_um : numpy.ndarray
-        (m,): rows from the bundle's centre, in the 90 % disc; pixels where the scale is unknown.
+        (m,): row positions from the bundle's centre in the 90 % disc, um; pixels where the scale is unknown.
     profile : numpy.ndarray
-        (m,): mean over the middle columns.
+        (m,): mean over the central columns.
     frames : int
         Number of residual images averaged.
     """
@@ -118,18 +119,18 @@ class EdgeMap:
 def measure_alignment(
     stack: Stack, calibration: Calibration, frame: int, cores: CoreFilter | str = CoreFilter.MEDIAN
 ) -> AlignmentErrors:
-    """Measure how well the two views of one frame cancel, before and after the core filter.
+    """Measure the alignment error of one frame, before and after the core filter.
 
     Parameters
     ----------
     stack : Stack
-        Raw frames lit from the far end of the bundle, or of another scene that both views see alike.
+        Raw frames in transmission, lit from the distal end of the bundle, so that both views show one scene.
     calibration : Calibration
-        Of the rig that made them.
+        Of the rig that acquired them.
     frame : int
-        Which frame.
+        Index of the frame.
     cores : CoreFilter or str
-        How the core pattern is suppressed.
+        Suppression of the core pattern.
 
     Raises
     ------
@@ -146,29 +147,29 @@ def measure_alignment(
             image_planes(stack.planes, calibration, mode, cores=kind)[frame] for mode in (Mode.LS, Mode.RESIDUAL)
         )
         errors.append(alignment_error(confocal, residual, calibration.bundle.diameter_px))
-    bare, filtered = errors
-    if not np.isfinite(bare):
-        raise MeasurementError(f"frame {frame} is dark", "light the bundle from its far end")
-    return AlignmentErrors(bare, filtered)
+    before, filtered = errors
+    if not np.isfinite(before):
+        raise MeasurementError(f"frame {frame} is dark", "light the bundle from its distal end")
+    return AlignmentErrors(before, filtered)
 
 
 def measure_resolution(image: NDArray[np.floating], boxes_px: Sequence[Box], um_per_px: float) -> Resolution:
-    """Measure which elements of a USAF 1951 target are resolved.
+    """Measure the contrast of elements of a USAF 1951 target, and the smallest line pair resolved.
 
     Parameters
     ----------
     image : numpy.ndarray
         (rows, cols), bars brighter than gaps.
     boxes_px : sequence of tuple
-        Edges (top, left, bottom, right) in pixels, each drawn closely around the three bars of one element. The bars
-        run whichever way gives the greater contrast.
+        Edges (top, left, bottom, right) in pixels, each drawn closely around the three bars of one element. Their
+        direction is the one of greater contrast.
     um_per_px : float
-        Scale: with the box's size it tells which element of the target it is.
+        Scale; with the box size it identifies the element.
 
     Raises
     ------
     InputError
-        If there is no box, or one is too small or beside the image.
+        If there is no box, or one is too small or outside the image.
     """
     marked = [_marked(image, box, um_per_px) for box in boxes_px]
     elements = tuple(
@@ -183,28 +184,28 @@ def measure_resolution(image: NDArray[np.floating], boxes_px: Sequence[Box], um_
 
 
 def measure_edge(
-    stack: Stack, calibration: Calibration, watch: Callable[[Sequence[int]], Iterable[int]] = iter
+    stack: Stack, calibration: Calibration, progress: Callable[[Sequence[int]], Iterable[int]] = iter
 ) -> EdgeMap:
-    """Average the residual images of a recording: where the clipped line leaves them short of light.
+    """Average the residual images of a recording, which are dark where the line has left the bundle.
 
     Parameters
     ----------
     stack : Stack
         Raw frames of a moving probe; the paper averages about 300.
     calibration : Calibration
-        Of the rig that made them; its flat field is used if it has one.
-    watch : callable
-        Goes through the frames' indices; a progress bar, for instance.
+        Of the rig that acquired them; its flat field is used if it has one.
+    progress : callable
+        Wraps the sequence of frame indices, for instance with a progress bar.
 
     Raises
     ------
     CalibrationError
         If the calibration does not fit the frames.
     MeasurementError
-        If there is no light in the middle.
+        If there is no light at the centre.
     """
     residuals = image_planes(stack.planes, calibration, Mode.RESIDUAL, flat_field=calibration.flat is not None)
-    image = edge_artefact(residuals[index] for index in watch(range(len(residuals))))
+    image = edge_artefact(residuals[index] for index in progress(range(len(residuals))))
     assert calibration.bundle is not None
     middle, radius = (len(image) - 1) / 2, USED_DIAMETER * calibration.bundle.diameter_px / 2
     near = np.flatnonzero(np.abs(np.arange(len(image)) - middle) < _PROFILE_SHARE * radius)
@@ -218,7 +219,20 @@ def measure_edge(
 def quality_script(
     stack: Stack, calibration: Path | str | None, cores: str, frame: int, boxes_px: Sequence[Box]
 ) -> str:
-    """Write a script that makes the same checks.
+    """Return a script that makes the same measurements.
+
+    Parameters
+    ----------
+    stack : Stack
+        Raw frames of a recording in a file.
+    calibration : path-like or None
+        Its calibration file.
+    cores : str
+        Core filter.
+    frame : int
+        Index of the frame that is measured.
+    boxes_px : sequence of tuple
+        As for :func:`measure_resolution`; may be empty.
 
     Raises
     ------
@@ -255,9 +269,9 @@ with open_recording({frames_file!r}) as recording:
 
 def _marked(image: NDArray[np.floating], box_px: Box, um_per_px: float) -> BarElement:
     top, left, bottom, right = box_px
-    if min(bottom - top, right - left) < LEAST_BOX_PX:
+    if min(bottom - top, right - left) < MIN_BOX_PX:
         raise InputError(
-            f"a box of {bottom - top:.0f} x {right - left:.0f} pixels holds no bars", "draw it around all three bars"
+            f"a box of {bottom - top:.0f} x {right - left:.0f} pixels contains no bars", "draw it around all three bars"
         )
     ways = []
     for upright, across in ((True, right - left), (False, bottom - top)):

@@ -1,4 +1,4 @@
-"""A stack of planes, what is known of it, and what that makes of a layer's axes."""
+"""Stacks of planes with their metadata, and the axes (scale, origin, units) of their layers."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Stack:
-    """A stack of planes with what is known of it.
+    """A stack of planes with its metadata.
 
     Attributes
     ----------
     name : str
-        What its layers are called.
+        Prefix of its layers' names.
     planes : LazyPlanes
         Raw frames, or finished images.
     metadata : dict
-        ``um_per_px``, ``frame_period_s``, ``settings``, as far as they are known.
+        ``um_per_px``, ``frame_period_s``, ``settings``, where known.
     recording : Recording, optional
-        Where the planes come from; none if they are simulated.
+        Source of the planes; None if they are simulated.
     depth_um : numpy.ndarray, optional
-        (T,): the stack is a scan of depths.
+        (T,) if the stack is an axial scan.
     """
 
     name: str
@@ -49,24 +49,24 @@ class Stack:
 
     @classmethod
     def of(cls, recording: Recording) -> Stack:
-        """Describe an open recording; it is a scan of depths if NAME.depths.csv lies beside it."""
+        """Return the stack of an open recording, an axial scan if NAME.depths.csv lies beside it."""
         name = recording.path.name.split(".")[0] or recording.path.name
         depths = existing_beside(recording.path, ".depths.csv")
         depth_um = None if depths is None else read_depths_um(depths)
         if depths is not None and depth_um is not None and len(depth_um) != len(recording):
             raise InputError(
                 f"{depths.name} holds {len(depth_um)} depths, {recording.path.name} {len(recording)} frames",
-                "one depth per frame is expected: mend or remove the file",
+                "correct the file to one depth per frame, or remove it",
             )
         return cls(name, raw_planes(recording), recording.metadata, recording, depth_um)
 
     @property
     def file_name(self) -> str:
-        """The recording's file, or the stack's name."""
+        """Name of the recording's file, or of the stack."""
         return self.recording.path.name if self.recording is not None else self.name
 
     def own_calibration(self) -> Calibration | None:
-        """Return the recording's own calibration, if it has one that can be read."""
+        """Return the recording's own calibration; None if there is none or it is broken."""
         try:
             return self.recording.calibration if self.recording is not None else None
         except CalibrationError:
@@ -74,7 +74,15 @@ class Stack:
 
 
 def space(um_per_px: float | None, origin_px: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
-    """Scale, place, units and labels of the two axes of an image; pixels where the scale is unknown."""
+    """Return scale, translation, units and labels of the two axes of an image, as napari's layer attributes.
+
+    Parameters
+    ----------
+    um_per_px : float or None
+        Scale; axes in pixels if unknown.
+    origin_px : tuple of float
+        Row and column of the image's first pixel.
+    """
     scale = um_per_px or 1.0
     return {
         "scale": (scale, scale),
@@ -85,13 +93,13 @@ def space(um_per_px: float | None, origin_px: tuple[float, float] = (0.0, 0.0)) 
 
 
 def um_per_px_of(stack: Stack, calibration: Calibration | None) -> float | None:
-    """Return the scale of a stack, from its file or else from its calibration; None if neither knows it."""
+    """Return the scale of a stack, from its file or else from its calibration; None if neither has it."""
     known: float | None = stack.metadata.get("um_per_px")
     return calibration.um_per_px if known is None and calibration is not None else known
 
 
 def images_origin_px(calibration: Calibration) -> tuple[float, float]:
-    """Row and column of the raw frame at which images of the confocal view begin.
+    """Return row and column of the raw frame at which images of a calibration's confocal view begin.
 
     Raises
     ------
@@ -127,13 +135,37 @@ def _first_axis(stack: Stack, calibration: Calibration | None) -> dict[str, Any]
 def attributes(
     stack: Stack, title: str, calibration: Calibration | None, origin_px: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Any]:
-    """Name, scale, place, units and labels of a layer of three axes."""
+    """Return name, scale, translation, units and labels of a layer (T or depth, rows, cols).
+
+    Parameters
+    ----------
+    stack : Stack
+        Gives the first axis and the scale.
+    title : str
+        Appended to the stack's name.
+    calibration : Calibration or None
+        Gives scale and frame period where the file lacks them.
+    origin_px : tuple of float
+        Row and column of the image's first pixel.
+    """
     place, first = space(um_per_px_of(stack, calibration), origin_px), _first_axis(stack, calibration)
     return {"name": f"{stack.name} {title}"} | {key: (first[key], *place[key]) for key in place}
 
 
 def provenance(stack: Stack, kind: str, calibration: Calibration | None, source: Path | None) -> dict[str, Any]:
-    """Say where a layer comes from, for its metadata."""
+    """Return the provenance of a layer, for its metadata.
+
+    Parameters
+    ----------
+    stack : Stack
+        The recording it was made from.
+    kind : str
+        ``raw``, or the mode of the images.
+    calibration : Calibration or None
+        Used to make it.
+    source : pathlib.Path or None
+        The calibration's file.
+    """
     return {
         "elsplus": {
             "kind": kind,
@@ -155,10 +187,10 @@ def files_for_script(stack: Stack, calibration: Path | str | None) -> tuple[str,
     InputError
         If the frames lie in no file.
     CalibrationError
-        If the calibration lies in no file of its own.
+        If the calibration has no file of its own.
     """
     if stack.recording is None:
-        raise InputError(f"{stack.name} is simulated and lies in no file", "save its raw layer, and open that")
+        raise InputError(f"{stack.name} is simulated and has no file", "save its raw layer, and open that")
     if not calibration:
-        raise CalibrationError("the calibration lies in no file of its own", "save it beside the recording")
+        raise CalibrationError("the calibration has no file of its own", "save it beside the recording")
     return str(stack.recording.path), str(calibration)

@@ -6,7 +6,7 @@ import pytest
 from napari_elsplus.io import TrackPoint, TrackTable
 from napari_elsplus.io.track_table import ROW
 from napari_elsplus.viewing.mosaic import track as viewed
-from napari_elsplus.viewing.mosaic.track import BEGINS, LOST, MOST_LINES, MOST_MARKS, PREDICTED, TrackDrawing, speed_of
+from napari_elsplus.viewing.mosaic.track import BEGINS, LOST, MAX_LINES, MAX_MARKS, PREDICTED, TrackDrawing, probe_speed
 
 NAN = float("nan")
 
@@ -32,7 +32,7 @@ def test_lines_follow_tracked_frames_only_and_marks_say_the_rest() -> None:
         table.append(row)
         assert drawing.add()
     assert not drawing.add()
-    drawn = drawing.drawing(lambda segment: (100 * segment, 0))
+    drawn = drawing.geometry(lambda segment: (100 * segment, 0))
     assert drawn.lines[:, 0].tolist() == [[0, 0], [0, 5], [0, 10], [0, 15], [100, 0], [105, 0]]
     assert drawn.lines[:, 1].tolist() == [[0, 5]] * 4 + [[5, 0]] * 2
     assert drawn.score.tolist() == [0.9, 0.4, 0.9, 0.9, 0.9, 0.9]
@@ -56,17 +56,17 @@ def drawn_at_once(rows: list[TrackPoint]) -> TrackDrawing:
 
 def test_a_still_probe_costs_no_lines_and_its_worst_score_is_kept() -> None:
     rows = [point(k, 0, 0.01 * k, score=0.3 if k == 50 else 0.9) for k in range(300)]
-    drawn = drawn_at_once(rows).drawing(lambda _: (0, 0))
+    drawn = drawn_at_once(rows).geometry(lambda _: (0, 0))
     assert drawn.lines[:, 1, 1] == pytest.approx([2.0, 0.99])  # the last one to where the probe is
     assert drawn.score.tolist() == [0.3, 0.9]
 
 
 def test_a_long_track_is_thinned_and_still_whole() -> None:
-    rows = [point(k, 0, 3.0 * k, score=0.2 if k == 7 else 0.9) for k in range(3 * MOST_LINES)]
-    drawn = drawn_at_once(rows).drawing(lambda _: (0, 0))
-    assert MOST_LINES / 4 < len(drawn.lines) <= MOST_LINES + 1
+    rows = [point(k, 0, 3.0 * k, score=0.2 if k == 7 else 0.9) for k in range(3 * MAX_LINES)]
+    drawn = drawn_at_once(rows).geometry(lambda _: (0, 0))
+    assert MAX_LINES / 4 < len(drawn.lines) <= MAX_LINES + 1
     np.testing.assert_allclose(drawn.lines[1:, 0], drawn.lines[:-1].sum(axis=1))
-    assert drawn.lines[:, 1, 1].sum() == 3.0 * (3 * MOST_LINES - 1)
+    assert drawn.lines[:, 1, 1].sum() == 3.0 * (3 * MAX_LINES - 1)
     assert drawn.score.min() == 0.2
 
 
@@ -79,8 +79,8 @@ def test_of_many_rounds_over_one_place_the_newest_are_drawn_whole_and_the_rest_s
     drawing = TrackDrawing(rows, 1.0)
     while drawing.behind:
         drawing.add()
-    drawn = drawing.drawing(lambda _: (0, 0))
-    assert MOST_LINES / 8 < len(drawn.lines) <= MOST_LINES + 1
+    drawn = drawing.geometry(lambda _: (0, 0))
+    assert MAX_LINES / 8 < len(drawn.lines) <= MAX_LINES + 1
     middles = drawn.lines.sum(axis=1) - drawn.lines[:, 1] / 2
     assert np.hypot(*drawn.lines[:, 1].T).max() < 50
     near = [np.hypot(*(middles - (row[k], col[k])).T).min() for k in range(0, len(frames), 501)]
@@ -95,20 +95,20 @@ def test_frames_that_are_put_elsewhere_are_drawn_there_without_being_looked_at_a
     drawing.add()
     table.columns["row_px"] += 8
     table.columns["segment"] = 0  # the second segment was found to lie in the first
-    drawn = drawing.drawing(lambda segment: (100 * segment, 0))
+    drawn = drawing.geometry(lambda segment: (100 * segment, 0))
     assert drawn.lines[:, 0].tolist() == [[4, 0], [4, 5], [4, 10], [4, 15], [4, 0], [9, 0]]
     assert drawn.lines[:, 1].tolist() == [[0, 5]] * 4 + [[5, 0]] * 2
     assert drawn.kinds.tolist() == [BEGINS, PREDICTED, LOST]
     assert drawing.segments == 1
     table.lose(0)
-    drawn = drawing.drawing(lambda _: (0, 0))
+    drawn = drawing.geometry(lambda _: (0, 0))
     assert (len(drawn.lines), len(drawn.marks), drawing.segments) == (0, 0, 0)
 
 
 def test_many_marks_are_thinned_to_those_that_lie_apart() -> None:
     rows = [point(k, 40.0 * (k // 1000), k % 1000, "tracked" if k % 4 else "predicted") for k in range(20_000)]
-    drawn = drawn_at_once(rows).drawing(lambda _: (0, 0))
-    assert MOST_MARKS / 8 < len(drawn.marks) <= MOST_MARKS + 1
+    drawn = drawn_at_once(rows).geometry(lambda _: (0, 0))
+    assert MAX_MARKS / 8 < len(drawn.marks) <= MAX_MARKS + 1
     assert drawn.marks[drawn.kinds == PREDICTED].min(axis=0) == pytest.approx((0, 0), abs=130)
     assert drawn.marks[drawn.kinds == PREDICTED].max(axis=0) == pytest.approx((760, 996), abs=130)
 
@@ -124,16 +124,16 @@ def test_rows_that_come_all_at_once_are_taken_in_piece_by_piece(monkeypatch: pyt
     monkeypatch.undo()
     whole.add()
     assert steps == 4
-    for one, other in zip(drawing.drawing(lambda _: (0, 0)), whole.drawing(lambda _: (0, 0)), strict=True):
+    for one, other in zip(drawing.geometry(lambda _: (0, 0)), whole.geometry(lambda _: (0, 0)), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def test_speed_is_what_the_last_frames_say() -> None:
-    speed = speed_of(track(), 100.0, 2.0)
+    speed = probe_speed(track(), 100.0, 2.0)
     assert speed.px_per_frame == pytest.approx(10)
     assert speed.share == pytest.approx(0.1)
     assert speed.um_per_s == pytest.approx(10 * 2 * 100)
-    assert speed.fastest_um_per_s == pytest.approx(20_000)
+    assert speed.max_um_per_s == pytest.approx(20_000)
     assert speed.tracked == pytest.approx(9 / 12)
-    assert np.isnan(speed_of([point(0, 0, 0)], 100.0).share)
-    assert np.isnan(speed_of([], 100.0).px_per_frame)
+    assert np.isnan(probe_speed([point(0, 0, 0)], 100.0).share)
+    assert np.isnan(probe_speed([], 100.0).px_per_frame)

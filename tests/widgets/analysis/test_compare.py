@@ -54,8 +54,8 @@ def test_three_images_appear_and_everything_is_as_before_at_the_end(viewer, pane
     press(panel, qtbot)
     assert names(viewer) == OURS
     assert not any(layer.visible for layer in viewer.layers if layer.name.startswith("scan"))
-    lefts = [layer.translate[2] for layer in panel.stage.images]
-    assert np.all(np.diff(lefts) > 2.0 * panel.stage.images[0].data.shape[2])
+    lefts = [layer.translate[2] for layer in panel.display.images]
+    assert np.all(np.diff(lefts) > 2.0 * panel.display.images[0].data.shape[2])
     press(panel, qtbot)
     assert state(viewer) == before
 
@@ -65,7 +65,7 @@ def test_one_slider_moves_all_and_the_numbers_follow(viewer, panel, qtbot):
     sectioner = Sectioner(calibration(), (64, 128))
     for step in (2, 4):
         viewer.dims.set_current_step(0, step)
-        ls, _, els = (np.asarray(layer.data[step]) for layer in panel.stage.images)
+        ls, _, els = (np.asarray(layer.data[step]) for layer in panel.display.images)
         np.testing.assert_array_equal(els, sectioner.els(frames()[step]))
         qtbot.waitUntil(lambda ls=ls: np.array_equal(panel.plot.curves[0].y, profile(panel, ls)), timeout=LONG_MS)
         assert [curve.name for curve in panel.plot.curves] == ["LS", "ELSA", "ELS+"]
@@ -73,16 +73,16 @@ def test_one_slider_moves_all_and_the_numbers_follow(viewer, panel, qtbot):
 
 
 def profile(panel, image):
-    return line_profiles({Mode.LS: image}, *panel.stage.line, 2.0).values[Mode.LS]
+    return line_profiles({Mode.LS: image}, *panel.display.line, 2.0).values[Mode.LS]
 
 
 def test_a_line_drawn_on_any_image_is_laid_across_all(viewer, panel, qtbot):
     press(panel, qtbot)
     line = viewer.layers["compare line"]
-    side = panel.stage.images[0].data.shape[2]
+    side = panel.display.images[0].data.shape[2]
     third = 2 * (side + 20)
     line.add_lines(np.array([[10, third + 12], [40, third + 30]]))
-    assert panel.stage.line == ((10, 12), (40, 30))
+    assert panel.display.line == ((10, 12), (40, 30))
     assert len(set(line.edge_width)) == 1
     assert [np.asarray(one)[0].tolist() for one in line.data] == [[10, 12], [10, side + 32], [10, third + 12]]
     qtbot.waitUntil(lambda: len(panel.plot.curves[0].x) == 36, timeout=LONG_MS)
@@ -90,11 +90,11 @@ def test_a_line_drawn_on_any_image_is_laid_across_all(viewer, panel, qtbot):
 
 def test_scaling_filter_and_view_change_while_comparing(viewer, panel, qtbot):
     press(panel, qtbot)
-    ls, elsa, els = panel.stage.images
+    ls, elsa, els = panel.display.images
     assert elsa.contrast_limits == els.contrast_limits
     panel.scaling.value = "shared"
     assert ls.contrast_limits == elsa.contrast_limits == els.contrast_limits
-    panel.scaling.value = "each its own"
+    panel.scaling.value = "individual"
     assert elsa.contrast_limits != els.contrast_limits
 
     viewer.dims.set_current_step(0, 3)
@@ -103,13 +103,13 @@ def test_scaling_filter_and_view_change_while_comparing(viewer, panel, qtbot):
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
     assert viewer.dims.current_step[0] == 3
     assert names(viewer) == OURS
-    assert not np.array_equal(np.asarray(panel.stage.images[2].data[3]), before)
+    assert not np.array_equal(np.asarray(panel.display.images[2].data[3]), before)
 
     panel.cores.value = "none"
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
     panel.view.value = DIFFERENCE
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
-    removed, moved = panel.stage.images
+    removed, moved = panel.display.images
     sectioner, raw = Sectioner(calibration(), (64, 128)), frames()
     np.testing.assert_allclose(np.asarray(removed.data[1]), sectioner.residual(raw[1]), atol=1e-4)
     expected = sectioner.elsa(raw[1], raw[2]).copy() - sectioner.els(raw[1])
@@ -123,13 +123,13 @@ def test_blinking_shows_one_after_the_other_in_one_place(panel, qtbot):
     seen = set()
 
     def all_seen():
-        lit = [layer.name for layer in panel.stage.images if layer.visible]
+        lit = [layer.name for layer in panel.display.images if layer.visible]
         assert len(lit) == 1
         seen.update(lit)
         return len(seen) == 3
 
     qtbot.waitUntil(all_seen, timeout=LONG_MS)
-    assert len({tuple(layer.translate) for layer in panel.stage.images}) == 1
+    assert len({tuple(layer.translate) for layer in panel.display.images}) == 1
 
 
 def test_a_filter_that_needs_a_flat_field_is_one_notification_and_no_half_made_layers(viewer, panel, said, qtbot):
@@ -153,7 +153,7 @@ def test_a_comparison_that_is_cancelled_changes_nothing(viewer, panel, qtbot):
     assert not panel.comparing
     assert state(viewer) == before
     assert panel.start.enabled
-    assert "Choose a recording" in panel.numbers.text()
+    assert "Select a recording" in panel.numbers.text()
 
 
 def test_a_plot_that_cannot_be_written_is_one_notification(panel, qtbot, said, tmp_path, monkeypatch):
@@ -204,7 +204,7 @@ def test_scripts_plots_and_themes(viewer, panel, tmp_path, qtbot):
 
     for theme, ink in (("light", "#0072b2"), ("dark", "#56b4e9")):
         viewer.theme = theme
-        assert panel.plot.ink("blue") == ink
+        assert panel.plot.colour("blue") == ink
         assert ink in panel.numbers.text()
         blue = np.array([int(ink[k : k + 2], 16) for k in (1, 3, 5)]) / 255
         np.testing.assert_allclose(viewer.layers["compare titles"].text.color.array[0][:3], blue, atol=1e-6)

@@ -63,7 +63,7 @@ def start(panel, qtbot):
 
 def stop(panel, qtbot):
     panel.form.start.native.click()
-    qtbot.waitUntil(lambda: not panel.live and not panel.asking.busy, timeout=30_000)
+    qtbot.waitUntil(lambda: not panel.live and not panel.requests.busy, timeout=30_000)
 
 
 def test_live_layers_fill_and_are_kept_as_the_user_has_set_them(viewer, panel, qtbot):
@@ -141,7 +141,7 @@ def test_a_killed_engine_is_said_once_the_layers_stay_and_it_can_start_again(vie
     assert sum("SIGKILL" in words for _, words in said()) == 1
     assert len(viewer.layers) == 2
     panel.form.start.native.click()
-    qtbot.waitUntil(lambda: panel.connection.client is not None and not panel.asking.busy, timeout=30_000)
+    qtbot.waitUntil(lambda: panel.connection.client is not None and not panel.requests.busy, timeout=30_000)
     assert len(small_engine) == 2
 
 
@@ -162,7 +162,7 @@ def test_the_rig_panel_connects_sets_up_parks_and_remembers(viewer, qtbot, tmp_p
     panel.connect.native.click()
     qtbot.waitUntil(lambda: panel.connection.client is not None, timeout=60_000)
     panel.slit_rows.value = 5
-    qtbot.waitUntil(lambda: not panel.asking.busy, timeout=30_000)
+    qtbot.waitUntil(lambda: not panel.requests.busy, timeout=30_000)
     assert "slit 6.7" in panel.optics.text()
     panel.parking.native.click()
     log = tmp_path / "mirror.log"
@@ -170,7 +170,7 @@ def test_the_rig_panel_connects_sets_up_parks_and_remembers(viewer, qtbot, tmp_p
     assert recall("rig")["slit_rows"] == 5
     panel.connect.native.click()
     qtbot.waitUntil(lambda: not exists(small_engine[0].pid), timeout=30_000)
-    qtbot.waitUntil(lambda: not panel.asking.busy, timeout=30_000)
+    qtbot.waitUntil(lambda: not panel.requests.busy, timeout=30_000)
 
 
 def test_a_rig_that_is_not_there_is_said(viewer, qtbot, said, monkeypatch):
@@ -178,7 +178,7 @@ def test_a_rig_that_is_not_there_is_said(viewer, qtbot, said, monkeypatch):
     panel.rig.choices = ["none"]
     panel.connect.native.click()
     qtbot.waitUntil(lambda: any("no rig 'none'" in words for _, words in said()), timeout=60_000)
-    qtbot.waitUntil(lambda: not panel.asking.busy, timeout=30_000)
+    qtbot.waitUntil(lambda: not panel.requests.busy, timeout=30_000)
 
 
 def test_stop_acts_while_the_window_still_waits_for_its_answer(panel, qtbot, tmp_path):
@@ -191,8 +191,8 @@ def test_stop_acts_while_the_window_still_waits_for_its_answer(panel, qtbot, tmp
         assert time.perf_counter() - asked_s < 30
         time.sleep(1e-3)
     parked_s = time.perf_counter() - asked_s
-    assert panel.asking.busy
-    qtbot.waitUntil(lambda: not panel.live and not panel.asking.busy, timeout=30_000)
+    assert panel.requests.busy
+    qtbot.waitUntil(lambda: not panel.live and not panel.requests.busy, timeout=30_000)
     shown_s = time.perf_counter() - asked_s
     sys.stdout.write(f"stop: parked after {parked_s:.3f} s, shown after {shown_s:.3f} s\n")
 
@@ -211,7 +211,7 @@ def test_a_recording_ends_after_so_many_frames(panel, qtbot, tmp_path):
 
 def test_what_the_panel_does_runs_as_a_script(panel, qtbot, tmp_path, monkeypatch, small_engine):
     file = write_calibration(tmp_path / "cal.json", panel.connection.calibration)
-    panel.connection.take(panel.connection.calibration, file).result(60)
+    panel.connection.apply(panel.connection.calibration, file).result(60)
     panel.form.frames.value, panel.form.average.value, panel.form.cores.value = 7, 2, "median"
     panel.copy_script()
     text = QApplication.clipboard().text()
@@ -253,7 +253,7 @@ def test_a_calibration_reaches_the_other_panels_whoever_loaded_it(viewer, qtbot,
     _, steps = viewer.window.add_plugin_dock_widget(PLUGIN, "Calibration")
     assert not rig.save_file.enabled
     rig.connect.native.click()
-    qtbot.waitUntil(lambda: rig.connection.client is not None and not rig.asking.busy, timeout=60_000)
+    qtbot.waitUntil(lambda: rig.connection.client is not None and not rig.requests.busy, timeout=60_000)
     rig.load(file)
     qtbot.waitUntil(lambda: steps.draft.calibration == known, timeout=30_000)
     other = known.model_copy(update={"optics": known.optics.model_copy(update={"um_per_px": 2.0})})
@@ -270,7 +270,7 @@ def test_a_calibration_reaches_the_other_panels_whoever_loaded_it(viewer, qtbot,
     rig.connect.native.click()
     qtbot.waitUntil(lambda: rig.connection.client is None and rig.connect.enabled, timeout=30_000)
     rig.connect.native.click()  # the rig that is connected anew works by what is known
-    qtbot.waitUntil(lambda: rig.connection.client is not None and not rig.asking.busy, timeout=60_000)
+    qtbot.waitUntil(lambda: rig.connection.client is not None and not rig.requests.busy, timeout=60_000)
     assert rig.connection.client.calibration == known
 
 

@@ -63,7 +63,7 @@ def mosaics(viewer):
 def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, monkeypatch):
     for box in panel.form.modes.values():
         box.value = True
-    watch = panel.work.watch
+    watch = panel.work.progress
 
     def slowly(steps):
         for step in watch(steps):

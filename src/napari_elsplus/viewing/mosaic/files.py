@@ -1,4 +1,4 @@
-"""Mosaics and their track to files: OME-TIFF with its pyramid, PNG with a scale bar, CSV; and a script."""
+"""Mosaics and their track as files: OME-TIFF with pyramid, PNG with scale bar, CSV; and as a script."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io import refuse_existing, write_mosaic, write_track
 from napari_elsplus.io.formats.registry import recording_stem
 from napari_elsplus.processing.mosaicing.sheet import Sheet
-from napari_elsplus.viewing.mosaic.growing import white_of
+from napari_elsplus.viewing.mosaic.growing import display_white_level
 from napari_elsplus.viewing.stack import files_for_script
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.pictures.mosaic_picture import draw_mosaic
@@ -30,26 +30,26 @@ def save_mosaics(
     Parameters
     ----------
     mosaics : Mosaics
-        What was made.
+        The mosaics and the track.
     path : pathlib.Path
         ``NAME.ome.tif``; where there are several modes each one's name is added to NAME.
     plan : MosaicPlan
-        How it was made; kept in the file.
+        Modes, method and insertion; written into the file.
     calibration : Calibration, optional
-        Kept in the file.
+        Written into the file.
     force : bool
-        Whether existing files may be replaced.
+        Replace existing files.
 
     Returns
     -------
     list of pathlib.Path
-        The files. All modes have one size and lie alike; where a segment's first frame lies, in pixels of the mosaic,
-        is kept in each.
+        The files. All modes have one size and one layout; the position of each segment's first frame, in pixels of
+        the mosaic, is written into each.
 
     Raises
     ------
     InputError
-        If nothing was drawn, or a file exists and may not be replaced.
+        If the mosaic is empty, or a file exists and `force` is false.
     """
     name = recording_stem(path.name)
     several = len(mosaics.canvases) > 1
@@ -73,14 +73,23 @@ def save_mosaics(
             path.with_name(f"{one}.ome.tif"), image, um_per_px, calibration=calibration,
             metadata={**settings, "first_frames_px": places}, force=force,
         )  # fmt: skip
-        white = white_of(image[weight > 0])
+        white = display_white_level(image[weight > 0])
         save_figure(draw_mosaic(image, um_per_px, white), path.with_name(f"{one}.png"), force=force)
     write_track(table, mosaics.rows, force=force)
     return [*targets, table]
 
 
 def mosaic_script(stack: Stack, calibration_file: Path | None, plan: MosaicPlan) -> str:
-    """Write a script that makes and saves the same mosaics.
+    """Return a script that makes and saves the same mosaics.
+
+    Parameters
+    ----------
+    stack : Stack
+        Raw frames of a recording in a file.
+    calibration_file : pathlib.Path or None
+        Its calibration file.
+    plan : MosaicPlan
+        Modes, method and insertion.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A mosaic that grows, as a multiscale image: viewers read what they draw, and only what changed is computed."""
+"""A growing mosaic as a multiscale image: levels are read lazily, and only changed parts are recomputed."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.tiles import Canvas
 
 LEVELS: Final = 8
-"""Halves of halves that are kept: enough for 65,000 pixels."""
+"""Levels of the pyramid, each half of the one before: 512 pixels become 65,000."""
 FRAME_STEP_PX: Final = 2 << (LEVELS - 1)
-"""The image's edges are multiples of this: what two pixels of the last level span."""
+"""Multiple to which the image's edges are rounded, pixels: two pixels of the last level."""
 COARSEST_PX: Final = 512
-"""The last level that is shown is no larger."""
+"""Largest side of the last displayed level, pixels; chosen, one tile of a screen."""
 _WHITE_SHARE: Final = 1e-3
+"""Share of pixels displayed as white; chosen, so that single bright cores do not set the contrast."""
 
 
 class Change(NamedTuple):
-    """What an update did.
+    """Result of an update.
 
     Parameters
     ----------
     pixels : bool
-        Whether any pixel may have changed.
+        True if any pixel may have changed.
     frame : bool
-        Whether the image covers another part of the plane, so that its levels are new arrays.
+        True if the image covers another part of the plane: its levels are new arrays.
     places : bool
-        Whether a segment has moved on the sheet.
+        True if a segment has moved on the sheet.
     """
 
     pixels: bool = False
@@ -50,12 +51,12 @@ class GrowingImage:
     Attributes
     ----------
     sheet : Sheet
-        Where the segments lie.
+        Layout of the segments.
     frame : Rectangle
-        The part of the sheet that the image covers.
+        Part of the sheet that the image covers.
     levels : list
-        Full resolution first; each half of the one before. All but the last read the mosaic when they are indexed; the
-        last is an array that is filled in place.
+        Full resolution first, each half of the one before. All but the last read the mosaic when indexed; the last is
+        an array that is updated in place.
 
     Examples
     --------
@@ -81,14 +82,14 @@ class GrowingImage:
         self.levels: list[Any] = []
 
     def update(self, canvases: Mapping[int, Canvas], like: Sheet | None = None) -> Change:
-        """Take in what was drawn since the last time; in one thread only.
+        """Include what was inserted since the last call; call it in one thread only.
 
         Parameters
         ----------
         canvases : mapping of int to Canvas
-            The segments by their numbers.
+            Segments by number.
         like : Sheet, optional
-            Put them where that sheet has them.
+            Layout to copy.
         """
         moved = self.sheet.arrange(canvases, like)
         dirty = self._pyramid.refresh()
@@ -105,12 +106,12 @@ class GrowingImage:
 
     @property
     def white_level(self) -> float:
-        """Grey level to be shown as white."""
-        return white_of(self._coarsest[self._coarsest != 0])
+        """Grey level displayed as white."""
+        return display_white_level(self._coarsest[self._coarsest != 0])
 
     @property
     def covered_px(self) -> float:
-        """Pixels that were drawn on, as the last level tells."""
+        """Number of covered pixels, estimated from the last level."""
         return float(np.count_nonzero(self._coarsest) << 2 * max(len(self.levels) - 1, 0))
 
     def _read(self, level: int, part: Rectangle) -> NDArray[np.float32]:
@@ -124,28 +125,28 @@ class GrowingImage:
             self._coarsest[part.slices(whole)] = self._pyramid.read(level, part)[0]
 
 
-def white_of(drawn: NDArray[np.float32]) -> float:
-    """Return the grey level that one of a thousand pixels exceeds; 1 if there are none.
+def display_white_level(drawn: NDArray[np.float32]) -> float:
+    """Return the grey level that one in a thousand drawn pixels exceeds; 1 if there are none.
 
     Examples
     --------
-    >>> white_of(np.arange(2001, dtype=np.float32)), white_of(np.zeros(0, np.float32))
+    >>> display_white_level(np.arange(2001, dtype=np.float32)), display_white_level(np.zeros(0, np.float32))
     (1998.0, 1.0)
     """
     return max(float(np.quantile(drawn, 1 - _WHITE_SHARE)), 1e-6) if drawn.size else 1.0
 
 
 class LevelView:
-    """One level of a pyramid as an array that is read where it is indexed; float32.
+    """One level of a pyramid as a lazy float32 array.
 
     Parameters
     ----------
     pyramid : Pyramid
-        Where the pixels are.
+        Source of the pixels.
     level : int
-        Which level.
+        Index of the level, 0 is full resolution.
     frame : Rectangle
-        What the array covers, in pixels of level 0; its edges are multiples of what a pixel of any level spans.
+        Part that the array covers, in pixels of level 0; its edges are multiples of every level's pixel.
     """
 
     ndim: Final = 2
@@ -194,12 +195,12 @@ def _halved(frame: Rectangle, level: int) -> Rectangle:
 
 
 def _aligned(extent: Rectangle) -> Rectangle:
-    """Round outwards, so far that the image seldom needs another frame while it grows."""
+    """Round outwards, so that the frame of a growing image seldom changes."""
     top, left = (FRAME_STEP_PX * (first // FRAME_STEP_PX) for first in (extent.top, extent.left))
     bottom, right = (-FRAME_STEP_PX * (-last // FRAME_STEP_PX) for last in (extent.bottom, extent.right))
     return Rectangle(top, left, bottom, right)
 
 
 def _levels_of(frame: Rectangle) -> int:
-    """Levels that are shown: at least two, so that the image is multiscale from the beginning."""
+    """Return the number of displayed levels: at least two, so that the image is multiscale from the beginning."""
     return next((n for n in range(2, LEVELS) if max(frame.shape) >> (n - 1) <= COARSEST_PX), LEVELS)

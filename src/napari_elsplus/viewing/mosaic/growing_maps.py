@@ -1,4 +1,4 @@
-"""Maps of a mosaic while its track grows and is put elsewhere: a few frames at a time, however many there are."""
+"""Coverage and quality maps of a growing mosaic, updated a limited number of frames at a time."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.tiles import Rectangle
 
     Layout = tuple[Rectangle, Mapping[int, tuple[int, int]], int]
-    """What the maps cover, where segments lie, and how often rows were written over."""
+    """Part that the maps cover, positions of the segments, and number of rewrites of the track."""
 
 ROWS_AT_ONCE: Final = 1 << 13
-"""Frames that are counted at a time: some five milliseconds' worth."""
+"""Frames counted per call: about 5 ms, chosen."""
 
 
 class GrowingMaps:
-    """How often each place was seen, and how well its frames fit.
+    """Number of frames at each place of a mosaic, and their mean registration score.
 
-    Frames that are new are added. Where some lie elsewhere now, all are counted anew, and until that is done the maps
-    are those from before.
+    New frames are added. After a change of poses all frames are counted again; until that is finished the previous maps
+    remain valid.
 
     Parameters
     ----------
     rows : TrackTable
         The track.
     radius_px : float
-        Of what is used of a frame, pixels of the mosaic.
+        Radius of the inserted disc of a frame, pixels of the mosaic.
     camera_px_per_pixel : float
         Camera pixels per pixel of the mosaic.
 
     Attributes
     ----------
     whole : Coverage or None
-        All frames counted, as they lay not long ago.
+        Maps of all frames at their latest complete count.
     """
 
     def __init__(self, rows: TrackTable, radius_px: float, camera_px_per_pixel: float) -> None:
@@ -49,18 +49,18 @@ class GrowingMaps:
         self._seen = 0
 
     def behind(self, part: Rectangle, places: Mapping[int, tuple[int, int]]) -> bool:
-        """Whether there is more to count; parameters as of :meth:`add`."""
+        """Return True if there is more to count; parameters as of :meth:`add`."""
         return self._seen < len(self.rows) or self._layout != (part, places, self.rows.rewritten)
 
     def add(self, part: Rectangle, places: Mapping[int, tuple[int, int]]) -> None:
-        """Count frames, not too many at once.
+        """Count the next frames, a limited number.
 
         Parameters
         ----------
         part : Rectangle
-            The part of the sheet that the maps are to cover.
+            Part of the sheet that the maps cover.
         places : mapping of int to tuple of int
-            Row and column of the sheet where each segment's (0, 0) lies.
+            Row and column of each segment's (0, 0) on the sheet.
         """
         layout = part, places, self.rows.rewritten
         if self._counted is None or (self._seen == len(self.rows) and layout != self._layout):

@@ -1,4 +1,4 @@
-"""The mosaic of a running engine, as it is looked at: copied piece by piece, and kept when the engine is gone."""
+"""The mosaic of a running engine: copied incrementally from shared memory, and kept after the engine has ended."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from napari_elsplus.acquisition.mosaic.feed import MosaicFeed
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.viewing.mosaic.mosaics import MosaicScale, without_last_segment
-from napari_elsplus.viewing.mosaic.track import fastest_px_per_frame
+from napari_elsplus.viewing.mosaic.track import max_trackable_px_per_frame
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
 
 class LiveMosaicView:
-    """Follows the board of an engine in another process.
+    """A copy of the mosaic in an engine's shared memory, updated on demand.
 
     Parameters
     ----------
     state : TrackState
-        What the engine says of its track.
+        State of the track, from the engine's status.
     calibration : Calibration, optional
-        In force there.
+        Active in the engine.
 
     Raises
     ------
     FileNotFoundError
-        If the board is gone.
+        If the shared memory is gone.
     """
 
     def __init__(self, state: TrackState, calibration: Calibration | None) -> None:
@@ -44,7 +44,7 @@ class LiveMosaicView:
             state.camera_px_per_pixel,
             None if calibration is None else calibration.um_per_px,
             state.radius_px,
-            fastest_px_per_frame(diameter, state.camera_px_per_pixel, plan.method),
+            max_trackable_px_per_frame(diameter, state.camera_px_per_pixel, plan.method),
         )
         self._feed: MosaicFeed | None = MosaicFeed(state.board, blended=plan.insertion is Insertion.FEATHERED)
         self._rows = self._feed.rows
@@ -53,39 +53,39 @@ class LiveMosaicView:
 
     @property
     def rows(self) -> TrackTable:
-        """The track, as far as it was copied."""
+        """The track copied so far."""
         return self._rows
 
     @property
     def canvases(self) -> Mapping[Mode, Mapping[int, Canvas]]:
-        """The segments, as far as they were copied."""
+        """The segments of each mode copied so far."""
         return self._canvases
 
     @property
     def follows(self) -> bool:
-        """Whether the board is still looked at."""
+        """True until :meth:`close`."""
         return self._feed is not None
 
     def update(self, *, all_rows: bool = False) -> bool:
-        """Copy what is new; whether there was anything. Of a board that is gone stays what was copied.
+        """Copy what is new, and return True if there was anything; after the engine's end the copy remains.
 
         Parameters
         ----------
         all_rows : bool
-            All of the track, where much has come or changed; else that comes in several looks.
+            Copy all new rows of the track; by default a limited number per call.
         """
         feed = self._feed
         try:
             if feed is None or not feed.update(all_rows=all_rows):
                 return False
-        except FileNotFoundError:  # a part of it that was never looked at
+        except FileNotFoundError:  # a part that was never opened
             return False
         self._canvases = {mode: dict(feed.canvases.get(image, {})) for image, mode in enumerate(self.plan.modes)}
         self.revision = feed.revision
         return True
 
     def undo(self) -> bool:
-        """Once it is closed: take the last segment away; whether there was one."""
+        """Remove the last segment of a closed copy, and return True if there was one."""
         left = without_last_segment(self._canvases, self._rows)
         if left is None:
             return False
@@ -94,7 +94,7 @@ class LiveMosaicView:
         return True
 
     def close(self) -> None:
-        """Look at the board no more; what was copied stays."""
+        """Detach from the shared memory; the copy remains."""
         feed, self._feed = self._feed, None
         if feed is not None:
             feed.close()

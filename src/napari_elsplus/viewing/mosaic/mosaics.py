@@ -1,4 +1,4 @@
-"""Mosaics that are looked at while they grow, whoever makes them: what they tell of themselves."""
+"""Interface of growing mosaics, whether made from a stack or by a running engine."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ if TYPE_CHECKING:
 
 
 class Mosaics(Protocol):
-    """What is looked at while it grows: a track and mosaics, made here or by a running engine."""
+    """A track and its mosaics, which may be read while they grow."""
 
     @property
     def rows(self) -> TrackTable:
-        """The track so far, a row for every frame; another object where it was made anew."""
+        """Track so far, a row for every frame; another object after it was recomputed."""
 
     @property
     def canvases(self) -> Mapping[Mode, Mapping[int, Canvas]]:
-        """The segments of each mode."""
+        """Segments of each mode."""
 
     @property
     def revision(self) -> int:
-        """Another number once what was there before has changed."""
+        """Number that changes when existing poses or segments change."""
 
     @property
     def scale(self) -> MosaicScale:
-        """How large things are."""
+        """Pixel sizes and limits."""
 
 
 @dataclass(frozen=True)
 class MosaicScale:
-    """How large the pixels of a mosaic are, and how far a frame reaches.
+    """Pixel size of a mosaic, radius of a frame, and limit of the probe's speed.
 
     Attributes
     ----------
@@ -44,15 +44,15 @@ class MosaicScale:
     camera_um_per_px : float or None
         Scale of a camera pixel.
     radius_px : float
-        Of what is used of a frame, pixels of the mosaic.
-    fastest_px : float
-        Camera pixels per frame that can be followed.
+        Radius of the inserted disc of a frame, pixels of the mosaic.
+    max_px_per_frame : float
+        Largest trackable displacement, camera pixels per frame.
     """
 
     camera_px_per_pixel: float
     camera_um_per_px: float | None
     radius_px: float
-    fastest_px: float
+    max_px_per_frame: float
 
     @property
     def um_per_px(self) -> float | None:
@@ -63,7 +63,20 @@ class MosaicScale:
 def without_last_segment(
     canvases: Mapping[Mode, Mapping[int, Canvas]], rows: TrackTable
 ) -> dict[Mode, dict[int, Canvas]] | None:
-    """Call the frames of the last segment lost, and return the mosaics without it; None if there is no segment."""
+    """Mark the frames of the last segment as lost, and return the mosaics without it.
+
+    Parameters
+    ----------
+    canvases : mapping
+        Segments of each mode, by number.
+    rows : TrackTable
+        The track; changed in place.
+
+    Returns
+    -------
+    dict or None
+        The remaining segments of each mode; None if there was no segment.
+    """
     numbers = {number for segments in canvases.values() for number in segments}
     if not numbers:
         return None

@@ -1,4 +1,4 @@
-"""A stack to a track and the mosaics of several modes along it, which can be looked at while they grow."""
+"""Track and mosaics of several modes from a stack, which may be read while they grow."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registry import tracking_method
 from napari_elsplus.viewing.mosaic.growing import GrowingImage
 from napari_elsplus.viewing.mosaic.mosaics import MosaicScale, without_last_segment
-from napari_elsplus.viewing.mosaic.track import fastest_px_per_frame
+from napari_elsplus.viewing.mosaic.track import max_trackable_px_per_frame
 from napari_elsplus.viewing.mosaic.trackable import TrackableFrames
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
@@ -32,36 +32,36 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
-    Watch = Callable[[Iterable[int]], Iterable[int]]
+    Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 class StackMosaics:
-    """Tracks a stack and lays its frames into mosaics, one for each mode and segment.
+    """Tracks a stack and inserts its frames into mosaics, one for each mode and segment.
 
-    One thread runs it; others may look at :attr:`rows` and :attr:`canvases` meanwhile.
+    One thread runs it; others may read :attr:`rows` and :attr:`canvases` meanwhile.
 
     Parameters
     ----------
     frames : Frames
         (T, rows, cols), raw.
     calibration : Calibration
-        Needs the bundle section.
+        Contains the bundle section.
     plan : MosaicPlan
-        What is made.
+        Modes, method and insertion.
     times_s : sequence of float, optional
-        When each frame was taken; from the calibration's timing, where that is known, by default.
+        Acquisition time of each frame; by default from the calibration's frame period, where known.
 
     Attributes
     ----------
     rows : TrackTable
-        The track so far, a row for every frame; another object once loops are closed.
+        Track so far, a row for every frame; another object after loop closure.
     notes : list of str
-        What the user should be told.
+        Messages for the user.
 
     Raises
     ------
     InputError
-        If there are fewer than two frames, they show nothing, or hold NaN.
+        If there are fewer than two frames, they are constant, or contain NaN.
     CalibrationError
         If the calibration does not fit.
     """
@@ -75,7 +75,7 @@ class StackMosaics:
         self.revision = 0
         self._frames = TrackableFrames(frames)
         self._pairs = RawPairs(self._frames, plan.tracked)
-        self._frames.look()
+        self._frames.require_contrast()
         self._times_s = times_s
         self._lead = self._pipeline(plan.tracked)
         self._followers = {mode: self._pipeline(mode) for mode in plan.modes if mode is not plan.tracked}
@@ -83,12 +83,12 @@ class StackMosaics:
 
     @property
     def steps(self) -> int:
-        """How many steps :meth:`run` goes through at most."""
+        """Largest number of steps of :meth:`run`."""
         return (3 if self._followers else 2) * len(self._pairs)
 
     @property
     def canvases(self) -> Mapping[Mode, Mapping[int, Canvas]]:
-        """The segments of each mode, in the order of the plan."""
+        """Segments of each mode, in the order of the plan."""
         if self._shown is not None:
             return self._shown
         makers = {self.plan.tracked: self._lead, **self._followers}
@@ -96,17 +96,17 @@ class StackMosaics:
 
     @property
     def scale(self) -> MosaicScale:
-        """How large things are."""
+        """Pixel sizes and limits."""
         grid, per_pixel = self._lead.grid, self._lead.camera_px_per_pixel
         return MosaicScale(
             per_pixel,
             self.calibration.um_per_px,
             0.5 * FIELD * grid.diameter,
-            fastest_px_per_frame(grid.diameter, per_pixel, self.plan.method),
+            max_trackable_px_per_frame(grid.diameter, per_pixel, self.plan.method),
         )
 
-    def rehearse(self) -> None:
-        """Lay two frames and draw them as a viewer does, to no end but that everything is compiled before it looks."""
+    def compile_kernels(self) -> None:
+        """Process two frames and discard the result, so that all kernels are compiled before the viewer needs them."""
         pipeline = self._pipeline(self.plan.tracked)
         for index in range(min(2, len(self._pairs))):
             raw, raw_residual = self._pairs(index)
@@ -115,21 +115,21 @@ class StackMosaics:
         image.update(pipeline.mosaics)
         Coverage(image.frame, self.scale.radius_px).add(np.zeros((1, 2)), np.ones(1))
 
-    def run(self, watch: Watch = iter, checkpoint: Callable[[], None] | None = None) -> None:
-        """Track and lay all frames, then close loops, join segments, and lay everything where it belongs.
+    def run(self, progress: Progress = iter, checkpoint: Callable[[], None] | None = None) -> None:
+        """Track and insert all frames, then close loops, join segments, and re-render the mosaics.
 
         Parameters
         ----------
-        watch : callable
-            Goes through numbers, one a step; what it raises ends the run, and what was laid until then stays.
+        progress : callable
+            Wraps an iterable of steps; an exception raised in it ends the run, and the mosaics so far remain.
         checkpoint : callable
-            Called whenever a frame is read; what it raises ends the run, too.
+            Called whenever a frame is read; an exception raised in it ends the run, too.
         """
         with nullcontext() if checkpoint is None else self._frames.with_checkpoint(checkpoint):
-            self._run(watch)
+            self._run(progress)
 
     def undo(self) -> bool:
-        """Take the last segment away, and call its frames lost; whether there was one."""
+        """Remove the last segment, mark its frames as lost, and return True if there was one."""
         left = without_last_segment(self.canvases, self.rows)
         if left is None:
             return False
@@ -137,28 +137,28 @@ class StackMosaics:
         self.revision += 1
         return True
 
-    def _run(self, watch: Watch) -> None:
+    def _run(self, progress: Progress) -> None:
         if tracking_method(self.plan.method).corrects_rolling_shutter:
-            self.calibration, said = with_timing(self.calibration, self._pairs, self.plan.tracked)
-            if said:
-                self.notes.append(said)
+            self.calibration, note = with_timing(self.calibration, self._pairs, self.plan.tracked)
+            if note:
+                self.notes.append(note)
                 self._lead = self._pipeline(self.plan.tracked)
                 self._followers = {mode: self._pipeline(mode) for mode in self._followers}
-        for index in watch(range(len(self._pairs))):
+        for index in progress(range(len(self._pairs))):
             frame = self._pairs.frame(index)
             raw, raw_residual = self._pairs(index)
             self.rows.append(self._lead.add(raw, frame, self._time_s(frame), raw_residual))
             self._follow(self._followers, self._lead.poses[-1], frame)
-        self._refine(watch)
+        self._refine(progress)
         if self.rows.counts[TrackingState.TRACKED.value] < 2:
             self.notes.append(UNLINKED)
 
-    def _refine(self, watch: Watch) -> None:
-        self._shown = self.canvases  # they stay on screen meanwhile, as the track does
-        self._lead.finish(self._pairs, watch)
+    def _refine(self, progress: Progress) -> None:
+        self._shown = self.canvases  # displayed until the re-rendered ones are complete
+        self._lead.finish(self._pairs, progress)
         fresh = {mode: self._pipeline(mode) for mode in self._followers}
         if fresh:
-            for index in watch(range(len(self._pairs))):
+            for index in progress(range(len(self._pairs))):
                 self._follow(fresh, self._lead.poses[index], self._pairs.frame(index))
         self._followers = fresh
         self.rows, self._shown = TrackTable(self._lead.rows), None

@@ -1,4 +1,4 @@
-"""What a stack must be to be tracked: frames that show something, and a calibration, if only a made-up one."""
+"""Checks of stacks before tracking, and a nominal calibration for finished images."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.images.sectioning import Frames
 
 _RIM_PX: Final = 4
+"""Margin by which the disc is smaller than the image, pixels; chosen, for the interpolation at its rim."""
 
 
 class TrackableFrames:
-    """Frames that are refused, with their number, where nothing can be made of them.
+    """Frames checked when they are read; unusable ones raise an error with their index.
 
     Parameters
     ----------
@@ -31,12 +32,12 @@ class TrackableFrames:
     Raises
     ------
     InputError
-        If there are fewer than two frames, or one that is read is no image.
+        If there are fewer than two frames, or a frame is not a finite 2D image.
     """
 
     def __init__(self, frames: Frames) -> None:
         self._frames = frames
-        self._checkpoint: Callable[[], None] = _go_on
+        self._checkpoint: Callable[[], None] = _no_checkpoint
         if len(frames) < 2:
             raise InputError(
                 f"the stack has {len(frames)} frame{'s' * (len(frames) != 1)}", "choose one of at least two"
@@ -51,20 +52,32 @@ class TrackableFrames:
         if frame.ndim != 2:
             raise InputError(f"a frame has shape {frame.shape}", "choose a stack (T, rows, cols) of grey levels")
         if frame.dtype.kind == "f" and not np.isfinite(frame).all():
-            raise InputError(f"frame {index} holds NaN or infinity", "mend it, or choose another stack")
+            raise InputError(f"frame {index} contains NaN or infinity", "replace these values, or choose another stack")
         return frame
 
     @contextmanager
     def with_checkpoint(self, checkpoint: Callable[[], None]) -> Iterator[None]:
-        """Meanwhile, call something whenever a frame is read; what it raises ends the reading."""
+        """Return a context in which a function is called whenever a frame is read.
+
+        Parameters
+        ----------
+        checkpoint : callable
+            An exception raised in it ends the reading.
+        """
         self._checkpoint = checkpoint
         try:
             yield
         finally:
-            self._checkpoint = _go_on
+            self._checkpoint = _no_checkpoint
 
-    def look(self) -> None:
-        """Refuse a stack whose frames show nothing."""
+    def require_contrast(self) -> None:
+        """Raise an error if the first, middle and last frames are constant.
+
+        Raises
+        ------
+        InputError
+            If so.
+        """
         chosen = [self[index] for index in sorted({0, len(self) // 2, len(self) - 1})]
         if all(frame.min() == frame.max() for frame in chosen):
             raise InputError(
@@ -73,8 +86,15 @@ class TrackableFrames:
             )
 
 
-def images_as_they_are(frames: Frames, um_per_px: float | None = None) -> Calibration:
-    """Make a calibration for finished images of one bundle, whose disc touches the image's edges.
+def calibration_of_finished_images(frames: Frames, um_per_px: float | None = None) -> Calibration:
+    """Return a nominal calibration for finished images of one bundle, whose disc touches the image's edges.
+
+    Parameters
+    ----------
+    frames : Frames
+        (T, rows, cols).
+    um_per_px : float, optional
+        Scale.
 
     Raises
     ------
@@ -95,5 +115,5 @@ def images_as_they_are(frames: Frames, um_per_px: float | None = None) -> Calibr
     return Calibration.parse({"bundle": bundle, **({} if um_per_px is None else {"optics": {"um_per_px": um_per_px}})})
 
 
-def _go_on() -> None:
-    """Let the reading go on."""
+def _no_checkpoint() -> None:
+    """Do nothing."""

@@ -1,4 +1,4 @@
-"""The Axial response panel: how far a plate is seen, by LS, residual and ELS+, from one scan of depths or several."""
+"""The Axial response panel: drop-offs of LS and ELS+ from one axial scan or several."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing
 from napari_elsplus.io.formats.registry import AXIAL_RESPONSES, PICTURE, TABLE, dialog_filter
 from napari_elsplus.viewing.axial import (
-    Against,
-    HandScan,
+    MANUAL_SCAN,
+    ManualScan,
     Scan,
+    SlitParameter,
     axial_script,
     drop_offs,
     measure_scan,
@@ -24,14 +25,14 @@ from napari_elsplus.viewing.axial import (
 )
 from napari_elsplus.widgets.analysis.axial_plots import drop_off_curves, response_curves, table
 from napari_elsplus.widgets.shared.choosing import (
-    OPEN_ONE,
+    OPEN_RECORDING_FIRST,
     calibrated_frames,
     calibrated_recordings,
     chosen_image,
-    renew_choices,
+    refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, allow, button_row, copy_as_script, told
+from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, notify_errors, set_enabled
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.work import Work
 
@@ -41,15 +42,15 @@ if TYPE_CHECKING:
     from napari.layers import Image
     from qtpy.QtWidgets import QWidget
 
-STACK, BY_HAND, SIMULATED = "a stack of depths", "step by hand", "simulate"
+STACK, MANUAL, SIMULATED = "axial stack", "manual steps", "simulated instrument"
 OPEN_SCAN: Final = "open a scan with NAME.depths.csv and a calibration beside it, or the sample axial scan"
-WAIT: Final = "wait for the scan that is being measured"
+WAIT: Final = "wait until the present scan is measured"
 CURVES: Final = "signal and depth"
-HINT: Final = "Measure a scan to see its drop-offs; several scans give them against the slit."
+HINT: Final = "Measure a scan for its drop-offs; several scans give drop-offs against slit offset or width."
 
 
 class AxialResponsePanel(Panel):
-    """Measure the axial response: from a stack, step by step by hand, or of the simulated instrument.
+    """Measure the axial response: from a stack, by manual steps of a stage, or of the simulated instrument.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ class AxialResponsePanel(Panel):
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
         self.scans: list[Scan] = []
-        self._by_hand = HandScan()
+        self._manual = ManualScan()
         self.work = Work(self._layers_changed)
         self._build()
         self.source.changed.connect(self._source_changed)
@@ -68,69 +69,80 @@ class AxialResponsePanel(Panel):
         self.simulate.clicked.connect(self.measure_simulated)
         self.take.clicked.connect(self.take_frame)
         self.shown.changed.connect(self.show_scans)
-        self.clear.clicked.connect(self.forget)
+        self.clear.clicked.connect(self.clear_scans)
         self.script.clicked.connect(self.copy_script)
         self.save.clicked.connect(self._ask_where_to_save)
-        self.listen(viewer.layers.events.inserted, self._layers_changed)
-        self.listen(viewer.layers.events.removed, self._layers_changed)
-        self.listen(viewer.events.theme, self._theme_changed)
+        self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
+        self.connect_signal(viewer.layers.events.removed, self._layers_changed)
+        self.connect_signal(viewer.events.theme, self._theme_changed)
         self._source_changed()
         self.show_scans()
 
     def measure_stack(self) -> None:
-        """Measure the chosen stack of depths, in a thread of its own."""
-        with told():
-            known = chosen_image(self.viewer, self.stack, "scan of depths").metadata["elsplus"]
-            stack, calibration = known["stack"], known["calibration"]
-            self._start(len(stack.planes), lambda: measure_scan(stack, calibration, watch=self.work.watch))
+        """Measure the selected axial stack in a thread."""
+        with notify_errors():
+            facts = chosen_image(self.viewer, self.stack, "axial stack").metadata["elsplus"]
+            stack, calibration = facts["stack"], facts["calibration"]
+            self._start(len(stack.planes), lambda: measure_scan(stack, calibration, progress=self.work.progress))
 
     def measure_simulated(self) -> None:
-        """Simulate a scan with the offset and slit that were set, and measure it, in a thread of its own."""
+        """Simulate a scan with the given offset and slit width, and measure it in a thread."""
         offset_um, slit_um = self.offset.value, self.slit.value
-        with told():
+        with notify_errors():
             stack, calibration = simulated_scan(offset_um, slit_um)
-            self._start(len(stack.planes), lambda: measure_scan(stack, calibration, watch=self.work.watch))
+            self._start(len(stack.planes), lambda: measure_scan(stack, calibration, progress=self.work.progress))
 
     def take_frame(self) -> None:
-        """Add the frame that is shown at the depth that is set, and set the next depth."""
-        with told():
+        """Add the displayed frame at the given depth, and advance the depth by a step."""
+        with notify_errors():
             layer = chosen_image(self.viewer, self.live, "recording with a calibration")
             calibration = layer.metadata["elsplus"]["calibration"]
-            self._by_hand.take(self._frame(layer), calibration, self.depth_now.value)
+            self._manual.take(self._frame(layer), calibration, self.depth_now.value)
             self.depth_now.value += self.depth_step.value
-            taken = len(set(self._by_hand.depth_um))
+            taken = len(set(self._manual.depth_um))
             if taken < 3:
-                self.numbers.setText(f"{taken} of at least 3 depths taken")
+                self.numbers.setText(f"{taken} of at least 3 depths acquired")
                 return
-            scan = self._by_hand.scan(calibration)
-            self.scans = [known for known in self.scans if not known.name.startswith("by hand")] + [scan]
+            scan = self._manual.scan(calibration)
+            self.scans = [one for one in self.scans if not one.name.startswith(MANUAL_SCAN)] + [scan]
             self.show_scans()
 
-    def forget(self) -> None:
-        """Forget all scans, those taken by hand too."""
+    def clear_scans(self) -> None:
+        """Discard all scans, also the manual one."""
         self.scans.clear()
-        self._by_hand = HandScan()
+        self._manual = ManualScan()
         self.show_scans()
 
     def show_scans(self) -> None:
-        """Draw the scans, the last in full, or their drop-offs against the slit; and list the numbers."""
+        """Plot the scans, the last one in full, or their drop-offs against the slit; list the drop-offs."""
         self.numbers.setText(table(self.scans) if self.scans else HINT)
         saves = "Save the plot as PNG, its numbers as CSV, or the scans as JSON"
-        allow(self.save, bool(self.scans), saves, "measure a scan")
-        allow(self.clear, bool(self.scans), "Forget all scans", "measure a scan")
+        set_enabled(self.save, bool(self.scans), saves, "measure a scan")
+        set_enabled(self.clear, bool(self.scans), "Discard all scans", "measure a scan")
         if not self.scans:
             self.plot.draw([])
         elif self.shown.value == CURVES:
             curves, marks = response_curves(self.scans)
             self.plot.draw(curves, marks=marks, bottom="distance from contact / µm", left="signal / signal in contact")
         else:
-            with told():
-                against = Against(self.shown.value)
+            with notify_errors():
+                against = SlitParameter(self.shown.value)
                 curves = drop_off_curves(drop_offs(self.scans, against))
                 self.plot.draw(curves, bottom=f"{against.value} / µm", left="ELS+ drop-off / µm")
 
     def save_to(self, path: str | Path) -> None:
-        """Save the scans to NAME.json, or the plot to NAME.png or NAME.csv."""
+        """Save the scans or the plot.
+
+        Parameters
+        ----------
+        path : path-like
+            ``NAME.json`` for the scans, ``NAME.png`` or ``NAME.csv`` for the plot.
+
+        Raises
+        ------
+        InputError
+            If nothing was measured.
+        """
         path = Path(path)
         if path.suffix.lower() != ".json":
             self.plot.save(path)
@@ -143,45 +155,47 @@ class AxialResponsePanel(Panel):
             beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
     def copy_script(self) -> None:
-        """Copy Python that measures the chosen stack to the clipboard."""
-        with told():
-            known = chosen_image(self.viewer, self.stack, "scan of depths").metadata["elsplus"]
-            text = axial_script(known["stack"], known["calibration_path"])
+        """Copy a script that measures the selected stack to the clipboard."""
+        with notify_errors():
+            facts = chosen_image(self.viewer, self.stack, "axial stack").metadata["elsplus"]
+            text = axial_script(facts["stack"], facts["calibration_path"])
             copy_as_script(text)
 
     def cleanup(self) -> None:
-        """Stop measuring and let go of the viewer."""
+        """Cancel the measurement and disconnect from the viewer."""
         self.work.cancel()
         super().cleanup()
 
     def _build(self) -> None:
-        self.source = ComboBox(label="scan", choices=[STACK, BY_HAND, SIMULATED])
-        self.source.tooltip = "Frames at known depths; the live image, step by step; or the simulated instrument"
+        self.source = ComboBox(label="scan", choices=[STACK, MANUAL, SIMULATED])
+        self.source.tooltip = "Frames at known depths; live frames at manually set depths; or the simulated instrument"
         self.stack = ComboBox(label="stack", choices=self._stacks, tooltip="Raw layers with depths and a calibration")
         self.live = ComboBox(
-            label="frames of",
+            label="frames from",
             choices=lambda _: calibrated_frames(self.viewer),
-            tooltip="Raw layers with a calibration, live or not",
+            tooltip="Raw layers with a calibration, live or recorded",
         )
         self.depth_now = FloatSpinBox(label="depth (µm)", value=0, min=-10_000, max=10_000)
-        self.depth_now.tooltip = "Depth of the plate now, -10 000 to 10 000 µm"
+        self.depth_now.tooltip = "Present depth of the plate, -10 000 to 10 000 µm"
         self.depth_step = FloatSpinBox(label="step (µm)", value=5, min=-1000, max=1000)
         self.depth_step.tooltip = "Added to the depth after each frame, -1000 to 1000 µm"
         self.offset = FloatSpinBox(label="offset (µm)", value=29, min=3, max=100, step=1)
-        self.offset.tooltip = "Distance of the residual's slit from the line, 3 to 100 µm"
+        self.offset.tooltip = "Distance of the residual slit from the laser line at the bundle, 3 to 100 µm"
         self.slit = FloatSpinBox(label="slit (µm)", value=2.9, min=0.9, max=30, step=0.96)
-        self.slit.tooltip = "Width of the slit, rounded to whole camera rows, 0.9 to 30 µm"
-        names = ("Measure", "Take", "Simulate and measure", "Copy as script", "Save...", "Clear")
+        self.slit.tooltip = "Slit width at the bundle, rounded to whole camera rows, 0.9 to 30 µm"
+        names = ("Measure", "Add frame", "Simulate and measure", "Copy as script", "Save...", "Clear")
         self.measure, self.take, self.simulate, self.script, self.save, self.clear = (
             PushButton(text=name) for name in names
         )
         self._forms = {
             STACK: _form(self.stack, self.measure),
-            BY_HAND: _form(self.live, self.depth_now, self.depth_step, self.take),
+            MANUAL: _form(self.live, self.depth_now, self.depth_step, self.take),
             SIMULATED: _form(self.offset, self.slit, self.simulate),
         }
-        self.shown = ComboBox(label="plot", choices=[CURVES, *(one.value for one in Against)])
-        self.shown.tooltip = "Curves of the scans, or drop-offs of ELS+ against the slit, with the paper's fit"
+        self.shown = ComboBox(label="plot", choices=[CURVES, *(one.value for one in SlitParameter)])
+        self.shown.tooltip = (
+            "Signal against depth, or ELS+ drop-offs against slit offset or width with the paper's saturating curve"
+        )
         self.numbers = QLabel()
         self.numbers.setWordWrap(True)
         self.plot = ThemedPlot("distance / µm", "signal", self.viewer.theme)
@@ -200,11 +214,11 @@ class AxialResponsePanel(Panel):
         self._layers_changed()
 
     def _measured(self, scan: Scan) -> None:
-        self.scans = [known for known in self.scans if known.name != scan.name] + [scan]
+        self.scans = [one for one in self.scans if one.name != scan.name] + [scan]
         self.show_scans()
 
     def _frame(self, layer: Image) -> np.ndarray[Any, Any]:
-        """Return the raw frame of a layer that is shown: of a stack, the one at the slider."""
+        """Return the displayed raw frame of a layer."""
         if layer.ndim == 2:
             return np.asarray(layer.data)
         return np.asarray(layer.data[shown_index(self.viewer, layer)])
@@ -221,22 +235,24 @@ class AxialResponsePanel(Panel):
 
     def _layers_changed(self) -> None:
         for choice in (self.stack, self.live):
-            renew_choices(choice)
+            refresh_choices(choice)
         idle, stacks = not self.work.busy, bool(self.stack.choices)
-        allow(self.measure, idle and stacks, "Measure the stack", WAIT if stacks else OPEN_SCAN)
-        allow(self.simulate, idle, "Simulate a scan and measure it", WAIT)
-        takes = "Take the frame that is shown at this depth, and go on by a step"
-        allow(self.take, bool(self.live.choices), takes, OPEN_ONE)
-        allow(self.script, stacks, "Copy Python that measures the chosen stack", OPEN_SCAN)
+        set_enabled(
+            self.measure, idle and stacks, "Measure the axial response of the stack", WAIT if stacks else OPEN_SCAN
+        )
+        set_enabled(self.simulate, idle, "Simulate a scan and measure it", WAIT)
+        takes = "Add the displayed frame at this depth, and advance the depth by a step"
+        set_enabled(self.take, bool(self.live.choices), takes, OPEN_RECORDING_FIRST)
+        set_enabled(self.script, stacks, "Copy a Python script that measures the selected stack", OPEN_SCAN)
 
     def _theme_changed(self) -> None:
-        self.plot.follow(self.viewer.theme)
+        self.plot.apply_theme(self.viewer.theme)
 
     def _ask_where_to_save(self) -> None:
         kinds = dialog_filter(PICTURE, TABLE, AXIAL_RESPONSES)
         path, _ = QFileDialog.getSaveFileName(self, "Save the axial response", "axial.png", kinds)
         if path:
-            with told():
+            with notify_errors():
                 self.save_to(path)
 
 

@@ -1,4 +1,4 @@
-"""What the Axial response panel draws and lists."""
+"""Curves and tables of the Axial response panel."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ if TYPE_CHECKING:
     Mark = tuple[float, str, str]
 
 OTHERS: Final = ("purple", "vermilion", "orange")
+"""Colours of earlier scans, keys of the palette."""
 FIT_POINTS: Final = 100
+"""Points of a fitted curve; chosen, smooth at any width of the plot."""
 
 
 def response_curves(scans: Sequence[Scan]) -> tuple[list[Curve], list[Mark]]:
-    """Return the last scan's curves with its drop-offs marked, and the others' ELS+."""
+    """Return the curves of the last of several scans with its drop-offs marked, and ELS+ of the others."""
     *others, last = scans
     response = last.response
     distance = response.depth_um - response.contact_um
@@ -44,7 +46,13 @@ def response_curves(scans: Sequence[Scan]) -> tuple[list[Curve], list[Mark]]:
 
 
 def drop_off_curves(found: DropOffs) -> list[Curve]:
-    """Return drop-offs against the slit as points, with the paper's curve where it could be fitted."""
+    """Return drop-offs against a slit parameter as points, with the paper's curve where it could be fitted.
+
+    Parameters
+    ----------
+    found : DropOffs
+        Drop-offs of several scans, and the fits.
+    """
     curves = [
         Curve("3 dB", found.x_um, found.drop_3db_um, "green", marks=True),
         Curve("10 dB", found.x_um, found.drop_10db_um, "orange", "dashed", marks=True),
@@ -53,36 +61,36 @@ def drop_off_curves(found: DropOffs) -> list[Curve]:
         if fit is not None:
             x = np.linspace(0, float(found.x_um.max()), FIT_POINTS)
             curves.append(
-                Curve(_told_fit(name, fit), x, fit.limit_um * (1 - np.exp(-fit.rate_per_um * x)), colour, "dotted")
+                Curve(_fit_label(name, fit), x, fit.limit_um * (1 - np.exp(-fit.rate_per_um * x)), colour, "dotted")
             )
     return curves
 
 
 def table(scans: Sequence[Scan]) -> str:
-    """Write the drop-offs as rich text, in micrometres: the last scan's with their uncertainties, the others' ELS+."""
+    """Return the drop-offs of scans as rich text, micrometres: the last one with uncertainties, ELS+ of the others."""
 
     def row(*cells: str) -> str:
         return "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
 
     *others, last = scans
     rows = [row("", "3 dB / µm", "10 dB / µm")]
-    rows += [row(scan.name, _bare(scan.response.els_3db), _bare(scan.response.els_10db)) for scan in others]
+    rows += [row(scan.name, _value(scan.response.els_3db), _value(scan.response.els_10db)) for scan in others]
     one = last.response
-    rows.append(f"<tr><td colspan=3><b>{last.name}</b>: {100 * one.signal_kept:.0f} % of the signal kept</td></tr>")
-    rows.append(row("LS", _told(one.ls_3db), _told(one.ls_10db)))
-    rows.append(row("ELS+", _told(one.els_3db), _told(one.els_10db)))
+    rows.append(f"<tr><td colspan=3><b>{last.name}</b>: {100 * one.signal_kept:.0f} % of the LS signal kept</td></tr>")
+    rows.append(row("LS", _with_uncertainty(one.ls_3db), _with_uncertainty(one.ls_10db)))
+    rows.append(row("ELS+", _with_uncertainty(one.els_3db), _with_uncertainty(one.els_10db)))
     return f"<table width='100%' cellspacing=2>{''.join(rows)}</table>"
 
 
-def _bare(drop: DropOff) -> str:
+def _value(drop: DropOff) -> str:
     return f"{drop.um:.1f}" if np.isfinite(drop.um) else "beyond"
 
 
-def _told(drop: DropOff) -> str:
+def _with_uncertainty(drop: DropOff) -> str:
     if not np.isfinite(drop.um):
         return "beyond the scan"
     return f"{drop.um:.1f} ± {max(drop.uncertainty_um, 0.1):.1f}"
 
 
-def _told_fit(name: str, fit: Saturation) -> str:
+def _fit_label(name: str, fit: Saturation) -> str:
     return f"{name} fit: {fit.limit_um:.0f} (1 - exp(-{fit.rate_per_um:.3f} x))"

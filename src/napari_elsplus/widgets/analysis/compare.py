@@ -16,25 +16,25 @@ from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.comparison import (
     Comparison,
-    Figures,
+    ImageStatistics,
     Scaling,
     compare_stack,
     comparison_script,
     difference_planes,
-    figures,
+    image_statistics,
     line_profiles,
     white_levels,
 )
 from napari_elsplus.viewing.layers import TITLES
-from napari_elsplus.widgets.analysis.stage import Exhibit, Stage
+from napari_elsplus.widgets.analysis.comparison_layers import ComparedImage, ComparisonLayers
 from napari_elsplus.widgets.shared.choosing import (
-    OPEN_ONE,
+    OPEN_RECORDING_FIRST,
     calibrated_recordings,
     chosen_image,
-    renew_choices,
+    refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, allow, button_row, copy_as_script, told
+from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, notify_errors, set_enabled
 from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
 from napari_elsplus.widgets.shared.work import Work
@@ -47,65 +47,67 @@ COLOURS: Final = {Mode.LS: "blue", Mode.ELSA: "orange", Mode.ELS: "green"}
 DASHES: Final = {Mode.LS: "dotted", Mode.ELSA: "dashed", Mode.ELS: "solid"}
 SIDE_BY_SIDE, BLINK, DIFFERENCE = "side by side", "blink", "difference"
 DIFFERENCES: Final = ((Mode.LS, Mode.ELS), (Mode.ELSA, Mode.ELS))
-"""What the subtraction takes away; what moved between ELSA's two frames."""
+"""Light removed by the subtraction; motion between ELSA's two frames."""
 REFRESH_MS: Final = 100
+"""Delay of table and profiles after a change, milliseconds; chosen, 10 Hz while the slider moves."""
 BLINK_MS: Final = 600
-PREPARING: Final = "Making the first images; on a new installation this takes some seconds, once."
-HINT: Final = "Choose a recording and press Compare; then draw a line on any of the images."
+"""Time for which each image is displayed, milliseconds; chosen, long enough to compare one detail."""
+PREPARING: Final = "Computing the first images; the first time after installation this takes some seconds."
+HINT: Final = "Select a recording and press Compare; then draw a line on any of the images."
 
 
 class ComparePanel(Panel):
-    """Compare LS, ELSA and ELS+ of a recording that is open in the viewer.
+    """Compare LS, ELSA and ELS+ of a recording in the viewer.
 
     Parameters
     ----------
     viewer : napari.Viewer
-        The viewer. Its own layers are hidden while comparing, and shown again afterwards as they were.
+        The viewer. The user's layers are hidden during the comparison and restored afterwards.
     """
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
         self._comparison: Comparison | None = None
         self._source: Image | None = None
-        self.stage = Stage(viewer, self._soon)
+        self.display = ComparisonLayers(viewer, self._schedule_refresh)
         self.work = Work(self._work_ended)
         self._build()
         self._refresh = _timer(self, REFRESH_MS, self.show_numbers, once=True)
-        self._blink = _timer(self, BLINK_MS, self.stage.show_next)
+        self._blink = _timer(self, BLINK_MS, self.display.show_next)
         self.start.clicked.connect(self.toggle)
-        self.rescale.clicked.connect(self.take_white_levels)
+        self.rescale.clicked.connect(self.rescale_contrast)
         self.script.clicked.connect(self.copy_script)
         self.save.clicked.connect(self._ask_where_to_save)
-        self.scaling.changed.connect(self.take_white_levels)
+        self.scaling.changed.connect(self.rescale_contrast)
         for choice in (self.cores, self.view, self.recording):
-            choice.changed.connect(self._again)
-        self.listen(viewer.layers.events.inserted, self._layers_changed)
-        self.listen(viewer.layers.events.removed, self._layers_changed)
-        self.listen(viewer.dims.events.current_step, self._soon)
-        self.listen(viewer.events.theme, self._theme_changed)
+            choice.changed.connect(self._restart)
+        self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
+        self.connect_signal(viewer.layers.events.removed, self._layers_changed)
+        self.connect_signal(viewer.dims.events.current_step, self._schedule_refresh)
+        self.connect_signal(viewer.events.theme, self._theme_changed)
         self._layers_changed()
         self.show_numbers()
 
     @property
     def comparing(self) -> bool:
-        """Whether the comparison's images are in the viewer."""
+        """True while the images of a comparison are in the viewer."""
         return self._comparison is not None
 
     def toggle(self) -> None:
-        """Begin comparing, or end it."""
+        """Start the comparison, or end it."""
         if self.comparing:
             self.end()
         else:
             self.begin()
 
     def begin(self) -> None:
-        """Make LS, ELSA and ELS+ of the chosen recording, in a thread of its own, and show them."""
-        with told():
+        """Compute LS, ELSA and ELS+ of the selected recording in a thread, and display them."""
+        with notify_errors():
             source = self._chosen()
-            known, cores, index = source.metadata["elsplus"], self.cores.value, self._index()
+            facts, cores, index = source.metadata["elsplus"], self.cores.value, self._index()
 
             def made() -> Comparison:
-                comparison = compare_stack(known["stack"], known["calibration"], cores)
+                comparison = compare_stack(facts["stack"], facts["calibration"], cores)
                 comparison.at(index)
                 prepare_shapes()
                 return comparison
@@ -115,47 +117,47 @@ class ComparePanel(Panel):
         self.show_numbers()
 
     def end(self) -> None:
-        """Take the comparison's images away, and show the user's layers as they were."""
+        """Remove the images of the comparison and restore the user's layers."""
         self._blink.stop()
         self._comparison = self._source = None
-        self.stage.end()
+        self.display.end()
         self.plot.draw([])
         self._layers_changed()
         self.show_numbers()
 
     def cleanup(self) -> None:
-        """End the comparison and let go of the viewer."""
+        """End the comparison and disconnect from the viewer."""
         self.work.cancel()
         self._refresh.stop()
         if self.comparing:
             self.end()
         super().cleanup()
 
-    def take_white_levels(self) -> None:
-        """Take the white levels from the frame that is shown."""
+    def rescale_contrast(self) -> None:
+        """Set the contrast limits from the displayed frame."""
         if self._comparison is None:
             return
         index, inside = self._index(), self._comparison.inside
         if self.view.value == DIFFERENCE:
-            for layer in self.stage.images:
+            for layer in self.display.images:
                 white = white_level(np.abs(np.asarray(layer.data[index])), inside)
                 layer.contrast_limits = (-white, white)
             return
         levels = white_levels(self._comparison.at(index), inside, self.scaling.value)
-        for layer, level in zip(self.stage.images, levels.values(), strict=True):
+        for layer, level in zip(self.display.images, levels.values(), strict=True):
             layer.contrast_limits = (0, level)
 
     def show_numbers(self) -> None:
-        """Put contrast, background and profiles of the frame that is shown beside the images."""
+        """Show contrast, background and line profiles of the displayed frame."""
         if self._comparison is None:
             self.numbers.setText(PREPARING if self.work.busy else HINT)
             return
         images = self._comparison.at(self._index())
-        self.numbers.setText(_table(figures(images, self._comparison.inside), self.plot))
-        if self.stage.line is None:
+        self.numbers.setText(_table(image_statistics(images, self._comparison.inside), self.plot))
+        if self.display.line is None:
             return
-        with told():
-            found = line_profiles(images, *self.stage.line, self._comparison.um_per_px)
+        with notify_errors():
+            found = line_profiles(images, *self.display.line, self._comparison.um_per_px)
             unit = "\N{MICRO SIGN}m" if found.unit == "um" else "px"
             curves = [
                 Curve(TITLES[mode], found.position, values, COLOURS[mode], DASHES[mode])
@@ -164,14 +166,11 @@ class ComparePanel(Panel):
             self.plot.draw(curves, bottom=f"position along the line / {unit}")
 
     def copy_script(self) -> None:
-        """Copy Python that makes this comparison to the clipboard."""
-        with told():
-            known = self._chosen().metadata["elsplus"]
-            calibration_file = known["calibration_path"]
-            text = comparison_script(
-                known["stack"], calibration_file, self.cores.value, self.scaling.value, self._index()
-            )
-            copy_as_script(text)
+        """Copy a script that makes this comparison to the clipboard."""
+        with notify_errors():
+            facts, index = self._chosen().metadata["elsplus"], self._index()
+            source = facts["calibration_path"]
+            copy_as_script(comparison_script(facts["stack"], source, self.cores.value, self.scaling.value, index))
 
     def _build(self) -> None:
         self.recording = ComboBox(
@@ -180,11 +179,14 @@ class ComparePanel(Panel):
             tooltip="Raw layers with a calibration",
         )
         self.cores = ComboBox(label="core filter", choices=[kind.value for kind in CoreFilter])
-        self.cores.tooltip = "How the honeycomb of the cores is suppressed, in all of them alike"
+        self.cores.tooltip = "Suppression of the core pattern (honeycomb), the same in all images"
         self.scaling = ComboBox(label="scaling", choices=[kind.value for kind in Scaling])
-        self.scaling.tooltip = "White: 0.01 % saturation, and ELSA by ELS+'s factor; one level for all; each its own"
+        self.scaling.tooltip = (
+            "Grey level of white. 0.01 % saturated: as in the paper, ELSA with the factor of ELS+; "
+            "shared: one level for all; individual: 0.01 % of each image"
+        )
         self.view = ComboBox(label="view", choices=[SIDE_BY_SIDE, BLINK, DIFFERENCE])
-        self.view.tooltip = "Next to each other; in turn in one place; LS - ELS+ and ELSA - ELS+ in grey levels"
+        self.view.tooltip = "Side by side; alternating in one place; LS - ELS+ and ELSA - ELS+ in grey levels"
         self.start = PushButton(text="Compare")
         self.rescale = PushButton(text="Rescale")
         self.script = PushButton(text="Copy as script")
@@ -208,85 +210,87 @@ class ComparePanel(Panel):
         return chosen_image(self.viewer, self.recording, "recording with a calibration")
 
     def _show(self, comparison: Comparison, source: Image) -> None:
-        """Hide the user's layers and show the images; those of a comparison before go."""
+        """Hide the user's layers and display the images, in place of an earlier comparison."""
         if source not in self.viewer.layers:
             return
         step = self.viewer.dims.current_step
-        with told():
-            exhibits = self._exhibits(comparison)  # what can fail comes before the viewer is touched
+        with notify_errors():
+            compared = self._compared_images(comparison)  # may raise, so before the viewer is changed
             if self.comparing:
                 self.end()
-            known, apart = source.metadata["elsplus"], self.view.value != BLINK
-            self.stage.begin(exhibits, known["stack"], known["calibration"], apart=apart)
+            facts, apart = source.metadata["elsplus"], self.view.value != BLINK
+            self.display.begin(compared, facts["stack"], facts["calibration"], apart=apart)
             self.viewer.dims.current_step = step
             self._comparison, self._source = comparison, source
-            self.take_white_levels()
+            self.rescale_contrast()
             if not apart:
-                self.stage.show_next()
+                self.display.show_next()
                 self._blink.start()
         self._layers_changed()
         self.show_numbers()
 
-    def _exhibits(self, comparison: Comparison) -> list[Exhibit]:
-        inks = self._inks(comparison)
+    def _compared_images(self, comparison: Comparison) -> list[ComparedImage]:
+        colours = self._title_colours(comparison)
         if self.view.value == DIFFERENCE:
             pairs = [(a, b) for a, b in DIFFERENCES if a in comparison.images]
             return [
-                Exhibit(f"{TITLES[a]} - {TITLES[b]}", difference_planes(comparison, a, b), ink, signed=True)
-                for (a, b), ink in zip(pairs, inks, strict=False)
+                ComparedImage(f"{TITLES[a]} - {TITLES[b]}", difference_planes(comparison, a, b), colour, signed=True)
+                for (a, b), colour in zip(pairs, colours, strict=False)
             ]
         return [
-            Exhibit(TITLES[mode], planes, ink)
-            for (mode, planes), ink in zip(comparison.images.items(), inks, strict=True)
+            ComparedImage(TITLES[mode], planes, colour)
+            for (mode, planes), colour in zip(comparison.images.items(), colours, strict=True)
         ]
 
-    def _inks(self, comparison: Comparison) -> list[str]:
-        """Colours of the titles on the present ground."""
+    def _title_colours(self, comparison: Comparison) -> list[str]:
+        """Return the colours of the titles for the present background."""
         plain = self.view.value == DIFFERENCE
-        return [self.plot.ink("grey" if plain else COLOURS[mode]) for mode in comparison.images]
+        return [self.plot.colour("grey" if plain else COLOURS[mode]) for mode in comparison.images]
 
     def _index(self) -> int:
-        layer = self.stage.images[0] if self.stage.images else self._chosen()
+        layer = self.display.images[0] if self.display.images else self._chosen()
         return shown_index(self.viewer, layer)
 
-    def _again(self) -> None:
+    def _restart(self) -> None:
         if self.comparing:
             self.begin()
 
-    def _soon(self) -> None:
+    def _schedule_refresh(self) -> None:
         if self.comparing and not self._refresh.isActive():
             self._refresh.start()
 
     def _layers_changed(self) -> None:
-        if self.comparing and not (self.stage.intact and self._source in self.viewer.layers):
-            self.end()  # the user took one of them away
+        if self.comparing and not (self.display.intact and self._source in self.viewer.layers):
+            self.end()  # the user removed one of them
             return
-        renew_choices(self.recording)
-        able, idle = bool(self.recording.choices), not self.work.busy
+        refresh_choices(self.recording)
+        available, idle = bool(self.recording.choices), not self.work.busy
         for choice in (self.recording, self.cores, self.view):
             choice.enabled = idle
         self.start.text = "End comparison" if self.comparing else "Compare"
-        shows = "Show LS, ELSA and ELS+ of the recording; press again to end"
-        allow(self.start, able and idle, shows, "wait for the images" if able else OPEN_ONE)
-        allow(self.script, able, "Copy Python that makes this comparison", OPEN_ONE)
-        allow(self.rescale, self.comparing, "Take the white levels from the frame that is shown", "begin comparing")
-        allow(self.save, self.comparing, "Save the profiles as PNG or CSV", "begin comparing")
+        shows = "Display LS, ELSA and ELS+ of the recording; press again to end"
+        set_enabled(self.start, available and idle, shows, "wait for the images" if available else OPEN_RECORDING_FIRST)
+        set_enabled(self.script, available, "Copy a Python script that makes this comparison", OPEN_RECORDING_FIRST)
+        set_enabled(
+            self.rescale, self.comparing, "Set the contrast limits from the displayed frame", "start the comparison"
+        )
+        set_enabled(self.save, self.comparing, "Save the profiles as PNG or CSV", "start the comparison")
 
     def _work_ended(self) -> None:
         self._layers_changed()
         self.show_numbers()
 
     def _theme_changed(self) -> None:
-        self.plot.follow(self.viewer.theme)
+        self.plot.apply_theme(self.viewer.theme)
         if self._comparison is not None:
-            self.stage.ink_titles(self._inks(self._comparison)[: len(self.stage.images)])
+            self.display.set_title_colours(self._title_colours(self._comparison)[: len(self.display.images)])
         self.show_numbers()
 
     def _ask_where_to_save(self) -> None:
         kinds = dialog_filter(PICTURE, TABLE)
         path, _ = QFileDialog.getSaveFileName(self, "Save the profiles", "profiles.png", kinds)
         if path:
-            with told():
+            with notify_errors():
                 self.plot.save(Path(path))
 
 
@@ -298,15 +302,15 @@ def _timer(parent: Panel, milliseconds: int, slot: Any, *, once: bool = False) -
     return timer
 
 
-def _table(found: dict[Mode, Figures], plot: ThemedPlot) -> str:
-    """Write the numbers as rich text, each mode in its colour."""
+def _table(found: dict[Mode, ImageStatistics], plot: ThemedPlot) -> str:
+    """Return the statistics as rich text, each mode in its colour."""
 
     def row(*cells: str) -> str:
         first, *rest = cells
         return f"<tr><td>{first}</td>" + "".join(f"<td align=right>{cell}</td>" for cell in rest) + "</tr>"
 
-    rows = [row("", "contrast", "background", "of LS's")]
+    rows = [row("", "contrast", "background", "background, % of LS")]
     for mode, one in found.items():
-        title = f"<b style='color:{plot.ink(COLOURS[mode])}'>{TITLES[mode]}</b>"
+        title = f"<b style='color:{plot.colour(COLOURS[mode])}'>{TITLES[mode]}</b>"
         rows.append(row(title, f"{one.contrast:.2f}", f"{one.background:.1f}", f"{100 * one.background_left:.0f} %"))
     return f"<table width='100%' cellspacing=3>{''.join(rows)}</table>"

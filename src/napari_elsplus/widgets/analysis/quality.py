@@ -1,4 +1,4 @@
-"""The Quality panel: alignment before and after the core filter, resolution on a bar target, artefacts at the rim."""
+"""The Quality panel: alignment error with and without the core filter, USAF resolution, artefact at the rim."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from napari_elsplus.viewing.quality import (
 )
 from napari_elsplus.viewing.stack import images_origin_px, space, um_per_px_of
 from napari_elsplus.widgets.shared.choosing import (
-    OPEN_ONE,
+    OPEN_RECORDING_FIRST,
     calibrated_recordings,
     chosen_image,
-    renew_choices,
+    refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, allow, button_row, copy_as_script, told
+from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, notify_errors, set_enabled
 from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
 from napari_elsplus.widgets.shared.work import Work
@@ -51,20 +51,21 @@ BOXES: Final = "quality elements"
 EDGE: Final = "quality edge"
 BOX_COLOUR: Final = "#f0e442"
 NOT_ALIGNMENT: Final = 0.1
-"""Filtered error above which the two views cannot show the same scene: where the laser is on, they never do."""
+"""Filtered alignment error above which the views do not show one scene (laser on); chosen, ten times the paper's."""
 HINT: Final = (
-    "<b>Alignment</b>: show a frame lit from the far end. <b>Mark elements</b>: show a USAF 1951 target, and draw "
-    "a box closely around the three bars of each element. <b>Edge map</b>: take a recording of a moving probe."
+    "<b>Alignment</b>: display a frame lit from the distal end. <b>Measure USAF resolution</b>: display a USAF 1951 "
+    "target, and draw a box closely around the three bars of each element. <b>Edge map</b>: select a recording of a "
+    "moving probe."
 )
 
 
 class QualityPanel(Panel):
-    """Check an instrument as the paper does.
+    """Measure the image quality of an instrument as the paper does.
 
     Parameters
     ----------
     viewer : napari.Viewer
-        The viewer; gets a layer for the marked elements and one for the edge map.
+        The viewer; a layer for the marked elements and one for the edge map are added to it.
     """
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
@@ -81,46 +82,46 @@ class QualityPanel(Panel):
         self.script.clicked.connect(self.copy_script)
         self.save.clicked.connect(self._ask_where_to_save)
         self.cores.changed.connect(self.measure_resolution)
-        self.listen(viewer.layers.events.inserted, self._layers_changed)
-        self.listen(viewer.layers.events.removed, self._layers_changed)
-        self.listen(viewer.events.theme, self._theme_changed)
+        self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
+        self.connect_signal(viewer.layers.events.removed, self._layers_changed)
+        self.connect_signal(viewer.events.theme, self._theme_changed)
         self._layers_changed()
         self.show_numbers()
 
     def measure_alignment(self) -> None:
-        """Measure how well the two views of the frame that is shown cancel."""
-        with told():
+        """Measure the alignment error of the displayed frame."""
+        with notify_errors():
             stack, calibration, frame = self._chosen()
             self.alignment = measure_alignment(stack, calibration, frame, self.cores.value)
             self.show_numbers()
 
     def mark_elements(self) -> None:
-        """Add a layer in which boxes are drawn around the elements of a target; each is measured as it is drawn."""
-        with told():
+        """Add a layer for boxes around the elements of a USAF target; each is measured when it is drawn."""
+        with notify_errors():
             stack, calibration, _ = self._chosen()
             place = space(_scale(stack, calibration), images_origin_px(calibration))
             self.work.begin(0, prepare_shapes, lambda _: self._draw_boxes(place))
         self._layers_changed()
 
     def measure_resolution(self) -> None:
-        """Measure the marked elements in the LS image of the frame that is shown."""
+        """Measure the marked elements in the LS image of the displayed frame."""
         boxes = self.boxes_px
         self.resolution = None
         if boxes:
-            with told():
+            with notify_errors():
                 stack, calibration, frame = self._chosen()
                 image = image_planes(stack.planes, calibration, Mode.LS, cores=self.cores.value)[frame]
                 self.resolution = measure_resolution(image, boxes, _scale(stack, calibration))
         self.show_numbers()
 
     def measure_edge(self) -> None:
-        """Average the residual images of the recording, in a thread of its own."""
-        with told():
+        """Average the residual images of the recording in a thread."""
+        with notify_errors():
             stack, calibration, _ = self._chosen()
             place = space(um_per_px_of(stack, calibration), images_origin_px(calibration))
             self.work.begin(
                 len(stack.planes),
-                lambda: measure_edge(stack, calibration, self.work.watch),
+                lambda: measure_edge(stack, calibration, self.work.progress),
                 lambda edge: self._edge_measured(edge, place),
             )
             self._layers_changed()
@@ -134,38 +135,41 @@ class QualityPanel(Panel):
         return [(*box.min(0).tolist(), *box.max(0).tolist()) for box in corners]
 
     def show_numbers(self) -> None:
-        """List what was measured."""
+        """Show the results."""
         parts = []
         if self.alignment is not None:
-            before, after = self.alignment.before, self.alignment.after
+            unfiltered, filtered = self.alignment.before, self.alignment.after
             papers = " and ".join(f"{percent} %" for percent in PAPER_ALIGNMENT_PERCENT)
             parts.append(
-                f"<b>Alignment error</b> {100 * before:.2f} %, filtered {100 * after:.2f} % (the paper: {papers})"
+                f"<b>Alignment error</b> {100 * unfiltered:.2f} % unfiltered, {100 * filtered:.2f} % after the "
+                f"{self.cores.value} filter (Thrapp 2021: {papers})"
             )
-            if after > NOT_ALIGNMENT:
-                parts.append("So much is more than misalignment: is the bundle lit from its far end, the laser off?")
+            if filtered > NOT_ALIGNMENT:
+                parts.append(
+                    "More than misalignment can explain: is the bundle lit from its distal end, and the laser off?"
+                )
         if self.resolution is not None:
             parts.append(_table(self.resolution))
         if self.edge is not None:
             top, bottom = (half.min() for half in np.array_split(self.edge.profile, 2))
             parts.append(
-                f"<b>Residual at the rim</b> {top:.2f} (top) and {bottom:.2f} (bottom) of that in the middle, "
+                f"<b>Residual at the rim</b> {top:.2f} (top) and {bottom:.2f} (bottom) of the central level, "
                 f"mean of {self.edge.frames} frames"
             )
         self.numbers.setText("<br>".join(parts) or HINT)
-        allow(
+        set_enabled(
             self.save, self.edge is not None, "Save the profile through the edge map as PNG or CSV", "make an edge map"
         )
 
     def copy_script(self) -> None:
-        """Copy Python that makes these checks to the clipboard."""
-        with told():
+        """Copy a script that makes these measurements to the clipboard."""
+        with notify_errors():
             stack, _, frame = self._chosen()
             source = self.viewer.layers[self.recording.value].metadata["elsplus"]["calibration_path"]
             copy_as_script(quality_script(stack, source, self.cores.value, frame, self.boxes_px))
 
     def cleanup(self) -> None:
-        """Stop measuring and let go of the viewer."""
+        """Cancel the measurement and disconnect from the viewer."""
         self.work.cancel()
         if self._boxes is not None:
             self._boxes.events.data.disconnect(self.measure_resolution)
@@ -176,15 +180,17 @@ class QualityPanel(Panel):
         self.recording = ComboBox(label="recording", choices=lambda _: calibrated_recordings(self.viewer))
         self.recording.tooltip = "Raw layers with a calibration"
         self.cores = ComboBox(label="core filter", choices=[kind.value for kind in CoreFilter], value="median")
-        self.cores.tooltip = "How the honeycomb of the cores is suppressed; alignment is told without it, too"
-        names = ("Alignment", "Mark elements", "Edge map", "Copy as script", "Save plot...")
+        self.cores.tooltip = (
+            "Suppression of the core pattern (honeycomb); the alignment error is given with and without it"
+        )
+        names = ("Alignment", "Measure USAF resolution", "Edge map", "Copy as script", "Save plot...")
         self.align, self.mark, self.average, self.script, self.save = (PushButton(text=name) for name in names)
         form = Container(widgets=[self.recording, self.cores], labels=True)
         form.margins = (0, 0, 0, 0)
         self.numbers = QLabel()
         self.numbers.setWordWrap(True)
         self.numbers.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)  # it follows the dock
-        self.plot = ThemedPlot("row from the centre / µm", "residual / middle", self.viewer.theme)
+        self.plot = ThemedPlot("row from the centre / µm", "residual / central level", self.viewer.theme)
         self.plot.setMinimumHeight(160)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 6)
@@ -197,8 +203,8 @@ class QualityPanel(Panel):
 
     def _chosen(self) -> tuple[Stack, Calibration, int]:
         layer = chosen_image(self.viewer, self.recording, "recording with a calibration")
-        known = layer.metadata["elsplus"]
-        return known["stack"], known["calibration"], shown_index(self.viewer, layer)
+        facts = layer.metadata["elsplus"]
+        return facts["stack"], facts["calibration"], shown_index(self.viewer, layer)
 
     def _draw_boxes(self, place: dict[str, Any]) -> None:
         if self._boxes is None:
@@ -232,22 +238,29 @@ class QualityPanel(Panel):
         if self._boxes is not None and self._boxes not in self.viewer.layers:
             self._boxes, self.resolution = None, None
             self.show_numbers()
-        renew_choices(self.recording)
-        able = bool(self.recording.choices)
-        idle, first = able and not self.work.busy, "wait for the end" if able else OPEN_ONE
-        allow(self.align, able, "How well the two views of this frame cancel", OPEN_ONE)
-        allow(self.mark, idle, "Draw boxes around the elements of a USAF 1951 target", first)
-        allow(self.average, idle, "Average the residual images of the recording", first)
-        allow(self.script, able, "Copy Python that makes these checks", OPEN_ONE)
+        refresh_choices(self.recording)
+        available = bool(self.recording.choices)
+        idle, first = (
+            available and not self.work.busy,
+            "wait until the measurement ends" if available else OPEN_RECORDING_FIRST,
+        )
+        set_enabled(
+            self.align, available, "Measure the mean difference of the two views of this frame", OPEN_RECORDING_FIRST
+        )
+        set_enabled(
+            self.mark, idle, "Draw boxes around the elements of a USAF 1951 target, to measure their contrast", first
+        )
+        set_enabled(self.average, idle, "Average the residual images of the recording", first)
+        set_enabled(self.script, available, "Copy a Python script that makes these measurements", OPEN_RECORDING_FIRST)
 
     def _theme_changed(self) -> None:
-        self.plot.follow(self.viewer.theme)
+        self.plot.apply_theme(self.viewer.theme)
 
     def _ask_where_to_save(self) -> None:
         kinds = dialog_filter(PICTURE, TABLE)
         path, _ = QFileDialog.getSaveFileName(self, "Save the profile", "edge.png", kinds)
         if path:
-            with told():
+            with notify_errors():
                 self.plot.save(Path(path))
 
 
@@ -259,16 +272,16 @@ def _scale(stack: Stack, calibration: Calibration) -> float:
 
 
 def _table(found: Resolution) -> str:
-    """Write the elements as rich text, the coarsest first, each with the contrasts of its boxes."""
+    """Return the elements as rich text, coarsest first, each with the contrasts of its boxes."""
     periods: dict[tuple[float, str], list[Element]] = {}
     for one in found.elements:
         periods.setdefault((-one.line_pair_um, f"{one.group}-{one.element}"), []).append(one)
     rows = ["<tr><td>element</td><td align=right>µm / line pair</td><td align=right>contrast</td></tr>"]
     for (negative_um, name), marked in sorted(periods.items()):
         contrasts = ", ".join(f"{one.contrast:.2f}" for one in marked)
-        said = contrasts if all(one.resolved for one in marked) else f"<i>{contrasts}</i>"
-        rows.append(f"<tr><td>{name}</td><td align=right>{-negative_um:.2f}</td><td align=right>{said}</td></tr>")
+        cell = contrasts if all(one.resolved for one in marked) else f"<i>{contrasts}</i>"
+        rows.append(f"<tr><td>{name}</td><td align=right>{-negative_um:.2f}</td><td align=right>{cell}</td></tr>")
     finest = f"{found.finest_um:.2f} µm" if np.isfinite(found.finest_um) else "none"
-    least = f"contrast of at least {RESOLVED_CONTRAST:g} there and at all coarser elements"
+    criterion = f"contrast of at least {RESOLVED_CONTRAST:g} there and at all coarser elements"
     table = f"<table width='100%' cellspacing=2>{''.join(rows)}</table>"
-    return f"{table}<b>Smallest resolved line pair</b> {finest} ({least})"
+    return f"{table}<b>Smallest resolved line pair</b> {finest} ({criterion})"

@@ -101,8 +101,8 @@ class Form:
     def apply_theme(self, theme: str) -> None:
         """Use the colours of one of napari's themes."""
         for plot in self.plots:
-            plot.follow(theme)
-        ink = self.plots[0].ink("blue")
+            plot.apply_theme(theme)
+        ink = self.plots[0].colour("blue")
         style = f"QToolButton {{padding: 3px}} QToolButton:checked {{border: 1px solid {ink}; font-weight: 600}}"
         for button in self.steps.values():
             button.setStyleSheet(style)
@@ -142,12 +142,16 @@ class Form:
             self.numbers.setText("")
             plots: list[Any] = []
         else:
-            ink = {None: "", True: f"color:{self.plots[0].ink('green')}", False: f"color:{self.plots[0].ink('orange')}"}
+            ink = {
+                None: "",
+                True: f"color:{self.plots[0].colour('green')}",
+                False: f"color:{self.plots[0].colour('orange')}",
+            }
             style = f"font-size:{HEADLINE_PT}pt; font-weight:600; {ink[picture.good]}"
             far = f"<span style='{style}; font-size:{FAR_PT}pt'>{picture.far}</span><br>" if picture.far else ""
             smaller = f"font-size:{NEAR_PT}pt" if far else ""
             self.headline.setText(f"{far}<span style='{style}; {smaller}'>{_html(picture.headline)}</span>")
-            warn = self.plots[0].ink("vermilion")
+            warn = self.plots[0].colour("vermilion")
             warnings = [
                 f"<span style='color:{warn}'>{MARKS[StepState.STALE]} {line}</span>" for line in picture.warnings
             ]

@@ -26,8 +26,8 @@ from napari_elsplus.widgets.calibration.measuring import OffsetFollowing, measur
 from napari_elsplus.widgets.calibration.session import Session, ShownResult
 from napari_elsplus.widgets.calibration.sharing import Sharing
 from napari_elsplus.widgets.shared.connection import join
-from napari_elsplus.widgets.shared.panel import Panel, copy_as_script, told
-from napari_elsplus.widgets.shared.window_end import WindowEnd
+from napari_elsplus.widgets.shared.panel import Panel, copy_as_script, notify_errors
+from napari_elsplus.widgets.shared.window_close import WindowCloseFilter
 from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class CalibrationPanel(Panel):
         self._setup: Setup | None = None
         self._following: OffsetFollowing | None = None
         self._left = False
-        self._window_end = WindowEnd(self, self.cleanup)
+        self._window_end = WindowCloseFilter(self, self.cleanup)
         self._stale: dict[str, str] = {}
         self._changed = False
         self.connection = join()
@@ -120,7 +120,7 @@ class CalibrationPanel(Panel):
 
     def measure(self) -> None:
         """Measure the step live, in a thread of its own."""
-        with told():
+        with notify_errors():
             guided = GuidedCalibration(self.connection.require(), self.form.voltages.value())
             measured = partial(measure_live, guided, self.draft, self.form.target_um, self._live_source())
             self.work.begin(0, self._suppressing_cancellation(measured), self._found)
@@ -131,7 +131,7 @@ class CalibrationPanel(Panel):
         if self._following is not None:
             self._following.stop()
             return
-        with told():
+        with notify_errors():
             guided = GuidedCalibration(self.connection.require())
             self._following = OffsetFollowing(guided, self.draft, self.form.target_um, self._live_source())
             self.work.begin(0, self._suppressing_cancellation(self._following.run), lambda _: None)
@@ -148,13 +148,13 @@ class CalibrationPanel(Panel):
             Table of a sweep's voltages.
         """
         source = MeasurementSource(self.key, Path(path), None if volts is None else Path(volts))
-        measured = partial(measure_recorded, source, self.draft, self.form.target_um, self.work.watch)
+        measured = partial(measure_recorded, source, self.draft, self.form.target_um, self.work.progress)
         self.work.begin(0, measured, self._found)
         self._refresh()
 
     def accept(self) -> None:
         """Accept the result into the calibration, and activate the calibration."""
-        with told():
+        with notify_errors():
             if self.session.accept():
                 self.sharing.activate(self.draft.calibration)
         self._refresh()
@@ -172,7 +172,7 @@ class CalibrationPanel(Panel):
 
     def load(self, path: str | Path) -> None:
         """Read and activate the calibration at a path."""
-        with told():
+        with notify_errors():
             calibration = read_calibration(path)
             self.session.begin_with(calibration)
             self.sharing.activate(self.draft.calibration, Path(path))
@@ -182,7 +182,7 @@ class CalibrationPanel(Panel):
 
     def save(self, path: str | Path) -> None:
         """Write the calibration to a path, and open recordings that have none of their own with it from now on."""
-        with told():
+        with notify_errors():
             written = write_calibration(path, self.draft.calibration, force=True)
             set_active_calibration(written)
             self.sharing.activate(self.draft.calibration, written)
@@ -190,7 +190,7 @@ class CalibrationPanel(Panel):
 
     def save_plots(self, path: str | Path) -> None:
         """Save the step's plots to a path: pictures to NAME.png, numbers to NAME.csv; a second plot to NAME-2."""
-        with told():
+        with notify_errors():
             path = Path(path)
             shown = [plot for plot in self.form.plots if plot.curves]
             if not shown:
@@ -200,7 +200,7 @@ class CalibrationPanel(Panel):
 
     def copy_script(self) -> None:
         """Copy Python that makes this calibration again to the clipboard."""
-        with told():
+        with notify_errors():
             copy_as_script(calibration_script(self.session.sources, self.draft.bundle_um))
 
     def cleanup(self) -> None:
@@ -233,7 +233,7 @@ class CalibrationPanel(Panel):
         form.save.clicked.connect(self._choose_file_to_save)
         form.save_plots.clicked.connect(self._choose_file_for_plots)
         form.script.clicked.connect(self.copy_script)
-        self.listen(self.viewer.events.theme, self._theme_changed)
+        self.connect_signal(self.viewer.events.theme, self._theme_changed)
 
     def _live_source(self) -> MeasurementSource:
         form = self.form
@@ -297,9 +297,9 @@ class CalibrationPanel(Panel):
         client = self.connection.client
         progress = None if client is None else client.status.progress
         if self._following is not None:
-            self.work.tell("following the slit offset", 0, 0)
+            self.work.show_step("following the slit offset", 0, 0)
         elif self.work.busy and progress is not None:
-            self.work.tell(progress.step, progress.done, progress.total)
+            self.work.show_step(progress.step, progress.done, progress.total)
         stale = {} if client is None else dict(client.status.stale)
         if client is not None and stale != self._stale and not self.work.busy:
             self._stale = stale

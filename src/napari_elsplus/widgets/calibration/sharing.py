@@ -39,7 +39,7 @@ class Sharing:
         """
         if calibration.bundle is None:
             return
-        self._activation = self._connection.take(calibration, path)
+        self._activation = self._connection.apply(calibration, path)
         self._activation.add_done_callback(lambda done: setattr(self, "_error", done.exception()))
 
     def error(self) -> BaseException | None:

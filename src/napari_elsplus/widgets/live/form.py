@@ -1,4 +1,4 @@
-"""The Live panel's fields and buttons; what they do is the panel's."""
+"""Fields and buttons of the Live panel."""
 
 from __future__ import annotations
 
@@ -27,101 +27,121 @@ KEYS: Final = {"start": "Ctrl+Return", "record": "Ctrl+Shift+R", "snap": "Ctrl+S
 
 
 class LiveForm:
-    """Fields and buttons, laid out in a panel; what was chosen last time is chosen.
+    """Fields and buttons in a panel, with the values of the last session.
 
     Parameters
     ----------
     panel : QWidget
-        What it fills.
+        The panel that contains them.
     """
 
     def __init__(self, panel: QWidget) -> None:
-        known = recall(SECTION)
-        shown = known.get("kinds", [Mode.LS.value, Mode.ELS.value])
-        self.start, self.record, self.snapping = (PushButton(text=word) for word in ("Start", "Record", "Snap"))
+        last = recall(SECTION)
+        shown = last.get("kinds", [Mode.LS.value, Mode.ELS.value])
+        self.start, self.record, self.snapping = (
+            PushButton(text=word) for word in ("Start", "Record", "Save one frame")
+        )
         self.start.tooltip = f"Start or stop the stream ({KEYS['start']})"
-        self.script = PushButton(text="Copy as script", tooltip="Copy Python that streams and records like this")
+        self.script = PushButton(
+            text="Copy as script", tooltip="Copy a Python script that streams and records with these settings"
+        )
         self.kinds = {
             kind: CheckBox(value=kind in shown, text=title, tooltip=_TIPS[kind]) for kind, title in KINDS.items()
         }
         self.side_by_side = CheckBox(
-            value=known.get("side_by_side", True),
+            value=last.get("side_by_side", True),
             text="side by side",
-            tooltip="Next to each other, or in one place",
+            tooltip="Images side by side, or in one place",
         )
         self.contrast = ComboBox(
             choices=[ONCE, CONTINUOUS, FIXED], label="contrast",
-            tooltip="Set by the first frame, every second, or by you alone",
+            tooltip="Contrast limits from the first frame, updated every second, or set by the user only",
         )  # fmt: skip
         self.background = CheckBox(
-            value=known.get("background", True), text="background", tooltip="Subtract the background of the calibration"
+            value=last.get("background", True), text="background", tooltip="Subtract the background of the calibration"
         )
         self.flat_field = CheckBox(
-            value=known.get("flat_field", False), text="flat field", tooltip="Divide by the calibration's flat field"
+            value=last.get("flat_field", False), text="flat field", tooltip="Divide by the calibration's flat field"
         )
         self.cores = ComboBox(
-            choices=[kind.value for kind in CoreFilter], value=known.get("cores", CoreFilter.NONE.value), label="cores",
-            tooltip="How the honeycomb of cores is suppressed",
+            choices=[kind.value for kind in CoreFilter], value=last.get("cores", CoreFilter.NONE.value),
+            label="core filter",
+            tooltip="Suppression of the core pattern (honeycomb)",
         )  # fmt: skip
         self.average = SpinBox(
-            value=known.get("average", 1), min=1, max=64, label="average (frames)",
-            tooltip="Each frame counts one in so many, 1 to 64",
+            value=last.get("average", 1), min=1, max=64, label="running average over (frames)",
+            tooltip="Exponential running average: weight of a new frame is 1/N, N from 1 to 64",
         )  # fmt: skip
         self.folder = FileEdit(
-            value=known.get("folder", str(Path.home())),
+            value=last.get("folder", str(Path.home())),
             mode=FileDialogMode.EXISTING_DIRECTORY,
             label="folder",
-            tooltip="Where recordings go",
+            tooltip="Folder for recordings and single frames",
         )
         self.seconds = FloatSpinBox(
-            value=0, min=0, max=36000, label="seconds", tooltip="End after so long; 0: by frames, or when you end it"
+            value=0,
+            min=0,
+            max=36000,
+            label="limit (s)",
+            tooltip="Duration of a recording; 0: limited by frames, or until it is stopped",
         )
         self.frames = FloatSpinBox(  # of whole numbers: napari's spin box of integers shows no special text
             value=0,
             min=0,
             max=10_000_000,
             step=1,
-            label="frames",
-            tooltip="End after so many; 0: by seconds, or when you end it",
+            label="limit (frames)",
+            tooltip="Frames of a recording; 0: limited by duration, or until it is stopped",
         )
         self.frames.native.setDecimals(0)
         for limit in (self.seconds, self.frames):
             limit.native.setSpecialValueText("no limit")
-        self.earlier_s = FloatSpinBox(
-            value=0, min=0, max=1.9, step=0.5, label="earlier (s)", tooltip="Begin so long before you press, 0 to 1.9 s"
+        self.pretrigger_s = FloatSpinBox(
+            value=0,
+            min=0,
+            max=1.9,
+            step=0.5,
+            label="pre-trigger (s)",
+            tooltip="Include the last seconds before Record is pressed, 0 to 1.9 s",
         )
         self.status = QLabel()
         self.status.setWordWrap(True)
         self._panel = panel
-        self._lay_out()
+        self._build_layout()
 
     @property
     def chosen(self) -> list[str]:
-        """The kinds of images that are to be shown."""
+        """Selected kinds of images."""
         return [kind for kind, box in self.kinds.items() if box.value]
 
     @property
     def plan(self) -> RecordingPlan:
-        """How to record, from now on."""
+        """Recording as set in the form, with a new file name."""
         return RecordingPlan(
             self.next_path("recording"),
             frames=int(self.frames.value) or None,
             seconds=self.seconds.value or None,
-            earlier_s=self.earlier_s.value,
+            earlier_s=self.pretrigger_s.value,
         )
 
     @property
     def view(self) -> LiveView:
-        """How images are to be made."""
+        """Processing of live images as set in the form."""
         return LiveView(self.background.value, self.flat_field.value, CoreFilter(self.cores.value), self.average.value)
 
     def next_path(self, kind: str) -> Path:
-        """Where a recording or a snap of this moment goes."""
+        """Return the path of a new file in the folder, with the present time in its name.
+
+        Parameters
+        ----------
+        kind : str
+            First part of the name, ``recording`` or ``snap``.
+        """
         stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S-%f")[:-3]
         return Path(str(self.folder.value)) / f"{kind}-{stamp}.ome.tif"
 
     def remember(self) -> None:
-        """Choose the same next time."""
+        """Save the values for the next session."""
         remember(
             SECTION, folder=str(self.folder.value), cores=self.cores.value, background=self.background.value,
             flat_field=self.flat_field.value, average=self.average.value, kinds=self.chosen,
@@ -129,14 +149,14 @@ class LiveForm:
         )  # fmt: skip
 
     def connect(self, slots: Mapping[str, Callable[[], Any]], view: Callable[[], Any]) -> None:
-        """Say what the buttons do.
+        """Connect buttons and shortcuts.
 
         Parameters
         ----------
         slots : mapping of str to callable
-            One for each of the shortcuts' names.
+            By name of the shortcut.
         view : callable
-            Called when images are to be made in another way.
+            Called when the processing of live images changes.
         """
         for (name, slot), button in zip(slots.items(), (self.start, self.record, self.snapping), strict=True):
             button.clicked.connect(slot)
@@ -146,27 +166,27 @@ class LiveForm:
         for box in (*self.kinds.values(), self.side_by_side):
             box.changed.connect(self.remember)
 
-    def allow(self, *, live: bool, busy: bool, calibrating: bool, recording: bool) -> None:
-        """Enable what can be done; what cannot says why.
+    def set_enabled(self, *, live: bool, busy: bool, calibrating: bool, recording: bool) -> None:
+        """Enable the buttons that can be used; the tooltips of the others state the reason.
 
         Parameters
         ----------
         live : bool
-            Whether frames stream.
+            Frames are streaming.
         busy : bool
-            Whether the engine has yet to answer.
+            A request to the engine is outstanding.
         calibrating, recording : bool
-            What the engine does.
+            Activity of the engine.
         """
         self.start.text = "Stop" if live else "Cancel calibration" if calibrating else "Start"
         self.start.enabled = live or calibrating or not busy
-        self.record.text = "Finish recording" if recording else "Record"
+        self.record.text = "Stop recording" if recording else "Record"
         self.record.enabled = self.snapping.enabled = live
         why = "" if live else "; start the stream first"
         self.record.tooltip = f"Record raw frames and the calibration ({KEYS['record']}){why}"
-        self.snapping.tooltip = f"Record the newest frame ({KEYS['snap']}){why}"
+        self.snapping.tooltip = f"Save the newest raw frame and the calibration ({KEYS['snap']}){why}"
 
-    def _lay_out(self) -> None:
+    def _build_layout(self) -> None:
         layout = QVBoxLayout(self._panel)
         rows: list[list[Any]] = [
             [self.start, self.record, self.snapping],
@@ -176,7 +196,7 @@ class LiveForm:
         for row in rows:
             layout.addWidget(Container(widgets=row, layout="horizontal", labels=False).native)
         form = [
-            self.contrast, self.cores, self.average, self.folder, self.seconds, self.frames, self.earlier_s
+            self.contrast, self.cores, self.average, self.folder, self.seconds, self.frames, self.pretrigger_s
         ]  # fmt: skip
         layout.addWidget(Container(widgets=form, labels=True).native)
         layout.addWidget(self.script.native)

@@ -1,4 +1,4 @@
-"""The Live panel: LS, residual, ELS+ and ELSA while they happen, and their recording."""
+"""The Live panel: display of live LS, residual, ELS+ and ELSA images, and recording."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.live.form import CONTINUOUS, FIXED, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers
 from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
-from napari_elsplus.widgets.live.status import said_of
-from napari_elsplus.widgets.shared.drawing import Drawing
+from napari_elsplus.widgets.live.status import status_text
+from napari_elsplus.widgets.shared.canvas_monitor import CanvasMonitor
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.layer_list import LayerList
-from napari_elsplus.widgets.shared.panel import copy_as_script, told
+from napari_elsplus.widgets.shared.layer_list import LayerListModels
+from napari_elsplus.widgets.shared.panel import copy_as_script, notify_errors
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -30,27 +30,29 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
 TICK_MS: Final = 16
+"""Interval at which a new image is tested for, milliseconds: 60 Hz, the rate of most screens."""
 STATUS_S: Final = 0.25
+"""Interval of the status text, seconds; chosen, faster than it can be read."""
 WHOLE_S: Final = 1.0
-"""Thumbnails and the continuous contrast follow so often: napari's list of layers costs more than the images."""
+"""Interval of full refreshes (thumbnails, continuous contrast), seconds; chosen, one costs more than the images."""
 RATE_TICKS: Final = 61
-"""Images from which the display's rate is told."""
+"""Images over which the display rate is averaged: one second at 60 Hz."""
 
 
 class LivePanel(EnginePanel):
-    """Stream, look and record.
+    """Stream, display and record.
 
     Parameters
     ----------
     viewer : napari.Viewer
-        The viewer. Its layers are reused from stream to stream, with the user's colours and contrast.
+        The viewer. Live layers are reused from stream to stream, with the user's colormap and contrast.
     """
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
         self.layers = LiveLayers(viewer)
-        self.drawing, self.layer_list = Drawing(self), LayerList(self)
-        self._faults_told: set[str] = set()
+        self.canvas, self.layer_list = CanvasMonitor(self), LayerListModels(self)
+        self._faults_shown: set[str] = set()
         self._arranged: tuple[object, ...] | None = None
         self._arranged_by: Calibration | None = None
         self._shown_at_s: deque[float] = deque(maxlen=RATE_TICKS)
@@ -67,142 +69,140 @@ class LivePanel(EnginePanel):
 
     @property
     def live(self) -> bool:
-        """Whether frames stream."""
+        """True while frames are streaming."""
         client = self.connection.client
         return client is not None and client.status.live and client.status.progress is None
 
     def toggle(self) -> None:
-        """Start, connecting and calibrating first where that is needed; or stop."""
+        """Start the stream, connecting and calibrating first if needed; or stop it."""
         client = self.connection.client
         if client is None:
             rig, settings = remembered_rig(), remembered_settings()
-            self.asking.do(lambda: self.connection.connect(rig, settings), self._start)
+            self.requests.run(lambda: self.connection.connect(rig, settings), self._start)
         elif client.status.progress is not None:
-            self.asking.ask(client.cancel())
+            self.requests.follow(client.cancel())
         elif client.status.live:
-            self.asking.ask(client.stop())
+            self.requests.follow(client.stop())
         else:
             self._start(client)
         self.refresh()
 
     def toggle_recording(self) -> None:
-        """Record, or finish the recording."""
+        """Start a recording, or stop it."""
         client = self.connection.client
         if client is None:
             return
         recording = client.status.recording
         if recording is not None and recording.running:
-            self.asking.ask(client.stop_recording(), lambda _: show_info(f"recorded {recording.path}"))
+            self.requests.follow(client.stop_recording(), lambda _: show_info(f"recorded {recording.path}"))
             return
-        with told():
-            self.asking.ask(client.record(self.form.plan))
+        with notify_errors():
+            self.requests.follow(client.record(self.form.plan))
             self.form.remember()
 
     def snap(self) -> None:
-        """Record the newest frame alone."""
+        """Save the newest raw frame."""
         client = self.connection.client
         if client is None:
             return
-        with told():
+        with notify_errors():
             path = self.form.next_path("snap")
-            self.asking.ask(client.record(RecordingPlan(path, frames=1)), lambda _: show_info(f"snapped {path}"))
+            self.requests.follow(client.record(RecordingPlan(path, frames=1)), lambda _: show_info(f"saved {path}"))
 
     def change_view(self) -> None:
-        """Make the images as the form says."""
+        """Apply the form's processing to live images."""
         self.form.remember()
         client = self.connection.client
         if client is not None:
-            self.asking.ask(client.show(self.form.view))
+            self.requests.follow(client.show(self.form.view))
 
     def copy_script(self) -> None:
-        """Copy Python that streams and records as the form says."""
-        with told():
+        """Copy a script that streams and records with the form's settings to the clipboard."""
+        with notify_errors():
             file = self.connection.calibration_file
             rig, settings = self.connection.rig or remembered_rig(), remembered_settings()
             copy_as_script(live_script(rig, settings, self.form.view, self.form.plan, file))
 
     def tick(self) -> None:
-        """Show the newest frame, if there is a new one."""
+        """Display the newest frame, if there is a new one."""
         client = self.connection.client
         now_s = time.perf_counter()
-        if client is not None and self.live and not self.drawing.pending:
-            self._look(client, now_s)
+        if client is not None and self.live and not self.canvas.pending:
+            self._show_newest(client, now_s)
         if now_s - self._status_at_s > STATUS_S:
             self._status_at_s = now_s
             self.refresh()
 
     def refresh(self) -> None:
-        """Say how it goes, and what can be done."""
+        """Update status text and buttons."""
         client = self.connection.client
         status = client.status if client is not None else None
-        live, busy = self.live, self.asking.busy
+        live, busy = self.live, self.requests.busy
         calibrating = status is not None and status.progress is not None
         recording = status is not None and status.recording is not None and status.recording.running
-        self.form.allow(live=live, busy=busy, calibrating=calibrating, recording=recording)
-        self.form.status.setText(said_of(status, self.connection.calibration, self._display_hz, busy=busy))
-        self._tell_once(status)
+        self.form.set_enabled(live=live, busy=busy, calibrating=calibrating, recording=recording)
+        self.form.status.setText(status_text(status, self.connection.calibration, self._display_hz, busy=busy))
+        self._show_new_faults(status)
 
-    def stretch(self) -> None:
-        """Set the contrast by what is shown now."""
+    def rescale_contrast(self) -> None:
+        """Set the contrast limits of visible layers from the present images."""
         for kind, layer in self.layers.images.items():
             if layer.visible:
-                self.layers.stretch(kind)
+                self.layers.rescale_contrast(kind)
 
     def cleanup(self) -> None:
-        """Let go of the engine and the viewer; the layers stay."""
+        """Release the engine and disconnect from the viewer; the layers remain."""
         self._timer.stop()
         super().cleanup()
 
-    # inside
-
     def _start(self, client: EngineClient) -> None:
-        self._faults_told.clear()
+        self._faults_shown.clear()
         self._arranged = None
         self.activate_calibration(client, lambda: self._calibrate_and_start(client))
 
     def _calibrate_and_start(self, client: EngineClient) -> None:
         if client.calibration is None and self.connection.rig == SIMULATED:
-            self.asking.ask(client.calibrate_simulated(), lambda _: self._calibrate_and_start(client))
+            self.requests.follow(client.calibrate_simulated(), lambda _: self._calibrate_and_start(client))
             return
-        self.asking.ask(client.show(self.form.view), lambda _: self.asking.ask(client.start()))
+        self.requests.follow(client.show(self.form.view), lambda _: self.requests.follow(client.start()))
 
-    def _look(self, client: EngineClient, now_s: float) -> None:
+    def _show_newest(self, client: EngineClient, now_s: float) -> None:
         ring = client.display()
         if ring is None:
             return
         kinds, apart, calibration = self.form.chosen, self.form.side_by_side.value, client.calibration
-        wanted = (ring.layout, ring.name, tuple(kinds), apart)
-        if wanted != self._arranged or calibration is not self._arranged_by:
+        arranged = (ring.layout, ring.name, tuple(kinds), apart)
+        if arranged != self._arranged or calibration is not self._arranged_by:
             file = self.connection.calibration_file
             self.layers.arrange(kinds, ring, calibration, side_by_side=apart, calibration_file=file)
-            self._arranged, self._arranged_by = wanted, calibration
+            self._arranged, self._arranged_by = arranged, calibration
         whole = now_s - self._whole_at_s > WHOLE_S
-        with nullcontext() if whole else self.layer_list.undisturbed():
+        with nullcontext() if whole else self.layer_list.signals_blocked():
             shown = self.layers.update(ring, whole=whole)
         if shown is None:
             return
-        self.drawing.ask()
+        self.canvas.expect_paint()
         self._shown_at_s.append(now_s)
         if whole:
             self._whole_at_s = now_s
             if self.form.contrast.value == CONTINUOUS:
-                self.stretch()
+                self.rescale_contrast()
 
     def _contrast_chosen(self, chosen: str) -> None:
         if chosen != FIXED:
-            self.stretch()
+            self.rescale_contrast()
 
     @property
     def _display_hz(self) -> float:
         shown = self._shown_at_s
         return (len(shown) - 1) / (shown[-1] - shown[0]) if len(shown) > 1 and shown[-1] > shown[0] else 0.0
 
-    def _tell_once(self, status: Status | None) -> None:
+    def _show_new_faults(self, status: Status | None) -> None:
         died = self.connection.died
-        said = [str(died)] if died is not None else []
+        messages = [str(died)] if died is not None else []
         if status is not None:
-            said += [str(fault) for fault in status.faults]
-        for words in said:
-            if words not in self._faults_told:
-                self._faults_told.add(words)
-                show_error(words)
+            messages += [str(fault) for fault in status.faults]
+        for message in messages:
+            if message not in self._faults_shown:
+                self._faults_shown.add(message)
+                show_error(message)

@@ -1,4 +1,4 @@
-"""What the Live panel says of the stream."""
+"""Status text of the Live panel."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.instrument.calibration import Calibration
 
-SATURATED: Final = 0.001
-"""Share of saturated pixels from which the light is said to be too much."""
+SATURATION_WARNING_SHARE: Final = 0.001
+"""Share of saturated pixels above which a warning is shown; chosen, ten times the paper's 0.01 %."""
 
 
-def advice_on(calibration: Calibration | None) -> str:
-    """Say what is missing where a mirror is driven by a calibration without the scan's lag; empty if nothing is.
+def lag_advice(calibration: Calibration | None) -> str:
+    """Return a hint if the scan lag of a calibration was not measured; else an empty string.
 
     Parameters
     ----------
     calibration : Calibration or None
-        In force.
+        The active calibration.
     """
     if calibration is None or calibration.galvo is None or calibration.galvo.lag_s != 0:
         return ""
-    return "The scan lag was not measured: where images are dim, do step 4 of Calibration."
+    return "Scan lag not measured: the image may lie off the slit. Measure it in step 4 of Calibration."
 
 
-def said_of(status: Status | None, calibration: Calibration | None, display_hz: float, *, busy: bool) -> str:
-    """Say how the stream goes, as rich text.
+def status_text(status: Status | None, calibration: Calibration | None, display_hz: float, *, busy: bool) -> str:
+    """Return the state of the stream as rich text.
 
     Parameters
     ----------
     status : Status or None
-        Of the engine, where a rig is connected.
+        Status of the engine; None if no rig is connected.
     calibration : Calibration or None
-        In force.
+        The active calibration.
     display_hz : float
-        Images shown each second.
+        Displayed images per second.
     busy : bool
-        Whether the engine has yet to answer.
+        A request to the engine is outstanding.
     """
     if status is None:
         return "Connecting..." if busy else "Not connected: Start connects to the rig."
@@ -54,12 +54,12 @@ def said_of(status: Status | None, calibration: Calibration | None, display_hz: 
     ]
     if status.recording is not None and status.recording.running:
         left = shutil.disk_usage(Path(status.recording.path).parent).free / status.disk_bytes_per_s / 60
-        lines.append(f"<b>recording</b> {status.recording.frames} frames; the disk lasts {left:.0f} minutes")
+        lines.append(f"<b>recording</b> {status.recording.frames} frames; {left:.0f} min of disk space left")
     measures = status.measures
-    lines.append(f"saturated {100 * measures.saturated:.2f} %, focus {measures.focus:.3g}")
-    if measures.saturated > SATURATED:
-        lines.append("<b>Saturated</b>: lower the light or the gain.")
+    lines.append(f"saturated {100 * measures.saturated:.2f} %, sharpness (relative) {measures.focus:.3g}")
+    if measures.saturated > SATURATION_WARNING_SHARE:
+        lines.append("<b>Saturated</b>: reduce laser power or gain.")
     lines += [f"stale: {section} ({reason})" for section, reason in status.stale.items()]
-    if status.scanning and (advice := advice_on(calibration)):
+    if status.scanning and (advice := lag_advice(calibration)):
         lines.append(advice)
     return "<br>".join(lines)

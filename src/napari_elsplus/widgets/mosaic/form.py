@@ -1,4 +1,4 @@
-"""The Mosaic panel's fields and buttons; what they do is the panel's."""
+"""Fields and buttons of the Mosaic panel."""
 
 from __future__ import annotations
 
@@ -31,25 +31,30 @@ KEYS: Final = {
     "undo": "Ctrl+Shift+U",
     "save": "Ctrl+Shift+E",
 }
+INSERTION_LABELS: Final = {
+    Insertion.DEAD_LEAF.value: "newest on top",
+    Insertion.FEATHERED.value: "feathered mean",
+}
+METHOD_LABELS: Final = {"elsplus": "this software", "paper": "Thrapp 2021"}
 MODES: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
 
 
 class MosaicForm:
-    """Fields and buttons, laid out in a panel; what was chosen last time is chosen.
+    """Fields and buttons in a panel, with the values of the last session.
 
     Parameters
     ----------
     panel : QWidget
-        What it fills.
+        The panel that contains them.
     work : QWidget
         The progress bar.
     viewer : napari.Viewer
-        Whose layers can be chosen.
+        The viewer whose layers are offered.
     """
 
     def __init__(self, panel: QWidget, work: QWidget, viewer: napari.viewer.Viewer) -> None:
-        known = recall(SECTION)
-        wanted = known.get("modes", [Mode.ELS.value])
+        last = recall(SECTION)
+        modes = last.get("modes", [Mode.ELS.value])
         self.recording = ComboBox(
             label="stack",
             choices=lambda _: source_names(viewer),
@@ -60,48 +65,54 @@ class MosaicForm:
             tooltip="A calibration file; empty: the recording's own",
         )  # fmt: skip
         self.modes = {
-            mode: CheckBox(value=mode.value in wanted, text=TITLES[mode], tooltip=_TIPS[mode]) for mode in MODES
+            mode: CheckBox(value=mode.value in modes, text=TITLES[mode], tooltip=_TIPS[mode]) for mode in MODES
         }
         methods, insertions = tracking_methods(), [i.value for i in Insertion]
         self.method = ComboBox(
-            choices=list(methods), value=_known(known.get("method"), list(methods)), label="method",
-            tooltip="; ".join(f"{name}: {method.description}" for name, method in methods.items()),
+            choices=[(METHOD_LABELS.get(name, name), name) for name in methods],
+            value=_known(last.get("method"), list(methods)), label="method",
+            tooltip="; ".join(
+                f"{METHOD_LABELS.get(name, name)}: {method.description}" for name, method in methods.items()
+            ),
         )  # fmt: skip
         self.insertion = ComboBox(
-            choices=insertions, value=_known(known.get("insertion"), insertions), label="insertion",
-            tooltip="dead-leaf: the newest frame on top; feathered: the mean of all",
+            choices=[(INSERTION_LABELS.get(name, name), name) for name in insertions],
+            value=_known(last.get("insertion"), insertions), label="insertion",
+            tooltip="How overlapping frames are combined",
         )  # fmt: skip
         self.start, self.going_live = PushButton(text="Mosaic"), PushButton(text="Live mosaic")
         self.clearing, self.undoing = PushButton(text="Clear"), PushButton(text="Undo segment")
         self.saving = PushButton(text="Save...")
-        self.script = PushButton(text="Copy as script", tooltip="Copy Python that makes and saves these mosaics")
+        self.script = PushButton(
+            text="Copy as script", tooltip="Copy a Python script that makes and saves these mosaics"
+        )
         self.opening = PushButton(text="Open file...", tooltip="Open a recording as layers")
         self.speed = SpeedBar(viewer.theme)
         self.status = QLabel()
         self.status.setWordWrap(True)
         self._panel = panel
-        self._lay_out(work)
+        self._build_layout(work)
 
     @property
     def plan(self) -> MosaicPlan:
-        """What the form asks for."""
+        """Modes, method and insertion as set in the form."""
         modes = tuple(mode for mode, box in self.modes.items() if box.value)
         return MosaicPlan(modes, str(self.method.value), Insertion(self.insertion.value))
 
     def remember(self) -> None:
-        """Choose the same next time."""
+        """Save the values for the next session."""
         plan = self.plan
         remember(SECTION, method=plan.method, insertion=plan.insertion.value, modes=[mode.value for mode in plan.modes])
 
     def connect(self, slots: Mapping[str, Callable[[], Any]], plain: Mapping[str, Callable[[], Any]]) -> None:
-        """Say what the buttons do.
+        """Connect buttons and shortcuts.
 
         Parameters
         ----------
         slots : mapping of str to callable
-            One for each of the shortcuts' names.
+            By name of the shortcut.
         plain : mapping of str to callable
-            ``open`` and ``script``.
+            ``open`` and ``script``, which have no shortcut.
         """
         buttons = {
             "start": self.start, "live": self.going_live, "clear": self.clearing, "undo": self.undoing,
@@ -113,42 +124,42 @@ class MosaicForm:
         self.opening.clicked.connect(plain["open"])
         self.script.clicked.connect(plain["script"])
 
-    def allow(self, *, busy: bool, asking: bool, there: bool, live: bool, calibrating: bool) -> None:
-        """Enable what can be done; what cannot says why.
+    def set_enabled(self, *, busy: bool, requesting: bool, present: bool, live: bool, calibrating: bool) -> None:
+        """Enable the buttons that can be used; the tooltips of the others state the reason.
 
         Parameters
         ----------
         busy : bool
-            Whether mosaics of a stack are made, or saved.
-        asking : bool
-            Whether the engine has yet to answer.
-        there : bool
-            Whether there is a mosaic.
+            Mosaics of a stack are being made or saved.
+        requesting : bool
+            A request to the engine is outstanding.
+        present : bool
+            There is a mosaic.
         live, calibrating : bool
-            Whether the engine lays one, or calibrates.
+            The engine is making a mosaic, or calibrating.
         """
         self.going_live.text = "Cancel calibration" if calibrating else "Stop live" if live else "Live mosaic"
-        self.going_live.enabled = calibrating or not (busy or asking)
+        self.going_live.enabled = calibrating or not (busy or requesting)
         self.going_live.tooltip = (
-            f"Close the last loops and lay no more frames; the mosaic stays ({KEYS['live']})"
+            f"Stop inserting frames, after the last loop closures; the mosaic remains ({KEYS['live']})"
             if live
-            else f"Lay the frames of the connected rig into mosaics of the images that are ticked ({KEYS['live']})"
+            else f"Insert the frames of the connected rig into mosaics of the selected modes ({KEYS['live']})"
         )
         self.start.text = "Stop" if busy else "Mosaic"
         self.start.enabled = busy or bool(self.recording.choices)
         self.start.tooltip = (
-            f"Make mosaics of the chosen stack, or stop that ({KEYS['start']})"
+            f"Make mosaics of the selected stack, or stop ({KEYS['start']})"
             if self.recording.choices
             else "First open a recording, or a sample: File > Open Sample > ELS+ endomicroscopy"
         )
-        why = "" if there else "; make a mosaic first"
-        self.clearing.enabled, self.clearing.tooltip = there, f"Take the mosaics away ({KEYS['clear']}){why}"
-        self.undoing.enabled = self.saving.enabled = there and not busy
-        why = "; wait for the end, or stop" if busy else why
-        self.undoing.tooltip = f"Take the last segment away ({KEYS['undo']}){why}"
+        why = "" if present else "; make a mosaic first"
+        self.clearing.enabled, self.clearing.tooltip = present, f"Remove the mosaics ({KEYS['clear']}){why}"
+        self.undoing.enabled = self.saving.enabled = present and not busy
+        why = "; wait until it is finished, or stop" if busy else why
+        self.undoing.tooltip = f"Remove the last segment of the track ({KEYS['undo']}){why}"
         self.saving.tooltip = f"Save OME-TIFF, PNG with scale bar, and track ({KEYS['save']}){why}"
 
-    def _lay_out(self, work: QWidget) -> None:
+    def _build_layout(self, work: QWidget) -> None:
         layout = QVBoxLayout(self._panel)
         form = Container(widgets=[self.recording, self.calibration], labels=True)
         choices = Container(widgets=[self.method, self.insertion], labels=True)
@@ -173,6 +184,6 @@ def _known(value: Any, choices: list[str]) -> str:
 
 _TIPS: Final = {
     Mode.LS: "Confocal view: line-scan confocal",
-    Mode.ELSA: "Confocal of one frame minus residual of the next, for comparison; live only beside LS or ELS+",
-    Mode.ELS: "Confocal minus residual of one frame: ELS+; tracked where it is ticked",
+    Mode.ELSA: "Confocal of one frame minus residual of the next, for comparison; live only with LS or ELS+",
+    Mode.ELS: "Confocal minus residual of one frame: ELS+; used for tracking if selected",
 }

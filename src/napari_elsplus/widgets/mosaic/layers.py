@@ -1,4 +1,4 @@
-"""The layers of a mosaic that grows: multiscale images side by side, with its track and maps over the first."""
+"""Layers of a growing mosaic: multiscale images side by side, with track and maps over the first."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.viewing.mosaic.growing import GrowingImage
 from napari_elsplus.viewing.mosaic.growing_maps import GrowingMaps
 from napari_elsplus.viewing.mosaic.track import TrackDrawing
-from napari_elsplus.widgets.mosaic.map_layers import draw_maps, looked_at
+from napari_elsplus.widgets.mosaic.map_layers import draw_maps, maps_visible
 from napari_elsplus.widgets.mosaic.own_layers import COVERAGE, MARKS, QUALITY, TRACK, OwnLayers
 from napari_elsplus.widgets.mosaic.track_layers import draw_track
 
@@ -30,26 +30,27 @@ if TYPE_CHECKING:
     from napari_elsplus.viewing.mosaic.mosaics import Mosaics
 
 GAP_PX: Final = 40
+"""Columns between mosaics, pixels of the mosaic; chosen."""
 _FILLED: Final = 0.9
-"""Share of the canvas that everything fills when it is looked at."""
+"""Share of the canvas that the mosaics fill; chosen."""
 
 
 class MosaicLayers:
-    """Layers for mosaics and their track, in the user's viewer.
+    """Layers of mosaics and their track in the user's viewer.
 
     Parameters
     ----------
     viewer : napari.Viewer
-        The viewer. Layers that are there from before are used again, with the user's colours.
+        The viewer. Existing layers of mosaics are reused, with the user's colormap.
     quietly : callable
-        Makes a context in which the viewer's list of layers hears of no change.
+        Returns a context in which the viewer's layer list receives no signals.
 
     Attributes
     ----------
     own : OwnLayers
-        The layers that are in the viewer.
+        Layers that are in the viewer.
     drawing : TrackDrawing or None
-        What is known of the track that is shown.
+        Lines and marks of the displayed track.
     """
 
     def __init__(
@@ -61,57 +62,57 @@ class MosaicLayers:
         self.drawing: TrackDrawing | None = None
 
     def show(self, mosaics: Mosaics, lead: Mode, titles: Mapping[Mode, str] = TITLES) -> None:
-        """Show other mosaics from now on.
+        """Display mosaics, in place of earlier ones.
 
         Parameters
         ----------
         mosaics : Mosaics
-            May be empty yet.
+            May still be empty.
         lead : Mode
-            The mode over which the track is drawn, and after which the others are arranged.
+            Mode over which the track is drawn, and whose layout the others follow.
         titles : mapping
-            What the modes are called.
+            Titles of the modes.
         """
         self._mosaics, self._lead, self._titles = mosaics, lead, titles
         self._images = {mode: GrowingImage() for mode in mosaics.canvases}
         self._revision = mosaics.revision
-        self._follow(mosaics)
+        self._reset_track(mosaics)
         self._camera: tuple[Any, float] | None = None
         self._origin = (0.0, 0.0)
         kinds = {mode.value for mode in self._images} | {TRACK, MARKS, COVERAGE, QUALITY}
         self.own.begin(kinds, mosaics.scale.um_per_px)
 
-    def forget(self) -> None:
-        """Take the layers away."""
+    def remove(self) -> None:
+        """Remove the layers."""
         self._mosaics = self.drawing = None
         self.own.clear()
 
     @property
     def covered_px(self) -> float:
-        """Pixels of the mosaic that were drawn on."""
+        """Number of covered pixels of the mosaic."""
         return 0.0 if self._mosaics is None else self._images[self._lead].covered_px
 
     @property
     def behind(self) -> bool:
-        """Whether there is more to be taken in of what is known: much comes piece by piece."""
+        """True while rows of the track or the maps are still to be drawn; each update draws a limited number."""
         if self._mosaics is None or self.drawing is None:
             return False
         lead = self._images[self._lead]
-        unmapped = looked_at(self.own) and self._maps.behind(lead.frame, lead.sheet.origins)
+        unmapped = maps_visible(self.own) and self._maps.behind(lead.frame, lead.sheet.origins)
         return self.drawing.behind > 0 or unmapped
 
     def update(self, *, whole: bool) -> bool:
-        """Show what came since the last time.
+        """Draw what is new.
 
         Parameters
         ----------
         whole : bool
-            Also the track, the maps that are shown, and thumbnails.
+            Draw also track, visible maps and thumbnails.
 
         Returns
         -------
         bool
-            Whether there was anything new.
+            True if anything was new.
         """
         mosaics = self._mosaics
         if mosaics is None:
@@ -120,7 +121,7 @@ class MosaicLayers:
         if mosaics.revision != self._revision:
             self._revision, whole = mosaics.revision, True
         if mosaics.rows is not self.drawing.rows:
-            self._follow(mosaics)
+            self._reset_track(mosaics)
         canvases = mosaics.canvases
         lead = self._images[self._lead]
         changes = {self._lead: lead.update(canvases[self._lead])}
@@ -130,17 +131,15 @@ class MosaicLayers:
         moved = self.drawing.add()
         if not lead.levels:
             return False
-        if looked_at(self.own):
+        if maps_visible(self.own):
             self._maps.add(lead.frame, lead.sheet.origins)
         reframed = any(change.frame for change in changes.values()) or (whole and self._is_covered)
         self._show_images(changes, reframed, whole)
         if reframed or whole:
             self._draw_over(mosaics)
         if reframed:
-            self._look()
+            self._fit_camera()
         return moved or any(change.pixels for change in changes.values())
-
-    # inside
 
     def _show_images(self, changes: Mapping[Mode, Change], reframed: bool, whole: bool) -> None:
         own = self.own
@@ -149,11 +148,11 @@ class MosaicLayers:
         for mode, image in self._images.items():
             if not image.levels:
                 continue
-            fresh = own.fresh(mode.value)
-            layer, made = own.take(mode.value, partial(self._made, mode, image), select=mode is self._lead)
+            new = own.is_new(mode.value)
+            layer, made = own.obtain(mode.value, partial(self._made, mode, image), select=mode is self._lead)
             if layer is None:
                 continue
-            if fresh and not made:
+            if new and not made:
                 layer.data, layer.contrast_limits = image.levels, (0.0, image.white_level)
             elif changes[mode].frame and not made:
                 layer.data = image.levels
@@ -171,22 +170,22 @@ class MosaicLayers:
         )  # fmt: skip
 
     def _draw_over(self, mosaics: Mosaics) -> None:
-        """Draw the track and the maps over the leading mode's mosaic."""
+        """Draw track and maps over the mosaic of the leading mode."""
         assert self.drawing is not None
         lead, place = self._images[self._lead], self._place(self._lead)
-        draw_track(self.own, self.drawing.drawing(lead.sheet.origin), place, max(lead.frame.shape))
-        counted = self._maps.whole if looked_at(self.own) else None
-        if counted is not None or self.own.fresh(COVERAGE):
+        draw_track(self.own, self.drawing.geometry(lead.sheet.origin), place, max(lead.frame.shape))
+        counted = self._maps.whole if maps_visible(self.own) else None
+        if counted is not None or self.own.is_new(COVERAGE):
             draw_maps(self.own, counted or Coverage(lead.frame, mosaics.scale.radius_px), place)
 
-    def _follow(self, mosaics: Mosaics) -> None:
-        """Draw another track from now on."""
+    def _reset_track(self, mosaics: Mosaics) -> None:
+        """Draw another track."""
         scale = mosaics.scale
         self.drawing = TrackDrawing(mosaics.rows, scale.camera_px_per_pixel)
         self._maps = GrowingMaps(mosaics.rows, scale.radius_px, scale.camera_px_per_pixel)
 
     def _place(self, mode: Mode) -> tuple[float, float]:
-        """Where (0, 0) of a mode's mosaic lies: each has a column of its own, whether it is still shown or not."""
+        """Return the world position of (0, 0) of a mode's mosaic: each has its own column, whether visible or not."""
         left_px = 0
         for before, image in self._images.items():
             if before is mode:
@@ -197,11 +196,11 @@ class MosaicLayers:
 
     @property
     def _is_covered(self) -> bool:
-        """Whether something is shown now where the mosaics lie."""
-        return not self.own.fresh(self._lead.value) and self._beside_others()[1] > self._origin[1]
+        """True if other layers now cover the place of the mosaics."""
+        return not self.own.is_new(self._lead.value) and self._beside_others()[1] > self._origin[1]
 
     def _beside_others(self) -> tuple[float, float]:
-        """Where the first mosaic's (0, 0) lies: to the right of what else is shown, or at the origin."""
+        """Return the world position of the first mosaic's (0, 0): right of other visible layers, or the origin."""
         ours = set(self.own.present.values())
         others = [layer for layer in self._viewer.layers if layer.visible and layer not in ours]
         edges = [layer.extent.world[:, -2:] for layer in others]
@@ -213,8 +212,8 @@ class MosaicLayers:
         top, right = min(edge[0, 0] for edge in edges), max(edge[1, 1] for edge in edges)
         return float(top - frame.top * step), float(right + (GAP_PX - frame.left) * step)
 
-    def _look(self) -> None:
-        """Look at all of it, unless the user has chosen another view since."""
+    def _fit_camera(self) -> None:
+        """Show all visible layers, unless the user has moved the camera."""
         camera = self._viewer.scene.camera
         if self._camera is not None and (tuple(camera.center), camera.zoom) != self._camera:
             return

@@ -1,4 +1,4 @@
-"""The layers of a mosaic's maps: how often each place was seen, and how well its frames fit; hidden at first."""
+"""Layers of a mosaic's maps, hidden at first: number of frames at each place, and their mean registration score."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from napari.layers import Image
 
 from napari_elsplus.processing.mosaicing.coverage import CELL_PX
-from napari_elsplus.widgets.mosaic.own_layers import COVERAGE, QUALITY, move
+from napari_elsplus.widgets.mosaic.own_layers import COVERAGE, QUALITY, set_translation
 from napari_elsplus.widgets.mosaic.track_layers import SCORES
 
 if TYPE_CHECKING:
@@ -16,31 +16,37 @@ if TYPE_CHECKING:
     from napari_elsplus.widgets.mosaic.own_layers import OwnLayers
 
 
-def looked_at(own: OwnLayers) -> bool:
-    """Whether any of the maps is shown: only then are frames counted."""
+def maps_visible(own: OwnLayers) -> bool:
+    """Return True if any of the maps is visible: only then are frames counted.
+
+    Parameters
+    ----------
+    own : OwnLayers
+        Layers of the mosaic.
+    """
     present = own.present
     return any(kind in present and present[kind].visible for kind in (COVERAGE, QUALITY))
 
 
 def draw_maps(own: OwnLayers, maps: Coverage, place: tuple[float, float]) -> None:
-    """Make the maps, or fill them.
+    """Create or update the layers of the maps.
 
     Parameters
     ----------
     own : OwnLayers
-        Where they are drawn.
+        Layers of the mosaic.
     maps : Coverage
-        What they show.
+        Counts and scores.
     place : tuple of float
-        Row and column of the world where the (0, 0) of the mosaic lies over which they lie.
+        World position (row, col) of the mosaic's (0, 0).
     """
     frames, quality = maps.frames, maps.quality
     cell = CELL_PX * own.step
     inset = (cell - own.step) / 2
     corner = (place[0] + maps.part.top * own.step + inset, place[1] + maps.part.left * own.step + inset)
-    most = max(1.0, float(frames.max()))
-    for kind, data, limits in ((COVERAGE, frames, (0.0, most)), (QUALITY, quality, SCORES)):
-        layer, made = own.take(
+    highest = max(1.0, float(frames.max()))
+    for kind, data, limits in ((COVERAGE, frames, (0.0, highest)), (QUALITY, quality, SCORES)):
+        layer, made = own.obtain(
             kind,
             partial(
                 Image, data, name=f"mosaic {kind}", colormap="viridis", contrast_limits=limits, opacity=0.6,
@@ -58,4 +64,4 @@ def draw_maps(own: OwnLayers, maps: Coverage, place: tuple[float, float]) -> Non
             layer.contrast_limits = limits
         if tuple(layer.scale) != (cell, cell):
             layer.scale = cell, cell
-        move(layer, corner)
+        set_translation(layer, corner)

@@ -1,4 +1,4 @@
-"""The layers of a mosaic in the user's viewer: used again, placed, kept in order, and not brought back."""
+"""Layers of a mosaic in the user's viewer: reused, ordered, and not recreated after the user removed them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 TRACK, MARKS, COVERAGE, QUALITY = "track", "track marks", "coverage", "quality"
 _ABOVE_IMAGES: Final = (COVERAGE, QUALITY, TRACK, MARKS)
-"""From below upwards."""
+"""Order above the images, from bottom to top."""
 
 
 class OwnLayers:
-    """Layers by what they show: the name of a mode, or one of the four above.
+    """Layers by kind: the name of a mode, or one of the four above.
 
     Parameters
     ----------
@@ -29,54 +29,62 @@ class OwnLayers:
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         self._viewer = viewer
-        self._taken: set[str] = set()
+        self._obtained: set[str] = set()
         self._um_per_px: float | None = None
 
     @property
     def present(self) -> dict[str, Layer]:
-        """Layers that are in the viewer."""
-        known = ((layer.metadata.get("elsplus"), layer) for layer in self._viewer.layers)
-        return {facts[MOSAIC]: layer for facts, layer in known if isinstance(facts, dict) and MOSAIC in facts}
+        """Layers in the viewer, by kind."""
+        facts_of = ((layer.metadata.get("elsplus"), layer) for layer in self._viewer.layers)
+        return {facts[MOSAIC]: layer for facts, layer in facts_of if isinstance(facts, dict) and MOSAIC in facts}
 
     @property
     def step(self) -> float:
-        """Micrometres, or else pixels, that a pixel of the mosaic spans."""
+        """Size of a mosaic's pixel: micrometres, or 1 if the scale is unknown."""
         return self._um_per_px or 1.0
 
     def begin(self, kinds: Collection[str], um_per_px: float | None) -> None:
-        """Show another mosaic from now on: take away what it has not, and use the rest again."""
-        self._taken, self._um_per_px = set(), um_per_px
+        """Prepare for another mosaic: remove layers that it does not have, and reuse the rest.
+
+        Parameters
+        ----------
+        kinds : collection of str
+            Kinds of layers of the new mosaic.
+        um_per_px : float or None
+            Size of its pixel.
+        """
+        self._obtained, self._um_per_px = set(), um_per_px
         for kind, layer in self.present.items():
             if kind not in kinds:
                 self._viewer.layers.remove(layer)
 
     def clear(self) -> None:
-        """Take them all away."""
+        """Remove all of them."""
         for layer in self.present.values():
             self._viewer.layers.remove(layer)
 
-    def fresh(self, kind: str) -> bool:
-        """Whether nothing was taken for this mosaic yet."""
-        return kind not in self._taken
+    def is_new(self, kind: str) -> bool:
+        """Return True if no layer of this kind was obtained for the present mosaic yet."""
+        return kind not in self._obtained
 
-    def take(self, kind: str, make: Callable[[], Layer], *, select: bool = False) -> tuple[Layer | None, bool]:
-        """Return the layer that shows something, and whether it was made just now; no layer if the user removed it.
+    def obtain(self, kind: str, make: Callable[[], Layer], *, select: bool = False) -> tuple[Layer | None, bool]:
+        """Return the layer of a kind, created if necessary, and True if it was; None if the user has removed it.
 
         Parameters
         ----------
         kind : str
-            What it shows.
+            A mode, or one of the four above.
         make : callable
-            Makes it, where there is none from before.
+            Creates the layer.
         select : bool
-            Whether a layer that is made becomes the one that is selected.
+            Select a layer that is created.
         """
-        layer, fresh = self.present.get(kind), self.fresh(kind)
-        self._taken.add(kind)
-        made = layer is None and fresh
+        layer, new = self.present.get(kind), self.is_new(kind)
+        self._obtained.add(kind)
+        made = layer is None and new
         if made:
             layer = make()
-        if layer is not None and fresh:
+        if layer is not None and new:
             layer.scale = (self.step, self.step)
             layer.units = ("um", "um") if self._um_per_px else ("pixel", "pixel")
             layer.axis_labels = ("row", "col")
@@ -98,12 +106,20 @@ class OwnLayers:
         self._viewer.canvas.overlays.scale_bar.visible = True
 
 
-def move(layer: Layer, place: tuple[float, float]) -> None:
-    """Put a layer somewhere, unless it is there: each move makes napari look at all extents."""
+def set_translation(layer: Layer, place: tuple[float, float]) -> None:
+    """Translate a layer, if its position differs: each change makes napari compute all extents.
+
+    Parameters
+    ----------
+    layer : napari.layers.Layer
+        The layer.
+    place : tuple of float
+        World position (row, col).
+    """
     if tuple(layer.translate) != place:
         layer.translate = place
 
 
 def _height(kind: str) -> int:
-    """Where a layer lies above the images, which are at 0."""
+    """Return the position of a kind above the images, which are at 0."""
     return 1 + _ABOVE_IMAGES.index(kind) if kind in _ABOVE_IMAGES else 0

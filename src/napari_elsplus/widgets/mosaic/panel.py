@@ -1,4 +1,4 @@
-"""The Mosaic panel: a stack, or the live stream, to mosaics that grow on screen, with the probe's track over them."""
+"""The Mosaic panel: mosaics of a stack or of the live stream, displayed while they grow, with the probe's track."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from napari_elsplus.io.formats.tiff import TIFF
 from napari_elsplus.viewing.mosaic.files import mosaic_script, save_mosaics
 from napari_elsplus.viewing.mosaic.live import LiveMosaicView
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
-from napari_elsplus.viewing.mosaic.track import speed_of
+from napari_elsplus.viewing.mosaic.track import probe_speed
 from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
-from napari_elsplus.widgets.live.status import advice_on
+from napari_elsplus.widgets.live.status import lag_advice
 from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
 from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
-from napari_elsplus.widgets.shared.choosing import chosen_image, renew_choices
+from napari_elsplus.widgets.shared.choosing import chosen_image, refresh_choices
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.layer_list import LayerList
-from napari_elsplus.widgets.shared.panel import copy_as_script, told
+from napari_elsplus.widgets.shared.layer_list import LayerListModels
+from napari_elsplus.widgets.shared.panel import copy_as_script, notify_errors
 from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
@@ -39,22 +39,23 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.link.client import EngineClient
 
 TICK_MS: Final = 40
+"""Interval at which mosaics are updated, milliseconds; chosen, 25 Hz."""
 WHOLE_TICKS: Final = 25
-"""The track, the maps and what else costs more is drawn every so many ticks."""
+"""Ticks between updates of track, maps and thumbnails, which take longer: one second."""
 
 
 class MosaicPanel(EnginePanel):
-    """Lay the frames of a moving probe into mosaics.
+    """Insert the frames of a moving probe into mosaics.
 
     Parameters
     ----------
     viewer : napari.Viewer
-        The viewer. Layers of mosaics are used again, with the user's colours; they stay when the panel goes.
+        The viewer. Layers of mosaics are reused, with the user's colormap; they remain when the panel is closed.
     """
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
-        self.layers = MosaicLayers(viewer, LayerList(self).undisturbed)
+        self.layers = MosaicLayers(viewer, LayerListModels(self).signals_blocked)
         self.work = Work(self._ended)
         self._stack: StackMosaics | None = None
         self._shown: StackMosaics | LiveMosaicView | None = None
@@ -62,7 +63,7 @@ class MosaicPanel(EnginePanel):
         self._hidden: list[Any] = []
         self._ticks = 0
         self._stale = False
-        self._goes_live, self._cleared = True, ""
+        self._following_live, self._cleared_board = True, ""
         self.form = MosaicForm(self, self.work, viewer)
         self.form.connect(
             {
@@ -78,13 +79,13 @@ class MosaicPanel(EnginePanel):
         self._timer.setInterval(TICK_MS)
         self._timer.timeout.connect(self.tick)
         self._timer.start()
-        self.listen(viewer.layers.events.inserted, self._layers_changed)
-        self.listen(viewer.layers.events.removed, self._layers_changed)
-        self.listen(viewer.events.theme, self._theme_changed)
+        self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
+        self.connect_signal(viewer.layers.events.removed, self._layers_changed)
+        self.connect_signal(viewer.events.theme, self._theme_changed)
         self._layers_changed()
 
     def toggle(self) -> None:
-        """Make mosaics of the chosen stack; or stop that."""
+        """Make mosaics of the selected stack, or stop."""
         if self.work.busy:
             self.work.cancel()
         else:
@@ -92,8 +93,8 @@ class MosaicPanel(EnginePanel):
         self.refresh()
 
     def begin(self) -> None:
-        """Make mosaics of the chosen stack, in a thread."""
-        with told():
+        """Make mosaics of the selected stack in a thread."""
+        with notify_errors():
             plan, chosen = self.form.plan, self._chosen()
             _ = plan.tracked
             calibration = self.form.calibration.value
@@ -104,13 +105,13 @@ class MosaicPanel(EnginePanel):
 
             def made() -> StackMosaics:
                 mosaics = StackMosaics(source.frames, source.calibration, plan, source.times_s)
-                mosaics.rehearse()
-                self._stack = mosaics  # from now on it is looked at
-                mosaics.run(self.work.watch, self.work.stop_if_cancelled)
+                mosaics.compile_kernels()
+                self._stack = mosaics  # displayed from now on
+                mosaics.run(self.work.progress, self.work.stop_if_cancelled)
                 return mosaics
 
             self._leave_live()
-            self._goes_live = False
+            self._following_live = False
             self._stack, self._source = None, source
             self._hide_others()
             self._shown = None
@@ -118,28 +119,28 @@ class MosaicPanel(EnginePanel):
 
     @property
     def live(self) -> bool:
-        """Whether the engine lays its frames into a mosaic."""
+        """True while the engine inserts frames into a mosaic."""
         client = self.connection.client
         track = None if client is None else client.status.track
         return track is not None and track.running
 
     def toggle_live(self) -> None:
-        """Lay the live stream into a mosaic, connecting and starting first where that is needed; or stop that."""
-        self._goes_live = True
+        """Insert the live stream into a mosaic, connecting and starting first if needed; or stop."""
+        self._following_live = True
         client = self.connection.client
         if client is not None and client.status.progress is not None:
-            self.asking.ask(client.cancel())
+            self.requests.follow(client.cancel())
         elif client is not None and self.live:
-            self.asking.ask(client.track(None))
+            self.requests.follow(client.track(None))
         elif client is not None:
             self._start_live(client)
         else:
             rig, settings = remembered_rig(), remembered_settings()
-            self.asking.do(lambda: self.connection.connect(rig, settings), self._start_live)
+            self.requests.run(lambda: self.connection.connect(rig, settings), self._start_live)
         self.refresh()
 
     def tick(self) -> None:
-        """Show what came since the last time."""
+        """Display what is new."""
         self._ticks += 1
         self._follow_live()
         if self._stack is not None and self._stack is not self._shown:
@@ -154,19 +155,19 @@ class MosaicPanel(EnginePanel):
             self.layers.update(whole=whole)
             self._stale = not whole
         if self._ticks % WHOLE_TICKS == WHOLE_TICKS // 2:
-            self.refresh()  # at another tick: either holds the window's thread for a while
+            self.refresh()  # at another tick, because both take long in the window's thread
 
     def clear(self) -> None:
-        """Take the mosaics away, and show again what was hidden."""
+        """Remove the mosaics, and restore hidden layers."""
         if self.work.busy:
             self.work.cancel()
         client = self.connection.client
         if client is not None and client.status.track is not None:
-            self._cleared = client.status.track.board
-            self.asking.ask(client.clear_mosaic())
+            self._cleared_board = client.status.track.board
+            self.requests.follow(client.clear_mosaic())
         self._leave_live()
         self._stack = self._shown = None
-        self.layers.forget()
+        self.layers.remove()
         for layer in self._hidden:
             if layer in self.viewer.layers:
                 layer.visible = True
@@ -175,26 +176,32 @@ class MosaicPanel(EnginePanel):
         self.refresh()
 
     def undo(self) -> None:
-        """Take the last segment away."""
+        """Remove the last segment."""
         shown = self._shown
         if shown is None or self.work.busy:
             return
         client = self.connection.client
         if isinstance(shown, LiveMosaicView) and shown.follows and client is not None:
-            self.asking.ask(client.undo_segment(), _tell_if_none)
+            self.requests.follow(client.undo_segment(), _report_if_none)
             return
-        _tell_if_none(shown.undo())
+        _report_if_none(shown.undo())
         self.layers.update(whole=True)
         self.refresh()
 
     def save(self, path: Path) -> None:
-        """Save mosaics, pictures and track; files that belong to one that exists are replaced with it."""
-        with told():
+        """Save mosaics, pictures and track.
+
+        Parameters
+        ----------
+        path : pathlib.Path
+            ``NAME.ome.tif``. If it exists, it and the files saved with it are replaced.
+        """
+        with notify_errors():
             if self._shown is None:
                 raise InputError("there is no mosaic to save", "make one first")
             shown = self._shown
             if self.work.busy:
-                raise InputError("the mosaic still grows", "wait for its end, or cancel it")
+                raise InputError("the mosaic is not finished", "wait until it is, or cancel it")
             if isinstance(shown, LiveMosaicView):
                 self._stale |= shown.update(all_rows=True)
             self.work.begin(
@@ -205,52 +212,54 @@ class MosaicPanel(EnginePanel):
             self.refresh()
 
     def copy_script(self) -> None:
-        """Copy Python that makes and saves these mosaics to the clipboard."""
-        with told():
+        """Copy a script that makes and saves these mosaics to the clipboard."""
+        with notify_errors():
             path = self.form.calibration.value
             given = path if isinstance(path, Path) and path.is_file() else None
             facts = self._chosen().metadata.get("elsplus", {})
             if facts.get("kind") != "raw":
-                raise InputError("these images are no raw recording", "a script can be had for raw recordings")
+                raise InputError("these images are not a raw recording", "select a raw recording for a script")
             copy_as_script(mosaic_script(facts["stack"], given or facts.get("calibration_path"), self.form.plan))
 
     def refresh(self) -> None:
-        """Say how it goes, and what can be done."""
-        busy, there = self.work.busy, self._shown is not None
+        """Update status text and buttons."""
+        busy, present = self.work.busy, self._shown is not None
         client = self.connection.client
         calibrating = client is not None and client.status.progress is not None
-        self.form.allow(busy=busy, asking=self.asking.busy, there=there, live=self.live, calibrating=calibrating)
-        self.form.status.setText(self._said())
+        self.form.set_enabled(
+            busy=busy, requesting=self.requests.busy, present=present, live=self.live, calibrating=calibrating
+        )
+        self.form.status.setText(self._status_text())
         if self._shown is not None:
             scale = self._shown.scale
-            self.form.speed.show_speed(speed_of(self._shown.rows, scale.fastest_px, scale.camera_um_per_px))
+            self.form.speed.show_speed(probe_speed(self._shown.rows, scale.max_px_per_frame, scale.camera_um_per_px))
 
     def cleanup(self) -> None:
-        """Let go of the viewer; the layers stay."""
+        """Release the engine and disconnect from the viewer; the layers remain."""
         self._timer.stop()
         if self.work.busy:
             self.work.cancel()
         self._leave_live()
         super().cleanup()
 
-    # inside
-
     def _start_live(self, client: EngineClient) -> None:
         if client.calibration is None and self.connection.rig == SIMULATED:
-            self.asking.ask(client.calibrate_simulated(), lambda _: self._start_live(client))
+            self.requests.follow(client.calibrate_simulated(), lambda _: self._start_live(client))
         elif not client.status.live:
-            self._track(client, lambda _: self.asking.ask(client.start()))  # compiled before the first frame comes
+            self._track(
+                client, lambda _: self.requests.follow(client.start())
+            )  # kernels are compiled before the first frame
         else:
             self._track(client)
 
     def _track(self, client: EngineClient, then: Callable[[None], None] = lambda _: None) -> None:
-        with told():
+        with notify_errors():
             plan = self.form.plan
             self.form.remember()
-            self.asking.ask(client.track(plan), then)
+            self.requests.follow(client.track(plan), then)
 
     def _follow_live(self) -> None:
-        """Look at the engine's mosaic where there is a new one; at none where the engine is gone."""
+        """Display the engine's mosaic if there is a new one; keep the last one after the engine's end."""
         client = self.connection.client
         track = None if client is None else client.status.track
         shown = self._shown if isinstance(self._shown, LiveMosaicView) else None
@@ -259,12 +268,12 @@ class MosaicPanel(EnginePanel):
                 shown.update(all_rows=True)
                 shown.close()
             return
-        known = track.board == self._cleared or (shown is not None and shown.board == track.board)
-        if known or not track.running or not self._goes_live:
+        displayed = track.board == self._cleared_board or (shown is not None and shown.board == track.board)
+        if displayed or not track.running or not self._following_live:
             return
         try:
             live = LiveMosaicView(track, client.calibration)
-        except FileNotFoundError:  # replaced a moment ago; the next status says by what
+        except FileNotFoundError:  # replaced in the meantime; the next status names the new one
             return
         self._leave_live()
         self._stack, self._shown = None, live
@@ -284,31 +293,31 @@ class MosaicPanel(EnginePanel):
             self.layers.update(whole=True)
         self.refresh()
 
-    def _said(self) -> str:
+    def _status_text(self) -> str:
         drawing = self.layers.drawing
         client = self.connection.client
         if client is not None and client.status.progress is not None:
             step = client.status.progress
             return f"Calibrating: {step.step}, {step.done} of {step.total}"
         if self._shown is None or drawing is None:
-            waits = self.work.busy or self.asking.busy
-            return "Starting..." if waits else "Choose a stack and press Mosaic, or go live."
+            waiting = self.work.busy or self.requests.busy
+            return "Starting..." if waiting else "Select a stack and press Mosaic, or Live mosaic."
         counts = self._shown.rows.counts
         total = sum(counts.values())
-        words = f"<b>{counts['tracked']}</b> of {total} frames tracked"
-        words += f" in {drawing.segments} segments" if drawing.segments > 1 else ""
-        words += "".join(f", {counts[state]} {state}" for state in ("predicted", "lost") if counts[state])
+        text = f"<b>{counts['tracked']}</b> of {total} frames tracked"
+        text += f" in {drawing.segments} segments" if drawing.segments > 1 else ""
+        text += "".join(f", {counts[state]} {state}" for state in ("predicted", "lost") if counts[state])
         um = self._shown.scale.um_per_px
         area_mm2 = self.layers.covered_px * (um or float("nan")) ** 2 * 1e-6
-        words += f"; {area_mm2:.2g} mm\N{SUPERSCRIPT TWO}." if isfinite(area_mm2) else "."
+        text += f"; {area_mm2:.2g} mm\N{SUPERSCRIPT TWO}." if isfinite(area_mm2) else "."
         track = None if client is None or not isinstance(self._shown, LiveMosaicView) else client.status.track
         if track is not None and track.loop_closures:
-            words += f" Places recognised {track.loop_closures} times."
+            text += f" Loop closures: {track.loop_closures}."
         if track is not None and not track.rerenders:
-            words += " There is no memory left to lay it anew: where loops close it stays as it is."
-        if track is not None and track.running and (advice := advice_on(self.connection.calibration)):
-            words += f" {advice}"
-        return words
+            text += " Not enough memory to re-render: loop closures no longer correct the mosaic."
+        if track is not None and track.running and (advice := lag_advice(self.connection.calibration)):
+            text += f" {advice}"
+        return text
 
     def _chosen(self) -> Image:
         return chosen_image(self.viewer, self.form.recording, "stack")
@@ -321,11 +330,11 @@ class MosaicPanel(EnginePanel):
                 self._hidden.append(layer)
 
     def _layers_changed(self) -> None:
-        renew_choices(self.form.recording)
+        refresh_choices(self.form.recording)
         self.refresh()
 
     def _theme_changed(self) -> None:
-        self.form.speed.follow(self.viewer.theme)
+        self.form.speed.apply_theme(self.viewer.theme)
         self.refresh()
 
     def _ask_for_file(self) -> None:
@@ -341,6 +350,6 @@ class MosaicPanel(EnginePanel):
             self.save(Path(path))
 
 
-def _tell_if_none(undone: bool) -> None:
+def _report_if_none(undone: bool) -> None:
     if not undone:
-        show_info("there is no segment left")
+        show_info("no segment left")

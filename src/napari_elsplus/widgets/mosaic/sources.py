@@ -1,4 +1,4 @@
-"""What a mosaic can be made of: raw recordings with their calibration, and stacks of finished images as they are."""
+"""Sources of mosaics: raw recordings with their calibration, and stacks of finished images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from napari.layers import Image
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.layers import TITLES
-from napari_elsplus.viewing.mosaic.trackable import images_as_they_are
+from napari_elsplus.viewing.mosaic.trackable import calibration_of_finished_images
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,20 +27,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MosaicSource:
-    """Frames, and what is known of them.
+    """Frames with their calibration and metadata.
 
     Attributes
     ----------
     frames : Frames
         (T, rows, cols).
     calibration : Calibration
-        That fits them.
+        Of the frames; nominal for finished images.
     times_s : sequence of float, optional
-        When they were taken.
+        Acquisition times.
     titles : mapping
-        What the modes are called.
+        Titles of the modes.
     finished : bool
-        Whether they are images already, of which only one mosaic can be made.
+        True for finished images, of which only one mosaic can be made.
     """
 
     frames: Frames
@@ -50,11 +50,11 @@ class MosaicSource:
     finished: bool = False
 
     def plan(self, wanted: MosaicPlan) -> MosaicPlan:
-        """Return what can be made of what is wanted."""
+        """Return the wanted plan, restricted to one mode for finished images."""
         return replace(wanted, modes=(Mode.LS,)) if self.finished else wanted
 
     def steps(self, plan: MosaicPlan) -> int:
-        """How many steps a progress bar has to show."""
+        """Return the number of steps of a progress bar for a plan."""
         pairs = len(self.frames) // plan.tracked.frames_per_image
         return (3 if len(plan.modes) > 1 else 2) * pairs
 
@@ -73,27 +73,27 @@ class _Planes:
 
 
 def source_names(viewer: napari.viewer.Viewer) -> list[str]:
-    """Return the names of the layers that mosaics can be made of, raw recordings first."""
+    """Return the names of a viewer's layers that mosaics can be made of, raw recordings first."""
     usable = [layer for layer in viewer.layers if isinstance(layer, Image) and _usable(layer)]
     return [layer.name for layer in sorted(usable, key=lambda layer: _facts(layer).get("kind") != "raw")]
 
 
 def source_of(layer: Image, given: Calibration | None, path: Path | None) -> MosaicSource:
-    """Return what a mosaic of a layer is made of.
+    """Return the source of a mosaic from a layer.
 
     Parameters
     ----------
     layer : napari.layers.Image
         One of :func:`source_names`.
     given : Calibration, optional
-        Chosen by the user, in place of the layer's own.
+        Selected by the user, replaces that of the layer.
     path : pathlib.Path, optional
-        Where it lies.
+        Its file.
 
     Raises
     ------
     InputError
-        If raw frames have no calibration, or the one that was given is for frames of another size.
+        If raw frames have no calibration, or the given one is for frames of another size.
     """
     facts, shape = _facts(layer), tuple(layer.data.shape)
     raw = facts.get("kind") == "raw"
@@ -101,7 +101,7 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
     if raw and calibration is None:
         raise InputError(
             f"{layer.name} has no calibration",
-            "choose a calibration file above, drop one on the window and open the recording again, or calibrate",
+            "select a calibration file above, drop one on the window and open the recording again, or calibrate",
         )
     frame = None if given is None else given.frame
     if frame is not None and tuple(frame.shape) != shape[1:]:
@@ -117,7 +117,9 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
     if calibration is not None:
         return MosaicSource(frames, calibration, times_s, TITLES)
     um = float(layer.scale[-1]) if str(layer.units[-1]) in ("micrometer", "um") else None
-    return MosaicSource(frames, images_as_they_are(frames, um), times_s, {Mode.LS: layer.name}, finished=True)
+    return MosaicSource(
+        frames, calibration_of_finished_images(frames, um), times_s, {Mode.LS: layer.name}, finished=True
+    )
 
 
 def _facts(layer: Image) -> dict[str, Any]:
@@ -126,7 +128,7 @@ def _facts(layer: Image) -> dict[str, Any]:
 
 
 def _usable(layer: Image) -> bool:
-    """Whether a layer is a stack of grey levels, and none that was derived from a raw layer."""
+    """Return True for a stack of grey levels that was not derived from a raw layer."""
     stack = _facts(layer).get("stack")
     derived = stack is not None and _facts(layer).get("kind") != "raw" and stack.planes.dtype.kind != "f"
     return layer.ndim == 3 and not layer.rgb and not layer.multiscale and not derived

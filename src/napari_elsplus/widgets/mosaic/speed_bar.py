@@ -1,4 +1,4 @@
-"""How fast may I go? The probe's speed as a bar up to the fastest that can be followed."""
+"""Bar of the probe's speed relative to the largest trackable speed."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ from typing import TYPE_CHECKING, Final
 
 from qtpy.QtWidgets import QLabel, QProgressBar, QVBoxLayout, QWidget
 
-from napari_elsplus.widgets.shared.plots import ink_on
+from napari_elsplus.widgets.shared.plots import theme_colour
 
 if TYPE_CHECKING:
     from napari_elsplus.viewing.mosaic.track import Speed
 
-SLOWER: Final = 0.5
-"""Part of the fastest from which on the user is warned."""
-TOO_FAST: Final = 0.8
-LOSING: Final = 0.5
-"""Less than this part of the latest frames tracked: the track is being lost."""
+WARNING_SPEED_SHARE: Final = 0.5
+"""Fraction of the limit above which a warning is shown; chosen."""
+MAX_SPEED_SHARE: Final = 0.8
+"""Fraction of the limit above which the speed is shown as too high; chosen, a fifth is left for acceleration."""
+MIN_TRACKED_SHARE: Final = 0.5
+"""Fraction of the latest frames tracked below which the track is being lost; chosen."""
 
 
 class SpeedBar(QWidget):
-    """A bar with words below it.
+    """A bar with a text below it.
 
     Parameters
     ----------
@@ -30,64 +31,66 @@ class SpeedBar(QWidget):
 
     def __init__(self, theme: str) -> None:
         super().__init__()
-        self._bar, self._words = QProgressBar(), QLabel()
+        self._bar, self._label = QProgressBar(), QLabel()
         self._bar.setRange(0, 100)
         self._bar.setTextVisible(False)
         self._bar.setMaximumHeight(12)
-        self._words.setWordWrap(True)
+        self._label.setWordWrap(True)
         self.setToolTip(
-            "The probe's speed; at the bar's end successive frames overlap too little to be followed. "
-            "Stay below half, slower where there is little to see."
+            "Speed of the probe; at the end of the bar successive frames overlap too little to be tracked. "
+            "Stay below half, slower over tissue of low contrast."
         )
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(self._bar)
-        layout.addWidget(self._words)
-        self.follow(theme)
+        layout.addWidget(self._label)
+        self.apply_theme(theme)
         self.show_speed(None)
 
     @property
     def text(self) -> str:
-        """What it says."""
-        return self._words.text()
+        """Text below the bar."""
+        return self._label.text()
 
-    def follow(self, theme: str) -> None:
-        """Take the colours of one of napari's themes."""
+    def apply_theme(self, theme: str) -> None:
+        """Use the colours of a napari theme, given by name, from the next speed on."""
         self._theme = theme
 
     def show_speed(self, speed: Speed | None) -> None:
-        """Show a speed; None if nothing moves."""
-        if speed is None or not (isfinite(speed.share) or speed.tracked < LOSING):
+        """Show a speed; None if unknown."""
+        if speed is None or not (isfinite(speed.share) or speed.tracked < MIN_TRACKED_SHARE):
             self._fill(0)
-            self._words.setText("Speed: not known yet.")
+            self._label.setText("speed: not measured yet")
             return
         share = speed.share if isfinite(speed.share) else 1.0
-        losing = speed.tracked < LOSING
-        colour = "vermilion" if losing or share > TOO_FAST else "orange" if share > SLOWER else "green"
+        losing = speed.tracked < MIN_TRACKED_SHARE
+        colour = (
+            "vermilion" if losing or share > MAX_SPEED_SHARE else "orange" if share > WARNING_SPEED_SHARE else "green"
+        )
         self._fill(round(100 * min(share, 1.0)))
-        self._paint(ink_on(self._theme, colour))
-        self._words.setText(_said(speed, losing=losing))
+        self._set_colour(theme_colour(self._theme, colour))
+        self._label.setText(_speed_text(speed, losing=losing))
 
     def _fill(self, percent: int) -> None:
-        """Fill the bar, to be painted with the next look at the window: by itself it paints all of that at once."""
+        """Set the bar's value without an immediate repaint, which QProgressBar forces."""
         self._bar.setUpdatesEnabled(False)
         self._bar.setValue(percent)
         self._bar.setUpdatesEnabled(True)
 
-    def _paint(self, ink: str) -> None:
-        """Change the bar's colour; a new style sheet is dear, so only where it differs."""
-        sheet = f"QProgressBar::chunk {{ background-color: {ink}; }}"
+    def _set_colour(self, colour: str) -> None:
+        """Set the bar's colour, if it differs: a new style sheet is expensive."""
+        sheet = f"QProgressBar::chunk {{ background-color: {colour}; }}"
         if self._bar.styleSheet() != sheet:
             self._bar.setStyleSheet(sheet)
 
 
-def _said(speed: Speed, *, losing: bool) -> str:
+def _speed_text(speed: Speed, *, losing: bool) -> str:
     if losing:
-        return "<b>The track is being lost</b>: slower, or go back to where the mosaic ends."
+        return "<b>Track is being lost</b>: move more slowly, or return to the end of the mosaic."
     if isfinite(speed.um_per_s):
-        now = f"{speed.um_per_s / 1000:.1f} mm/s of at most {speed.fastest_um_per_s / 1000:.0f} mm/s"
+        text = f"speed {speed.um_per_s / 1000:.1f} mm/s (limit {speed.max_um_per_s / 1000:.0f})"
     else:
-        now = f"{speed.px_per_frame:.0f} px per frame of at most {speed.fastest_px:.0f}"
-    if speed.share > TOO_FAST:
-        return f"{now}. <b>Too fast: slower.</b>"
-    return f"{now}. Better slower." if speed.share > SLOWER else f"{now}."
+        text = f"speed {speed.px_per_frame:.0f} px/frame (limit {speed.max_px_per_frame:.0f})"
+    if speed.share > MAX_SPEED_SHARE:
+        return f"{text}: <b>too fast</b>"
+    return f"{text}: near the limit" if speed.share > WARNING_SPEED_SHARE else text

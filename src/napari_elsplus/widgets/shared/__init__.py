@@ -1,1 +1,1 @@
-"""What several panels share: the panel itself, plots, long work, the connection to the engine."""
+"""Base classes of docked panels, plots, background work, and the shared connection to the engine."""

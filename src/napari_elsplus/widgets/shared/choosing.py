@@ -1,4 +1,4 @@
-"""Which layers a panel can work on, and which of their frames is shown."""
+"""Layers that a panel can process, and the index of the displayed frame."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.errors import InputError
 
 LIVE: Final = "live"
-"""Kind of the layers that show live images, before the kind of the image."""
-OPEN_ONE: Final = "open a recording with a calibration, or a sample: File > Open Sample > ELS+ endomicroscopy"
-"""What comes first where nothing can be chosen."""
+"""Prefix of the metadata kind of layers that show live images."""
+OPEN_RECORDING_FIRST: Final = (
+    "open a recording with a calibration, or a sample: File > Open Sample > ELS+ endomicroscopy"
+)
+"""Remedy in the tooltip of a button where no layer can be chosen."""
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -21,26 +23,34 @@ if TYPE_CHECKING:
 
 
 def calibrated_recordings(viewer: napari.viewer.Viewer) -> list[str]:
-    """Return the names of the raw layers that have a calibration."""
+    """Return the names of the raw layers of a viewer that have a calibration."""
     known = {layer.name: layer.metadata.get("elsplus", {}) for layer in viewer.layers}
     return [name for name, facts in known.items() if facts.get("kind") == "raw" and facts.get("calibration")]
 
 
 def calibrated_frames(viewer: napari.viewer.Viewer) -> list[str]:
-    """Return the names of the layers of raw frames that have a calibration: recordings, and the live frame."""
+    """Return the names of a viewer's layers of raw frames with a calibration: recordings, and the live frame."""
     kinds = {layer.name: layer.metadata.get("elsplus", {}) for layer in viewer.layers}
     live = [name for name, facts in kinds.items() if facts.get("kind") == f"{LIVE} {RAW}" and facts.get("calibration")]
     return [*calibrated_recordings(viewer), *live]
 
 
 def shown_index(viewer: napari.viewer.Viewer, layer: Image) -> int:
-    """Return which plane of a layer (T, rows, cols) the slider is at; the nearest one where it is beside the layer."""
+    """Return the index of the plane of a layer that the viewer displays.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        Its first slider counts.
+    layer : napari.layers.Image
+        (T, rows, cols). The nearest plane where the slider lies outside the layer.
+    """
     steps = (viewer.dims.point[0] - layer.translate[0]) / layer.scale[0]
     return int(np.clip(round(steps), 0, layer.data.shape[0] - 1))
 
 
-def renew_choices(choice: ComboBox) -> None:
-    """Offer what there is now; what was chosen stays chosen while it is there, and no change is told."""
+def refresh_choices(choice: ComboBox) -> None:
+    """Update the entries of a choice without a changed signal; a value that is still offered stays selected."""
     chosen = choice.value
     with choice.changed.blocked():
         choice.reset_choices()
@@ -49,12 +59,21 @@ def renew_choices(choice: ComboBox) -> None:
 
 
 def chosen_image(viewer: napari.viewer.Viewer, choice: ComboBox, what: str) -> Image:
-    """Return the layer that is chosen.
+    """Return the selected layer.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        The viewer that has the layer.
+    choice : magicgui.widgets.ComboBox
+        Holds the layer's name.
+    what : str
+        What the layer is, for the message.
 
     Raises
     ------
     InputError
-        If there is none; it says what could have been chosen.
+        If nothing is selected.
     """
     if choice.value is None:
         raise InputError(f"no {what} is open", "open one, or File > Open Sample > ELS+ endomicroscopy")

@@ -1,4 +1,4 @@
-"""The one engine and the one calibration that all panels of a window share."""
+"""The engine's process and the active calibration, shared by all panels of a window."""
 
 from __future__ import annotations
 
@@ -17,76 +17,76 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.instrument.calibration import Calibration
 
-_latest: Callable[[], Connection | None] = lambda: None  # noqa: E731 - a dead weak reference says the same
+_latest: Callable[[], Connection | None] = lambda: None  # noqa: E731 - stands for a dead weak reference
 
 
 class Connection:
-    """An engine's process that is started when a rig is connected, and ends when nobody uses it any more.
+    """The engine's process: started when a rig is connected, ended when no panel uses it any more.
 
-    A rig can be opened once, so there is one connection; :func:`join` returns it.
+    A rig can be opened once, so all panels share one connection; :func:`join` returns it.
     """
 
     def __init__(self) -> None:
         self._client: EngineClient | None = None
         self._users = 0
         self._lock = Lock()
-        self._taken: tuple[Calibration | None, Path | None] = (None, None)
+        self._applied: tuple[Calibration | None, Path | None] = (None, None)
         self.rig: str | None = None
-        """Name of the rig that is connected."""
+        """Name of the connected rig."""
 
     @property
     def client(self) -> EngineClient | None:
-        """The engine, if a rig is connected and its process lives."""
+        """Client of the engine; None unless a rig is connected and the process is alive."""
         client = self._client
         return client if client is not None and self.rig is not None and client.died is None else None
 
     @property
     def died(self) -> DeviceError | None:
-        """What happened, if the engine's process ended without being told to."""
+        """Cause, if the engine's process ended unexpectedly."""
         return self._client.died if self._client is not None else None
 
     @property
     def calibration(self) -> Calibration | None:
-        """What all panels work by: in force where a rig has one, else what was taken last."""
+        """The active calibration: that of the connected rig if it has one, else the one applied last."""
         client = self.client
-        in_force = client.calibration if client is not None else None
-        return in_force if in_force is not None else self._taken[0]
+        active = client.calibration if client is not None else None
+        return active if active is not None else self._applied[0]
 
     @property
     def calibration_file(self) -> Path | None:
-        """The file of that calibration, if it lies in one."""
-        taken, path = self._taken
-        return path if taken is not None and taken is self.calibration else None
+        """File of the active calibration, if it was saved."""
+        applied, path = self._applied
+        return path if applied is not None and applied is self.calibration else None
 
-    def take(self, calibration: Calibration, path: Path | None = None) -> Future[None]:
-        """Let all panels work by a calibration, and the engine where a rig is connected.
+    def apply(self, calibration: Calibration, path: Path | None = None) -> Future[None]:
+        """Make a calibration the active one of all panels, and of the engine where a rig is connected.
 
         Parameters
         ----------
         calibration : Calibration
-            It is kept if the engine can use it.
+            Becomes active if the engine accepts it.
         path : Path, optional
-            The file that it lies in.
+            File in which it is saved.
 
         Returns
         -------
         Future
-            Raises what the engine says against it.
+            Raises the engine's error where it refuses the calibration.
         """
 
         def keep(done: Future[None]) -> None:
             if done.exception() is None:
-                self._taken = calibration, path
+                self._applied = calibration, path
 
         client = self.client
-        asked: Future[None] = Future() if client is None else client.use(calibration)
-        asked.add_done_callback(keep)
+        applied: Future[None] = Future() if client is None else client.use(calibration)
+        applied.add_done_callback(keep)
         if client is None:
-            asked.set_result(None)
-        return asked
+            applied.set_result(None)
+        return applied
 
     def require(self) -> EngineClient:
-        """Return the engine.
+        """Return the client of the engine.
 
         Raises
         ------
@@ -99,14 +99,21 @@ class Connection:
         return client
 
     def connect(self, rig: str, settings: Settings) -> EngineClient:
-        """Open a rig and set it up; takes seconds, so not in the window's thread.
+        """Open a rig and configure it; takes seconds, so call it in a thread.
+
+        Parameters
+        ----------
+        rig : str
+            Name of the rig.
+        settings : Settings
+            Preset, slit width, frame rate and gain.
 
         Raises
         ------
         DeviceError
             If it cannot be opened.
         InputError
-            If there is no such rig, or the camera cannot do that.
+            If there is no such rig, or the camera refuses the settings.
         """
         with self._lock:
             self._end()
@@ -121,31 +128,31 @@ class Connection:
         return client
 
     def disconnect(self) -> None:
-        """End the engine's process: the mirror is parked, a recording finished; what was calibrated stays known."""
+        """End the engine's process: park the galvo, finish a recording; the active calibration is kept."""
         with self._lock:
             self._end()
 
     def leave(self) -> None:
-        """Say that a panel does not use it any more; the last one ends the engine and forgets the calibration.
+        """Release the connection for one panel; the last one ends the engine and discards the calibration.
 
-        Nobody waits for that but a thread, which outlives the window, so that no process is left behind.
+        The engine ends in a thread that outlives the window, so that closing does not block and no process remains.
         """
         self._users -= 1
         if self._users == 0:
-            self._taken = None, None
+            self._applied = None, None
             client, self._client, self.rig = self._client, None, None
             if client is not None:
                 Thread(target=self._end_beside, args=(client,), name="engine-end").start()
 
     def _end(self) -> None:
-        known, path = self.calibration, self.calibration_file
+        active, path = self.calibration, self.calibration_file
         client, self._client, self.rig = self._client, None, None
-        self._taken = known, path
+        self._applied = active, path
         if client is not None:
             client.close()
 
     def _end_beside(self, client: EngineClient) -> None:
-        with self._lock:  # whoever connects next waits until the rig is free
+        with self._lock:  # the next connection waits until the rig is free
             client.close()
 
     def _enter(self) -> Connection:
@@ -154,7 +161,7 @@ class Connection:
 
 
 def join() -> Connection:
-    """Return the connection that the window's panels share; each panel leaves it when it goes."""
+    """Return the connection that the window's panels share; each panel calls :meth:`Connection.leave` once."""
     global _latest
     connection = _latest() or Connection()
     _latest = weakref.ref(connection)

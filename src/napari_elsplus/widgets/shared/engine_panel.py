@@ -1,14 +1,14 @@
-"""What panels share that use the engine: one connection, answers without waiting, and an orderly end."""
+"""Base class of panels that use the engine: shared connection, requests that do not block, cleanup with the window."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from napari_elsplus.io.calibration_lookup import active_calibration_for_rig
-from napari_elsplus.widgets.shared.asking import Asking
 from napari_elsplus.widgets.shared.connection import join
-from napari_elsplus.widgets.shared.panel import Panel, told
-from napari_elsplus.widgets.shared.window_end import WindowEnd
+from napari_elsplus.widgets.shared.panel import Panel, notify_errors
+from napari_elsplus.widgets.shared.requests import PendingRequests
+from napari_elsplus.widgets.shared.window_close import WindowCloseFilter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,54 +19,61 @@ if TYPE_CHECKING:
 
 
 class EnginePanel(Panel):
-    """A docked panel that uses the engine; it leaves it when the dock or the window is closed.
+    """A docked panel that uses the engine, and releases it when the dock or the window is closed.
 
     Parameters
     ----------
     viewer : napari.Viewer
-        The viewer.
+        The viewer it is docked to.
+
+    Attributes
+    ----------
+    connection : Connection
+        The engine and the active calibration, shared by all panels.
+    requests : PendingRequests
+        Delivers the engine's answers, then calls :meth:`refresh`.
     """
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
         self.connection = join()
-        self.asking = Asking(self, self.refresh)
-        self._left = False
-        self._window_end = WindowEnd(self, self.cleanup)
+        self.requests = PendingRequests(self, self.refresh)
+        self._closed = False
+        self._window_end = WindowCloseFilter(self, self.cleanup)
 
     def refresh(self) -> None:
-        """Show how things are; called when an answer has come, and now and then."""
+        """Update what the panel shows; called after each answer of the engine, and by the panel's own timer."""
 
     def activate_calibration(self, client: EngineClient, then: Callable[[], None] = lambda: None) -> None:
-        """Let a rig that has none work by the calibration that is known, and go on, whether it can use it or not.
+        """Apply the active calibration to a rig that has none, then go on, whether the rig accepts it or not.
 
         Parameters
         ----------
         client : EngineClient
-            Just connected.
+            Client of a rig that has just been connected.
         then : callable
             Called afterwards.
 
         Notes
         -----
-        What the panels share comes first, then the active calibration unless it was acquired with another rig.
+        The calibration shared by the panels comes first, then the active file unless it was acquired with another rig.
         """
-        known, path = self.connection.calibration, self.connection.calibration_file
-        if known is None:
-            with told():
-                known, path = active_calibration_for_rig(self.connection.rig)
-        if known is None or client.calibration is not None:
+        active, path = self.connection.calibration, self.connection.calibration_file
+        if active is None:
+            with notify_errors():
+                active, path = active_calibration_for_rig(self.connection.rig)
+        if active is None or client.calibration is not None:
             then()
         else:
-            self.asking.ask(self.connection.take(known, path), lambda _: then(), otherwise=then)
+            self.requests.follow(self.connection.apply(active, path), lambda _: then(), failed=then)
 
     def cleanup(self) -> None:
-        """Let go of the engine and the viewer."""
-        if self._left:
+        """Release the engine and disconnect from the viewer."""
+        if self._closed:
             return
-        self._left = True
-        self.asking.stop()
+        self._closed = True
+        self.requests.stop()
         self.connection.leave()
         super().cleanup()
-        if self.parent() is None:  # the dock has let go of it, and nobody else holds it
+        if self.parent() is None:  # released by the dock, and owned by nothing else
             self.deleteLater()

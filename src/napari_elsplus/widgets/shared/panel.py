@@ -1,4 +1,4 @@
-"""What every docked panel shares: it tells errors once, and lets go of the viewer when it leaves the window."""
+"""Base class of docked panels, and the helpers that they share: errors as notifications, buttons, scripts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Panel(QWidget):
-    """A docked panel.
+    """A docked panel that disconnects from the viewer when it is removed from the window.
 
     Parameters
     ----------
@@ -32,27 +32,35 @@ class Panel(QWidget):
         self.viewer = viewer
         self._connections: list[tuple[Any, Callable[..., None]]] = []
 
-    def listen(self, emitter: Any, slot: Callable[..., None]) -> None:
-        """Connect a signal of the viewer until the panel goes."""
+    def connect_signal(self, emitter: Any, slot: Callable[..., None]) -> None:
+        """Connect a signal of the viewer until the panel is removed.
+
+        Parameters
+        ----------
+        emitter : psygnal or napari event emitter
+            Has ``connect`` and ``disconnect``.
+        slot : callable
+            Called with the event.
+        """
         emitter.connect(slot)
         self._connections.append((emitter, slot))
 
     def cleanup(self) -> None:
-        """Disconnect from the viewer; a panel that changed it puts it back first."""
+        """Disconnect from the viewer; a panel that changed the viewer overrides this to restore it first."""
         for emitter, slot in self._connections:
             emitter.disconnect(slot)
         self._connections.clear()
 
     def event(self, event: QEvent | None) -> bool:
-        """Clean up when the dock lets go of the panel: napari takes its parent away."""
+        """Call :meth:`cleanup` when the dock releases the panel: napari removes its parent then."""
         if event is not None and event.type() == QEvent.Type.ParentChange and self.parent() is None:
             self.cleanup()
         return bool(super().event(event))
 
 
 @contextmanager
-def told() -> Iterator[None]:
-    """Show an error that the user can mend as one notification, its remedy in it."""
+def notify_errors() -> Iterator[None]:
+    """Return a context that shows an expected error as one notification, with its remedy."""
     try:
         yield
     except (ElsPlusError, OSError) as error:
@@ -60,21 +68,33 @@ def told() -> Iterator[None]:
 
 
 def copy_as_script(text: str) -> None:
-    """Put a script on the clipboard, and say so."""
+    """Copy text to the clipboard and confirm it in a notification."""
     clipboard = QApplication.clipboard()
     if clipboard is not None:
         clipboard.setText(text)
-        show_info("the script is on the clipboard")
+        show_info("script copied to the clipboard")
 
 
-def allow(button: PushButton, able: bool, does: str, first: str) -> None:
-    """Enable a button or not; its tooltip says what it does and, where it cannot be pressed, what comes first."""
-    button.enabled = able
-    button.tooltip = does if able else f"{does}; first {first}"
+def set_enabled(button: PushButton, enabled: bool, does: str, first: str) -> None:
+    """Enable or disable a button, with the reason in its tooltip.
+
+    Parameters
+    ----------
+    button : magicgui.widgets.PushButton
+        The button.
+    enabled : bool
+        Whether it can be pressed.
+    does : str
+        What it does.
+    first : str
+        What the user has to do first where it is disabled.
+    """
+    button.enabled = enabled
+    button.tooltip = does if enabled else f"{does}; first {first}"
 
 
 def button_row(*buttons: Widget) -> QHBoxLayout:
-    """Put buttons next to each other."""
+    """Return a horizontal layout of buttons."""
     row = QHBoxLayout()
     for button in buttons:
         row.addWidget(button.native)

@@ -1,4 +1,4 @@
-"""Plots in napari's colours, that colour-blind eyes can read, saved as PNG or CSV."""
+"""Line plots in the viewer's theme with a colour-blind-safe palette, saved as PNG or CSV."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PALETTE: Final = {
     "vermilion": ("#ff8a4d", "#c04a00"),
     "purple": ("#e6a0c8", "#a3568a"),
 }
-"""Okabe and Ito's hues, each on a dark and on a light ground."""
+"""Hues of Okabe and Ito (2008), each for dark and for light backgrounds."""
 DASHES: Final = {
     "none": Qt.PenStyle.NoPen,
     "solid": Qt.PenStyle.SolidLine,
@@ -38,11 +38,21 @@ DASHES: Final = {
     "dotted": Qt.PenStyle.DotLine,
 }
 EXPORT_WIDTH_PX: Final = 1600
+"""Width of an exported picture, pixels: 300 dpi over 135 mm, a page's text width."""
 _SHORT_NAME: Final = 8
+"""Characters; legends of names no longer than this fit three columns into a dock of 280 px."""
 
 
-def ink_on(theme: str, colour: str) -> str:
-    """Return a colour of the palette as it is drawn on the ground of one of napari's themes."""
+def theme_colour(theme: str, colour: str) -> str:
+    """Return a colour of the palette as hex, for the background of a theme.
+
+    Parameters
+    ----------
+    theme : str
+        Name of a napari theme.
+    colour : str
+        A key of `PALETTE`.
+    """
     return PALETTE[colour][0 if get_theme(theme).type == "dark" else 1]
 
 
@@ -59,7 +69,7 @@ class Curve:
     colour : str
         A key of `PALETTE`.
     dash : str
-        A key of `DASHES`: told apart without colour.
+        A key of `DASHES`; distinguishes curves without colour.
     marks : bool
         Whether each point is marked.
     listed : bool
@@ -111,19 +121,19 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         self._legend = pg.LegendItem(colCount=4, labelTextSize="8pt", verSpacing=-4)
         self.plotItem.layout.addItem(self._legend, 4, 1)  # below the curves, where it hides none
         self.plotItem.legend = self._legend
-        self.follow(theme)
+        self.apply_theme(theme)
 
     def sizeHint(self) -> QSize:
-        """Ask for no more room than a dock gives."""
+        """Return a size that fits into a dock."""
         return QSize(280, 220)
 
     @property
     def curves(self) -> tuple[Curve, ...]:
-        """What is drawn."""
+        """The curves that are drawn."""
         return tuple(self._curves)
 
-    def follow(self, theme: str) -> None:
-        """Take the colours of one of napari's themes."""
+    def apply_theme(self, theme: str) -> None:
+        """Redraw in the colours of a napari theme, given by name."""
         colours = get_theme(theme)
         self._theme = theme
         self._text = colours.text.as_hex()
@@ -148,7 +158,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         bottom: str | None = None,
         left: str | None = None,
     ) -> None:
-        """Draw curves in place of what was drawn.
+        """Replace the plot's content.
 
         Parameters
         ----------
@@ -164,15 +174,17 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         self._curves, self._marks, self._bands = list(curves), list(marks), list(bands)
         before, self._drawn_as = self._drawn_as, self._structure(bottom, left)
         if before == self._drawn_as:
-            self._renew()
+            self._update_data()
             return
         self._labels |= {side: text for side, text in (("bottom", bottom), ("left", left)) if text is not None}
         for side, text in self._labels.items():
-            self.setLabel(side, text, siPrefixEnableRanges=(), color=self._text)  # no scale that is not told
+            self.setLabel(
+                side, text, siPrefixEnableRanges=(), color=self._text
+            )  # no SI prefix: the label states the unit
         self.plotItem.clear()
         self._regions, self._lines = [], []
         for band in self._bands:
-            brush = pg.mkBrush(self.ink(band.colour) + "50")
+            brush = pg.mkBrush(self.colour(band.colour) + "50")
             self._regions.append(
                 pg.LinearRegionItem((band.start, band.stop), brush=brush, pen=pg.mkPen(None), movable=False)
             )
@@ -180,43 +192,52 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         short = all(len(curve.name) <= _SHORT_NAME for curve in self._curves)
         self._legend.setColumnCount(3 if short else 1)
         for curve in self._curves:
-            ink = self.ink(curve.colour)
+            ink = self.colour(curve.colour)
             pen = pg.mkPen(ink, width=2, style=DASHES[curve.dash])
             symbol = {"symbol": "o", "symbolSize": 5, "symbolBrush": ink, "symbolPen": None} if curve.marks else {}
             name = curve.name if curve.listed else None
             self._lines.append(self.plot(np.asarray(curve.x), np.asarray(curve.y), pen=pen, name=name, **symbol))
         for index, (position, colour, text) in enumerate(self._marks):
-            options: dict[str, Any] = {"position": 0.92 - 0.13 * (index % 4), "color": self.ink(colour), "fill": None}
-            pen = pg.mkPen(self.ink(colour), width=1, style=Qt.PenStyle.DotLine)
+            options: dict[str, Any] = {
+                "position": 0.92 - 0.13 * (index % 4),
+                "color": self.colour(colour),
+                "fill": None,
+            }
+            pen = pg.mkPen(self.colour(colour), width=1, style=Qt.PenStyle.DotLine)
             self.addItem(pg.InfiniteLine(position, angle=90, pen=pen, label=text, labelOpts=options))
 
     def _structure(self, bottom: str | None, left: str | None) -> object:
-        """Everything of a plot but its numbers."""
+        """Return all of a plot but its numbers."""
         curves = [(curve.name, curve.colour, curve.dash, curve.marks, curve.listed) for curve in self._curves]
         return curves, self._marks, [band.colour for band in self._bands], bottom, left, self._theme
 
-    def _renew(self) -> None:
-        """Put new numbers into what is drawn: quick, and neither axes nor legend jump."""
+    def _update_data(self) -> None:
+        """Replace the numbers of what is drawn, without relayout of axes and legend."""
         for line, curve in zip(self._lines, self._curves, strict=True):
             line.setData(np.asarray(curve.x), np.asarray(curve.y))
         for region, band in zip(self._regions, self._bands, strict=True):
             region.setRegion((band.start, band.stop))
 
-    def ink(self, colour: str) -> str:
-        """Return a colour of the palette as it is drawn on the present ground."""
-        return ink_on(self._theme, colour)
+    def colour(self, colour: str) -> str:
+        """Return a colour of the palette as hex, for the present background."""
+        return theme_colour(self._theme, colour)
 
     def save(self, path: str | Path) -> None:
-        """Save the plot: as a picture to NAME.png, its numbers to NAME.csv; an existing file is replaced.
+        """Save the plot as a picture (NAME.png) or its numbers as a table (NAME.csv); an existing file is replaced.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.png`` or ``.csv``.
 
         Raises
         ------
         InputError
-            If nothing is drawn, or the name ends otherwise.
+            If nothing is drawn, or the path has another suffix.
         """
         path = Path(path)
         if not self._curves:
-            raise InputError("there is nothing in the plot", "draw a line, or measure, first")
+            raise InputError("the plot is empty", "draw a line, or measure, first")
         if path.suffix.lower() == ".csv":
             write_table(path, self.columns(), force=True)
         elif path.suffix.lower() == ".png":
@@ -225,7 +246,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
             with replacing(path, force=True) as beside:
                 exporter.export(str(beside))
         else:
-            raise InputError(f"{path.name} is neither a picture nor a table", "let it end in .png or .csv")
+            raise InputError(f"{path.name} is neither a picture nor a table", "give it the suffix .png or .csv")
 
     def columns(self) -> dict[str, NDArray[np.floating]]:
         """Return the curves as the columns of a table; a shared x is written once."""

@@ -1,6 +1,6 @@
-"""napari's shapes, made ready before they are needed.
+"""Compilation of napari's shape layers before the first one is needed.
 
-napari compiles what draws its shapes when the first one is made, which takes seconds once on every installation.
+napari compiles their triangulation when the first shape is made, which takes seconds once on every installation.
 """
 
 from __future__ import annotations
@@ -10,6 +10,6 @@ from napari.layers import Shapes
 
 
 def prepare_shapes() -> None:
-    """Make one shape of each kind that the panels use, shown nowhere; to be called beside the window."""
+    """Compile the drawing of lines, rectangles and ellipses; call it in a thread."""
     corners = np.array([(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)])
     Shapes([corners[:2], corners, corners], shape_type=["line", "rectangle", "ellipse"])

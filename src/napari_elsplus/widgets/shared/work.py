@@ -1,4 +1,4 @@
-"""Long work beside the window: its progress, its cancellation, and its error told once."""
+"""Long computations in a thread: progress bar, Cancel button, and errors as notifications."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     Item = TypeVar("Item")
 
 POLL_MS = 100
+"""Interval at which the bar is updated, milliseconds; chosen, faster than a bar can be read."""
 
 
 class Cancelled(Exception):
@@ -25,14 +26,14 @@ class Cancelled(Exception):
 
 
 class Work(QWidget):
-    """A progress bar with a Cancel button; hidden while nothing is done.
+    """A progress bar with a Cancel button that runs one computation at a time; hidden while idle.
 
     Parameters
     ----------
     ended : callable
-        Called whenever work has ended, however it did.
+        Called after each computation, also a failed or cancelled one.
     cancel : callable
-        Called when the work is cancelled, to end what is done elsewhere.
+        Called on Cancel, to end a computation in another process.
     """
 
     def __init__(self, ended: Callable[[], None], cancel: Callable[[], None] = lambda: None) -> None:
@@ -44,7 +45,7 @@ class Work(QWidget):
         self._worker: Any = None
         self._bar = QProgressBar()
         self._cancel = QPushButton("Cancel")
-        self._cancel.setToolTip("Stop at the next frame; nothing is changed")
+        self._cancel.setToolTip("Stop after this frame; nothing is changed")
         self._cancel.clicked.connect(self.cancel)
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
@@ -57,27 +58,27 @@ class Work(QWidget):
 
     @property
     def busy(self) -> bool:
-        """Whether work is being done."""
+        """True while a computation runs."""
         return self._worker is not None
 
     def begin(self, total: int, work: Callable[[], Any], finished: Callable[[Any], None]) -> None:
-        """Do work in a thread.
+        """Run a computation in a thread.
 
         Parameters
         ----------
         total : int
-            How many steps :meth:`watch` will count.
+            Number of steps that :meth:`progress` will count; 0 if unknown.
         work : callable
             Runs in the thread.
         finished : callable
-            Gets the result, in the window's thread; not called after a failure or Cancel.
+            Called with the result in the window's thread; not called after a failure or Cancel.
         """
         self._cancelled.clear()
         self._done = 0
         self._bar.setRange(0, total)
         self._finished = finished
 
-        once = [work]  # napari keeps its workers, so that they shall keep nothing
+        once = [work]  # napari keeps references to workers: they must hold none to data
 
         def guarded() -> tuple[Any, Exception | None]:
             try:
@@ -91,26 +92,34 @@ class Work(QWidget):
         self._poll.start()
         self._worker.start()
 
-    def watch(self, items: Iterable[Item]) -> Iterator[Item]:
-        """Go through items in the thread: count them, and stop when cancelled."""
+    def progress(self, items: Iterable[Item]) -> Iterator[Item]:
+        """Iterate over items in the thread: count them for the bar, and raise `Cancelled` after Cancel."""
         for item in items:
             self.stop_if_cancelled()
             yield item
             self._done += 1
 
     def stop_if_cancelled(self) -> None:
-        """In the thread: end the work if it was cancelled.
+        """End the computation, in its thread, if the user has cancelled.
 
         Raises
         ------
         Cancelled
-            If so.
+            After Cancel.
         """
         if self._cancelled.is_set():
             raise Cancelled
 
-    def tell(self, text: str, done: int, total: int) -> None:
-        """Say how far work is that is done elsewhere, with its name in the bar."""
+    def show_step(self, text: str, done: int, total: int) -> None:
+        """Show the progress of a computation in another process.
+
+        Parameters
+        ----------
+        text : str
+            Name of the step, written into the bar.
+        done, total : int
+            Steps done, and of how many.
+        """
         self._done = done
         self._bar.setRange(0, total)
         self._bar.setFormat(f"{text} %p %")

@@ -1,4 +1,4 @@
-"""Notice that the window is closed: a docked panel is not told."""
+"""Detect that the main window closes: a docked panel receives no event then."""
 
 from __future__ import annotations
 
@@ -11,39 +11,40 @@ if TYPE_CHECKING:
 
     from qtpy.QtWidgets import QWidget
 
-LOOK_MS: Final = 20
+SEARCH_INTERVAL_MS: Final = 20
+"""Interval of the search for the main window until the panel is docked, milliseconds; chosen."""
 
 
-class WindowEnd(QObject):
-    """Calls back when the main window closes that a panel is docked to, also where the dock floats.
+class WindowCloseFilter(QObject):
+    """Calls a function when the main window of a docked panel closes, also where the dock floats.
 
     Parameters
     ----------
     panel : QWidget
-        The panel; docked sooner or later.
-    left : callable
+        The panel; may be docked later.
+    closed : callable
         Called when the window closes; may be called more than once.
     """
 
-    def __init__(self, panel: QWidget, left: Callable[[], None]) -> None:
+    def __init__(self, panel: QWidget, closed: Callable[[], None]) -> None:
         super().__init__(panel)
-        self._panel, self._left = panel, left
-        self._look = QTimer(self)
-        self._look.setInterval(LOOK_MS)
-        self._look.timeout.connect(self._find)
-        self._look.start()
+        self._panel, self._closed = panel, closed
+        self._search = QTimer(self)
+        self._search.setInterval(SEARCH_INTERVAL_MS)
+        self._search.timeout.connect(self._find)
+        self._search.start()
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """See the window close: it is hidden then, by the program and not by the screen."""
+        """Detect that the watched window closes, by the event that hides it; see :meth:`QObject.eventFilter`."""
         if event is not None and event.type() in (QEvent.Type.Hide, QEvent.Type.Close):
             window = self._window()
             hides = event.type() == QEvent.Type.Hide and not event.spontaneous()
             if watched is window and (hides or (event.type() == QEvent.Type.Close and not window.isVisible())):
-                self._left()
+                self._closed()
         return bool(super().eventFilter(watched, event))
 
     def _window(self) -> QWidget:
-        """Find the outermost widget; not kept, so that the window can go."""
+        """Return the outermost widget; no reference is kept, so that the window can be deleted."""
         widget = self._panel
         while (parent := widget.parentWidget()) is not None:
             widget = parent
@@ -52,5 +53,5 @@ class WindowEnd(QObject):
     def _find(self) -> None:
         window = self._window()
         if window is not self._panel:
-            self._look.stop()
+            self._search.stop()
             window.installEventFilter(self)

@@ -1,4 +1,4 @@
-"""Images next to each other in the viewer for a while, a line across all of them; the user's layers come back after."""
+"""Layers of a comparison: images side by side with a line across all of them; the user's layers are restored after."""
 
 from __future__ import annotations
 
@@ -25,42 +25,44 @@ if TYPE_CHECKING:
 PREFIX: Final = "compare"
 LINE_COLOUR: Final = "#f0e442"
 SIGNED: Final = Colormap([[0.34, 0.71, 0.91], [0, 0, 0], [0.9, 0.62, 0]], name="ELS+ difference")
-"""Blue below zero, orange above, black in between: told apart by everyone."""
+"""Blue below zero, orange above, black at zero: colour-blind safe."""
 _LINE_SHARE: Final = (0.15, 0.85)
+"""Ends of the first line, fractions of an image's width; chosen, inside the bundle."""
 _FILLED: Final = 0.95
+"""Share of the canvas that the images fill; chosen."""
 
 
 @dataclass(frozen=True)
-class Exhibit:
-    """One of the images.
+class ComparedImage:
+    """One of the compared images.
 
     Attributes
     ----------
     title : str
-        What it is called.
+        Its title.
     planes : LazyPlanes
-        (T, n, n), all of one size.
-    ink : str
+        (T, n, n), of one size in a comparison.
+    colour : str
         Colour of its title.
     signed : bool
-        Whether zero lies in the middle of the colours.
+        Use a colormap symmetric about zero.
     """
 
     title: str
     planes: LazyPlanes
-    ink: str
+    colour: str
     signed: bool = False
 
 
-class Stage:
-    """A place in the viewer for images that are compared.
+class ComparisonLayers:
+    """Layers of a comparison in the user's viewer.
 
     Parameters
     ----------
     viewer : napari.Viewer
         The viewer.
     line_moved : callable
-        Called when the user has drawn or moved the line.
+        Called after the user has drawn or moved the line.
     """
 
     def __init__(self, viewer: napari.viewer.Viewer, line_moved: Callable[[], None]) -> None:
@@ -72,54 +74,68 @@ class Stage:
         self._line: Shapes | None = None
         self._titles: Points | None = None
         self._camera: tuple[Any, float] | None = None
-        self._folding = False
+        self._setting_line = False
         self.images: list[Image] = []
 
     @property
     def _line_px(self) -> float:
-        """Width of the line in pixels of the images: to be seen where they are small on the screen, too."""
+        """Width of the line, pixels of the images; visible also where they are small on the screen."""
         return max(1.0, self._side / 100)
 
     @property
     def intact(self) -> bool:
-        """Whether all of its layers are still in the viewer."""
+        """True while all of its layers are in the viewer."""
         return all(layer in self._viewer.layers for layer in self._layers())
 
     @property
     def line(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Ends of the line, (row, col) in pixels of the images; None if the user took it away."""
+        """Ends of the line, (row, col) in pixels of the images; None if the user removed it."""
         if self._line is None or not len(self._line.data):
             return None
         (row, col), (row_end, col_end) = np.asarray(self._line.data[0])[:, -2:].tolist()
         return (row, col), (row_end, col_end)
 
-    def begin(self, exhibits: Sequence[Exhibit], stack: Stack, calibration: Calibration, *, apart: bool = True) -> None:
-        """Hide the user's layers, and show the images next to each other, or all in one place."""
+    def begin(
+        self, images: Sequence[ComparedImage], stack: Stack, calibration: Calibration, *, apart: bool = True
+    ) -> None:
+        """Hide the user's layers and display the images.
+
+        Parameters
+        ----------
+        images : sequence of ComparedImage
+            From left to right.
+        stack : Stack
+            Recording they were made from; gives the first axis.
+        calibration : Calibration
+            Gives the scale.
+        apart : bool
+            Side by side; otherwise all in one place.
+        """
         self._hidden = {layer: layer.visible for layer in self._viewer.layers}
         self._selected = set(self._viewer.layers.selection)
         for layer in self._hidden:
             layer.visible = False
-        self._side = exhibits[0].planes.shape[-1]
-        self._offsets_px = [index * (self._side + GAP_PX) if apart else 0 for index in range(len(exhibits))]
-        for exhibit, offset in zip(exhibits, self._offsets_px, strict=True):
-            words = attributes(stack, exhibit.title, calibration, origin_px=(0, offset))
-            words["name"] = f"{PREFIX} {exhibit.title}"
+        self._side = images[0].planes.shape[-1]
+        self._offsets_px = [index * (self._side + GAP_PX) if apart else 0 for index in range(len(images))]
+        for one, offset in zip(images, self._offsets_px, strict=True):
+            options = attributes(stack, one.title, calibration, origin_px=(0, offset))
+            options["name"] = f"{PREFIX} {one.title}"
             image = Image(
-                exhibit.planes.dask(), cache=False, colormap=SIGNED if exhibit.signed else "gray",
-                interpolation2d=SMOOTH, **words,
+                one.planes.dask(), cache=False, colormap=SIGNED if one.signed else "gray",
+                interpolation2d=SMOOTH, **options,
             )  # fmt: skip
             self.images.append(image)
             self._viewer.layers.append(image)
-        place = {key: words[key][1:] for key in ("scale", "units", "axis_labels")}
-        self._add_titles(exhibits, place)
+        place = {key: options[key][1:] for key in ("scale", "units", "axis_labels")}
+        self._add_titles(images, place)
         self._add_line(place)
-        self._look_at_all(place["scale"])
+        self._fit_camera(place["scale"])
 
     def end(self) -> None:
-        """Take the images and the line away, and show the user's layers as they were."""
+        """Remove the images and the line, and restore the user's layers."""
         ours, self.images, self._line, self._titles = self._layers(), [], None, None
         self._viewer.layers.selection = {layer for layer in ours if layer in self._viewer.layers}
-        self._viewer.layers.remove_selected()  # at once: napari collects garbage after each removal
+        self._viewer.layers.remove_selected()  # all at once: napari collects garbage after each removal
         for layer, visible in self._hidden.items():
             layer.visible = visible
         if self._hidden:
@@ -129,21 +145,27 @@ class Stage:
             self._camera = None
         self._hidden = {}
 
-    def lay_line(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Lay the line across every image; its ends are (row, col) in pixels of the images."""
+    def set_line(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Draw the line on every image.
+
+        Parameters
+        ----------
+        start, end : tuple of float
+            (row, col) in pixels of the images.
+        """
         if self._line is None:
             return
         own, mode = np.array([start, end], np.float64), self._line.mode
-        self._folding = True
+        self._setting_line = True
         try:
             self._line.data = [(own + np.array([0, offset]), "line") for offset in dict.fromkeys(self._offsets_px)]
             self._line.edge_width = [self._line_px] * len(self._line.data)  # napari makes new ones 1 wide
             self._line.mode = mode
         finally:
-            self._folding = False
+            self._setting_line = False
 
     def show_next(self) -> None:
-        """Show one image alone, the next at each call."""
+        """Display one image alone, the next one at each call."""
         lit = [index for index, image in enumerate(self.images) if image.visible]
         chosen = 0 if len(lit) != 1 else (lit[0] + 1) % len(self.images)
         for index, image in enumerate(self.images):
@@ -151,18 +173,18 @@ class Stage:
         if self._titles is not None:
             self._titles.shown = np.arange(len(self.images)) == chosen
 
-    def ink_titles(self, inks: Sequence[str]) -> None:
-        """Write the titles in other colours, one for each image."""
+    def set_title_colours(self, colours: Sequence[str]) -> None:
+        """Set the colours of the titles, one for each image."""
         if self._titles is not None:
-            self._titles.text.color = list(inks)
+            self._titles.text.color = list(colours)
 
     def _layers(self) -> list[Image | Shapes | Points]:
         marks = (self._titles, self._line)
         return [*self.images, *(mark for mark in marks if mark is not None)]
 
-    def _add_titles(self, exhibits: Sequence[Exhibit], place: dict[str, Any]) -> None:
+    def _add_titles(self, images: Sequence[ComparedImage], place: dict[str, Any]) -> None:
         corners = [(-0.03 * self._side, offset) for offset in self._offsets_px]
-        text = {"string": [one.title for one in exhibits], "color": [one.ink for one in exhibits], "size": 12}
+        text = {"string": [one.title for one in images], "color": [one.colour for one in images], "size": 12}
         self._titles = Points(
             corners, name=f"{PREFIX} titles", size=1, face_color="transparent", border_color="transparent",
             text={**text, "anchor": "upper_left"}, **place,
@@ -170,7 +192,7 @@ class Stage:
         self._titles.editable = False
         self._viewer.layers.append(self._titles)
 
-    def _look_at_all(self, scale: tuple[float, float]) -> None:
+    def _fit_camera(self, scale: tuple[float, float]) -> None:
         camera = self._viewer.scene.camera
         self._camera = (camera.center, camera.zoom)
         rows, cols = self._side * scale[0], (self._offsets_px[-1] + self._side) * scale[1]
@@ -187,20 +209,20 @@ class Stage:
         )  # fmt: skip
         self._viewer.layers.append(self._line)
         self._line.events.data.connect(self._line_changed)
-        self.lay_line(start, end)
+        self.set_line(start, end)
         self._line.mode = "add_line"
 
     def _line_changed(self, event: Any) -> None:
-        """Take the line that was drawn or moved last, and lay it across every image."""
-        if self._folding or self._line is None or str(event.action) not in ("added", "changed"):
+        """Copy the line that was drawn or moved last to every image."""
+        if self._setting_line or self._line is None or str(event.action) not in ("added", "changed"):
             return
         if len(self._line.data):
             chosen = event.data_indices[-1] if event.data_indices else -1
-            self._fold(np.asarray(self._line.data[chosen])[:, -2:])
+            self._repeat_line(np.asarray(self._line.data[chosen])[:, -2:])
         self._line_moved()
 
-    def _fold(self, line: NDArray[np.float64]) -> None:
-        """Find the image on which a line was drawn, and lay it across all of them."""
+    def _repeat_line(self, line: NDArray[np.float64]) -> None:
+        """Copy a line from the image on which it was drawn to all of them."""
         panel = int(np.clip(line[:, 1].mean() // (self._side + GAP_PX), 0, len(self._offsets_px) - 1))
         (row, col), (row_end, col_end) = line - np.array([0, self._offsets_px[panel]])
-        self.lay_line((row, col), (row_end, col_end))
+        self.set_line((row, col), (row_end, col_end))

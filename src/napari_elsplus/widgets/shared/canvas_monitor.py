@@ -1,4 +1,4 @@
-"""Notice when the viewer's canvas has drawn, so that it is not given more than it can show."""
+"""Paint events of the viewer's canvas, so that it is given no more images than it can draw."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from qtpy.QtWidgets import QOpenGLWidget  # type: ignore[attr-defined] # where Q
 if TYPE_CHECKING:
     from qtpy.QtWidgets import QWidget
 
-PATIENCE_S: Final = 0.25
-"""A hidden canvas never draws; it is given something new after so long."""
+PAINT_TIMEOUT_S: Final = 0.25
+"""A hidden canvas is never painted; a paint is waited for no longer than this (chosen: ten times a slow redraw)."""
 
 
-class Drawing(QObject):
-    """Watches the canvas in the main window of a docked panel.
+class CanvasMonitor(QObject):
+    """Counts the paint events of the canvas in the main window of a docked panel.
 
     Parameters
     ----------
@@ -26,43 +26,43 @@ class Drawing(QObject):
     Attributes
     ----------
     drawn : int
-        How often the canvas was drawn since it is watched.
+        Paint events since the first image.
     canvas_px : tuple of int
-        Its height and width when it was drawn last.
+        Height and width of the canvas when it was painted last.
     """
 
     def __init__(self, panel: QWidget) -> None:
         super().__init__(panel)
         self._panel = panel
-        self._watches = False
-        self._asked_s: float | None = None
+        self._installed = False
+        self._updated_s: float | None = None
         self.drawn = 0
         self.canvas_px = (0, 0)
 
     @property
     def pending(self) -> bool:
-        """Whether the canvas has yet to draw what it was given last."""
-        return self._asked_s is not None and time.perf_counter() - self._asked_s < PATIENCE_S
+        """True until the last update is painted, at most for the timeout."""
+        return self._updated_s is not None and time.perf_counter() - self._updated_s < PAINT_TIMEOUT_S
 
-    def ask(self) -> None:
-        """Say that the canvas was given something new."""
-        if not self._watches:
-            self._find()
-        self._asked_s = time.perf_counter() if self._watches else None
+    def expect_paint(self) -> None:
+        """Note that the canvas was given a new image."""
+        if not self._installed:
+            self._install()
+        self._updated_s = time.perf_counter() if self._installed else None
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """See the canvas being drawn."""
+        """Count a paint event of the watched canvas; see :meth:`QObject.eventFilter`."""
         if event is not None and event.type() == QEvent.Type.Paint:
-            self._asked_s = None
+            self._updated_s = None
             self.drawn += 1
             if isinstance(watched, QOpenGLWidget):
                 self.canvas_px = watched.height(), watched.width()
         return bool(super().eventFilter(watched, event))
 
-    def _find(self) -> None:
+    def _install(self) -> None:
         window = self._panel
         while (parent := window.parentWidget()) is not None:
             window = parent
         for canvas in window.findChildren(QOpenGLWidget):
             canvas.installEventFilter(self)
-            self._watches = True
+            self._installed = True

@@ -1,0 +1,106 @@
+"""Engine requests that do not block the window: results and errors are delivered by a timer in the window's thread."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+
+from napari.utils.notifications import show_error
+from qtpy.QtCore import QObject, QTimer
+
+from napari_elsplus.errors import ElsPlusError, error_message
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    T = TypeVar("T")
+
+POLL_MS: Final = 30
+"""Interval at which futures are tested, milliseconds; chosen well below the 200 ms within which a click must act."""
+
+
+class _Request(NamedTuple):
+    """A future and its callbacks."""
+
+    future: Future[Any]
+    then: Callable[[Any], None]
+    failed: Callable[[], None]
+
+
+class PendingRequests(QObject):
+    """Delivers the results of futures in the window's thread.
+
+    Parameters
+    ----------
+    parent : QObject
+        The panel that makes the requests.
+    settled : callable
+        Called after each result or error.
+    """
+
+    def __init__(self, parent: QObject, settled: Callable[[], None]) -> None:
+        super().__init__(parent)
+        self._settled = settled
+        self._open: list[_Request] = []
+        self._pool = ThreadPoolExecutor(1, "elsplus-requests")
+        self._poll = QTimer(self)
+        self._poll.setInterval(POLL_MS)
+        self._poll.timeout.connect(self._deliver)
+
+    @property
+    def busy(self) -> bool:
+        """True while a result is outstanding."""
+        return bool(self._open)
+
+    def follow(
+        self,
+        future: Future[T],
+        then: Callable[[T], None] = lambda _: None,
+        failed: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Deliver the result of a future; show an expected error once.
+
+        Parameters
+        ----------
+        future : Future
+            Returned by a method of the engine's client.
+        then : callable
+            Called with the result.
+        failed : callable
+            Called after an error that was shown.
+        """
+        self._open.append(_Request(future, then, failed))
+        self._poll.start()
+
+    def run(self, work: Callable[[], T], then: Callable[[T], None] = lambda _: None) -> None:
+        """Run a slow function in a thread, one at a time, then deliver its result.
+
+        Parameters
+        ----------
+        work : callable
+            Runs in the thread; it must not touch widgets or layers.
+        then : callable
+            Called with the result in the window's thread.
+        """
+        self.follow(self._pool.submit(work), then)
+
+    def stop(self) -> None:
+        """Deliver nothing any more."""
+        self._poll.stop()
+        self._open.clear()
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _deliver(self) -> None:
+        for request in [request for request in self._open if request.future.done()]:
+            self._open.remove(request)
+            error = request.future.exception()
+            if isinstance(error, (ElsPlusError, OSError)):
+                show_error(error_message(error))
+                request.failed()
+            elif error is not None:
+                raise error
+            else:
+                request.then(request.future.result())
+            self._settled()
+        if not self._open:
+            self._poll.stop()
