@@ -13,7 +13,7 @@ from napari_elsplus.io import write_calibration, write_column, write_stack
 from napari_elsplus.processing.analysis.axial_response import axial_response
 from napari_elsplus.viewing import axial as viewing_axial
 from napari_elsplus.viewing.axial import Scan
-from napari_elsplus.widgets.analysis.axial import BY_HAND, SIMULATED, STACK
+from napari_elsplus.widgets.analysis.axial import MANUAL, SIMULATED, STACK
 
 PLUGIN = "napari-elsplus"
 
@@ -66,7 +66,7 @@ def test_a_stack_is_measured_beside_the_window_and_saved(viewer, panel, scan_fil
 
 def test_frames_are_taken_by_hand_at_the_depths_that_are_set(viewer, panel, scan_file, said):
     viewer.open(str(scan_file), plugin=PLUGIN)
-    panel.source.value = BY_HAND
+    panel.source.value = MANUAL
     panel.depth_step.value = 10
     for k in range(4):
         viewer.dims.set_current_step(0, k)
@@ -83,7 +83,7 @@ def test_frames_are_taken_by_hand_at_the_depths_that_are_set(viewer, panel, scan
 def test_a_live_image_is_a_single_frame(viewer, panel):
     live = Image(frames()[2], name="live raw", metadata={"elsplus": {"kind": "raw", "calibration": calibration()}})
     viewer.layers.append(live)
-    panel.source.value = BY_HAND
+    panel.source.value = MANUAL
     panel.take.native.click()
     assert "1 of at least 3" in panel.numbers.text()
     live.data = frames()[2][:50]
@@ -94,7 +94,7 @@ def test_a_live_image_is_a_single_frame(viewer, panel):
 def test_a_frame_that_does_not_fit_is_one_notification(viewer, panel, said):
     metadata = {"elsplus": {"kind": "raw", "calibration": calibration()}}
     viewer.layers.append(Image(np.zeros((50, 60), np.uint8), name="live raw", metadata=metadata))
-    panel.source.value = BY_HAND
+    panel.source.value = MANUAL
     panel.take.native.click()
     ((severity, message),) = said()
     assert severity == "error"

@@ -7,7 +7,7 @@ from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.widgets.live.status import status_text
 
 GALVO = {"volts_per_row": 1e-3, "volts_at_row_zero": 0.0, "r_squared": 1.0, "rms_rows": 0.0}
-ADVICE = "scan lag was not measured"
+ADVICE = "Scan lag not measured"
 
 
 def test_a_scan_whose_lag_is_unknown_comes_with_advice():

@@ -63,14 +63,14 @@ def mosaics(viewer):
 def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, monkeypatch):
     for box in panel.form.modes.values():
         box.value = True
-    watch = panel.work.progress
+    progress = panel.work.progress
 
     def slowly(steps):
-        for step in watch(steps):
+        for step in progress(steps):
             time.sleep(0.01)
             yield step
 
-    monkeypatch.setattr(panel.work, "watch", slowly)
+    monkeypatch.setattr(panel.work, "progress", slowly)
     panel.form.start.native.click()
     grown = set()
 
@@ -100,7 +100,7 @@ def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, 
     expected = truth().positions[-1] - truth().positions[0]
     np.testing.assert_allclose(way, expected, atol=0.5)
     assert f"<b>{FRAMES}</b> of {FRAMES} frames tracked" in panel.form.status.text()
-    assert "mm/s of at most" in panel.form.speed.text
+    assert "mm/s (limit" in panel.form.speed.text
 
 
 def test_maps_are_filled_when_they_are_looked_at(viewer, panel, qtbot):
@@ -178,7 +178,7 @@ def test_bad_input_is_one_clear_line(viewer, panel, qtbot, said, tmp_path):
     tifffile.imwrite(tmp_path / "bare" / "bare.tif", truth().frames[:5])
     viewer.open(str(tmp_path / "bare" / "bare.tif"), plugin=PLUGIN)
     panel.form.recording.value = "bare raw"
-    told("bare raw has no calibration: choose a calibration file above")
+    told("bare raw has no calibration: select a calibration file above")
     for name, frames, words in (
         ("single", np.ones((1, 60, 60)), "the stack has 1 frame"),
         ("even", np.ones((4, 60, 60)), "constant"),

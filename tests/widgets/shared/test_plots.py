@@ -45,7 +45,7 @@ def test_whatever_else_changes_is_drawn_anew(plot, change):
     marks = [(0.5, "grey", "middle")] if change == "mark" else []
     bands = [] if change == "band" else [Band(0.5, 0.6, "green")]
     if change == "theme":
-        plot.follow("light")
+        plot.apply_theme("light")
     else:
         plot.draw([curve], marks=marks, bands=bands)
     assert len(drawn(plot)) == 1

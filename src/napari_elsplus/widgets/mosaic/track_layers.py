@@ -61,7 +61,7 @@ def _draw_lines(own: OwnLayers, drawn: TrackGeometry, place: tuple[float, float]
     if not made:
         layer.data = drawn.lines
         layer.features = features
-        layer.renew_colors()
+        layer.refresh_colors()
     set_translation(layer, place)
     width = max(2.0, _LINE_SHARE * span_px)
     if layer.edge_width != width:
