@@ -5,6 +5,7 @@ python3 run.py               opens napari with the plugin; without a screen runs
 python3 run.py test          lint, types and tests
 python3 run.py test --all    the same, with the slow accuracy sweeps
 python3 run.py bench NAME    speed against accuracy: a benchmark's table, CSV and chart; ``bench --help`` lists all
+python3 run.py bench docs    every chart and table of the documentation, measured anew
 
 What is installed goes into ``.venv`` beside this file; the first run takes some minutes, the next ones seconds.
 """
@@ -81,9 +82,9 @@ def environment(**more: str) -> dict[str, str]:
     return {**kept, **more}
 
 
-def run(command: list[str], **more_environment: str) -> int:
+def run(command: list[str], folder: Path = ROOT, **more_environment: str) -> int:
     """Run a command to its end and give its exit code; an interruption or termination of ours reaches it."""
-    child = subprocess.Popen(command, cwd=str(ROOT), env=environment(**more_environment))
+    child = subprocess.Popen(command, cwd=str(folder), env=environment(**more_environment))
     before = signal.signal(signal.SIGTERM, lambda *_: child.terminate())
     try:
         code = child.wait()
@@ -253,9 +254,9 @@ def test(everything: bool) -> int:
 
 
 def bench(arguments: list[str]) -> int:
-    """Run the benchmarks' own command line."""
+    """Run the benchmarks' own command line in the user's folder, so that relative paths are the user's."""
     prepare()
-    return run([python(), "-m", "benchmarks", *arguments])
+    return run([python(), "-m", "benchmarks", *arguments], folder=Path.cwd(), PYTHONPATH=str(ROOT))
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.documents import paper
+from benchmarks.documents import calibration_accuracy, mosaicing, paper, physics
+from benchmarks.documents.architecture import draw_architecture, read_rooms
 from benchmarks.documents.benchmark import draw_benchmark
 from benchmarks.documents.pages import fill
 from benchmarks.harness.methods import Chart
@@ -17,21 +19,27 @@ from benchmarks.harness.registry import MODULES, benchmark
 from benchmarks.harness.running import run
 from benchmarks.harness.table import breakdowns, header, lines, markdown, write_csv
 from benchmarks.harness.verdict import verdict
+from benchmarks.studies import line_fit
 from napari_elsplus.cli import run_program
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
+from napari_elsplus.errors import InputError
 from napari_elsplus.workflows.pictures.files import save_figure
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable
 
     from benchmarks.harness.methods import Result
 
 
 PAGES = ("performance.md", "stability.md", "paper.md")
+PAGE_PROGRAMS = ("calibration", "mosaicing", "physics", "line-fit", "architecture")
+"""What pages show beside the benchmarks; ``mosaicing-TABLE`` makes one table of it."""
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+PACKAGE = DOCS.parent / "src" / "napari_elsplus"
 
 
 class _Benchmarks(click.Group):
-    """``list``, ``peers``, ``docs``, ``paper``, and a command for each benchmark."""
+    """The commands below, and one for each benchmark."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [*super().list_commands(ctx), *MODULES]
@@ -62,36 +70,77 @@ def peers() -> None:
 
 @bench.command(name="paper")
 @click.option("--out", type=FILE, required=True, help="Folder for the figures.")
-@click.option("--quick", is_flag=True, help="Few frames: whether it runs.")
+@click.option("--quick", is_flag=True, help="Few frames: a check that it runs.")
 @force_option
 def paper_figures(out: Path, quick: bool, force: bool) -> None:
     """Draw the paper's figures on the simulated rig, and print their numbers."""
     out.mkdir(parents=True, exist_ok=True)
     with Console(stderr=True).status("paper") as status:
-        tables = paper.make(out, quick=quick, force=force, tell=status.update)
+        tables = paper.make(out, quick=quick, force=force, report=status.update)
     for name, table in tables.items():
         click.echo(f"{name}\n{table}\n")
 
 
 @bench.command()
-@click.option("--docs", "folder", type=FILE, required=True, help="Folder of performance.md, stability.md, paper.md.")
-@click.option("--quick", is_flag=True, help="Small cases: whether it runs, not what the pages should say.")
-@click.option("--only", multiple=True, help="A benchmark, or paper; all by default. May be given more than once.")
-def docs(folder: Path, quick: bool, only: tuple[str, ...]) -> None:
+@click.option("--out", type=FILE, required=True, help="The picture, .png or .svg.")
+@click.option("--source", type=FILE, default=PACKAGE, show_default="this checkout's", help="Folder of the package.")
+@click.option("--title", default="napari_elsplus", show_default=True, help="Words above the picture.")
+@force_option
+def architecture(out: Path, source: Path, title: str, force: bool) -> None:
+    """Draw the folders of the package, layered by their imports."""
+    refuse_outputs(out, force=force)
+    save_figure(draw_architecture(read_rooms(source), title), out, force=force)
+
+
+@bench.command()
+@click.option("--docs", "folder", type=FILE, default=DOCS, show_default="this checkout's", help="Folder of the pages.")
+@click.option("--quick", is_flag=True, help="Small cases: a check that it runs, not what the pages should say.")
+@click.option("--only", multiple=True, help="A benchmark, paper, or a page's name; all by default. May be repeated.")
+@click.option("--photographs", type=FILE, help="Folder of real ones: calibration makes only their table.")
+def docs(folder: Path, quick: bool, only: tuple[str, ...], photographs: Path | None) -> None:
     """Measure everything and put charts and tables into the documentation's pages."""
+    names = (*MODULES, "paper", *PAGE_PROGRAMS)
+    for name in only:
+        if name not in names and name.removeprefix("mosaicing-") not in mosaicing.TABLES:
+            raise InputError(f"nothing in the documentation is called {name!r}", f"choose of {', '.join(names)}")
     images = folder / "images"
     images.mkdir(parents=True, exist_ok=True)
     with Console(stderr=True).status("docs") as status:
-        for name in only or (*MODULES, "paper"):
-            if name == "paper":
-                blocks = paper.make(images, quick=quick, force=True, tell=status.update)
+        for name in only or names:
+            status.update(name)
+            if name in MODULES or name == "paper":
+                blocks = _blocks(name, images, quick, status.update)
+                put = [block for page in PAGES for block in fill(folder / page, blocks)]
+                click.echo(f"{name}: {', '.join(put) or 'in no page'}")
             else:
-                result = run(benchmark(name), quick=quick, tell=status.update)
-                save_figure(draw_benchmark(result), images / f"bench-{name}.png", force=True)
-                failures = result.benchmark.chart is Chart.FAILURES
-                blocks = {name: breakdowns(result) if failures else markdown(result), "machine": result.machine}
-            put = [block for page in PAGES for block in fill(folder / page, blocks)]
-            click.echo(f"{name}: {', '.join(put) or 'in no page'}")
+                click.echo(f"{name}: {_page(name, folder, quick, photographs)}")
+
+
+def _blocks(name: str, images: Path, quick: bool, report: Callable[[str], None]) -> dict[str, str]:
+    """Run a benchmark, or the paper's figures; draw its chart, and return its tables by their marks."""
+    if name == "paper":
+        return paper.make(images, quick=quick, force=True, report=report)
+    result = run(benchmark(name), quick=quick, report=report)
+    save_figure(draw_benchmark(result), images / f"bench-{name}.png", force=True)
+    failures = result.benchmark.chart is Chart.FAILURES
+    return {name: breakdowns(result) if failures else markdown(result), "machine": result.machine}
+
+
+def _page(name: str, folder: Path, quick: bool, photographs: Path | None) -> str:
+    """Make what a page shows beside the benchmarks, and return where it went."""
+    match name:
+        case "architecture":
+            save_figure(draw_architecture(read_rooms(PACKAGE)), folder / "images" / "architecture.png", force=True)
+            return "images/architecture.png"
+        case "line-fit":  # numbers of the model line, written by hand into physics.md and instrument presets
+            return line_fit.report(quick=quick)
+        case "calibration":
+            calibration_accuracy.make(folder, photographs, quick=quick)
+        case "physics":
+            physics.make(folder, quick=quick)
+        case _:
+            mosaicing.make(folder, tuple(name.split("-")[1:]), quick=quick)
+    return f"{name.partition('-')[0]}.md"
 
 
 def _measuring(name: str) -> click.Command:
@@ -100,7 +149,7 @@ def _measuring(name: str) -> click.Command:
         refuse_outputs(out / f"{name}.csv", out / f"{name}.png", force=force)
         console = Console(stderr=True)
         with console.status(name) as status:
-            result = run(benchmark(name), quick=quick, tell=status.update)
+            result = run(benchmark(name), quick=quick, report=status.update)
         write_csv(result, out / f"{name}.csv", force=force)
         save_figure(draw_benchmark(result), out / f"{name}.png", force=force)
         _show(result)
@@ -108,7 +157,7 @@ def _measuring(name: str) -> click.Command:
     question = benchmark(name).question
     options = [
         click.Option(["--out"], type=FILE, required=True, help="Folder for NAME.csv and NAME.png."),
-        click.Option(["--quick"], is_flag=True, help="Small cases, a single round: whether it runs, not how fast."),
+        click.Option(["--quick"], is_flag=True, help="Small cases, a single round: a check that it runs."),
         click.Option(["--force"], is_flag=True, help="Overwrite existing output files."),
     ]
     return click.Command(name, callback=measure, params=list(options), help=f"{question}.", short_help=question)

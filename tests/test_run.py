@@ -252,6 +252,29 @@ def test_windows_are_tested_on_a_virtual_screen_where_there_is_none(
     assert recorder.commands[-1][0] == run.python()
 
 
+@pytest.mark.parametrize(
+    "words", [["list"], ["line", "--out", "results", "--quick"], ["docs", "--only", "line"], ["--help"]]
+)
+def test_benchmarks_get_their_arguments_and_run_in_the_users_folder(
+    words: list[str], run: ModuleType, recorder: Recorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run.main(["bench", *words]) == 0
+    assert recorder.commands[-1] == [run.python(), "-m", "benchmarks", *words]
+    assert recorder.environments[-1] == {"folder": tmp_path, "PYTHONPATH": str(run.ROOT)}
+
+
+def test_a_benchmarks_exit_code_is_passed_on(run: ModuleType, recorder: Recorder) -> None:
+    recorder.failing = "benchmarks"
+    assert run.main(["bench", "nothing"]) == 3
+
+
+def test_the_benchmarks_are_found_from_another_folder(run: ModuleType, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "import benchmarks, pathlib; pathlib.Path('found').touch()"]
+    assert run.run(command, folder=tmp_path, PYTHONPATH=str(PROJECT)) == 0
+    assert (tmp_path / "found").exists()
+
+
 def test_an_unknown_word_is_refused(run: ModuleType, recorder: Recorder) -> None:
     with pytest.raises(SystemExit) as left:
         run.main(["tset"])

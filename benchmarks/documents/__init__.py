@@ -1,1 +1,1 @@
-"""Charts and tables of the documentation's pages."""
+"""Charts and tables of the documentation; ``python3 run.py bench docs`` makes them."""

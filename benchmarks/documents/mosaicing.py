@@ -1,11 +1,9 @@
-"""The pictures and the tables of docs/mosaicing.md: ``python -m benchmarks.documents.mosaicing --out docs``."""
+"""Pictures and tables of docs/mosaicing.md: ``python3 run.py bench docs --only mosaicing``, or ``mosaicing-TABLE``."""
 
 from __future__ import annotations
 
-import argparse
 from contextlib import suppress
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -26,6 +24,7 @@ from napari_elsplus.workflows.pictures.files import save_figure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
+    from pathlib import Path
 
     from matplotlib.axes import Axes
 
@@ -61,7 +60,7 @@ NAMES: Final = {Method.PAPER.value: "paper", TRANSLATION: "sub-pixel translation
 _SHOWN_PX: Final = 360
 
 
-def make(docs: Path, only: Collection[str] = ()) -> None:
+def make(docs: Path, only: Collection[str] = (), *, quick: bool = False) -> None:
     """Measure, draw and tabulate everything in docs/mosaicing.md.
 
     Parameters
@@ -70,6 +69,8 @@ def make(docs: Path, only: Collection[str] = ()) -> None:
         Folder of ``mosaicing.md``; pictures go into its folder ``images``.
     only : collection of str
         Names of the tables that are made anew, with the pictures beside them; all by default.
+    quick : bool
+        Few frames and pairs: a check that it runs.
 
     Raises
     ------
@@ -79,19 +80,22 @@ def make(docs: Path, only: Collection[str] = ()) -> None:
     page, images = docs / "mosaicing.md", docs / "images"
     require_marks(page, TABLES)
     for name in only or TABLES:
-        fill(page, {name: "\n".join(TABLES[name](images))})
+        fill(page, {name: "\n".join(TABLES[name](images, quick))})
 
 
-def _methods(images: Path) -> list[str]:
-    measured = {scenario: outcomes(scenario) for scenario in SCENARIOS}
+def _methods(images: Path, quick: bool) -> list[str]:
+    measured = {scenario: outcomes(scenario) for scenario in SCENARIOS[: 1 if quick else None]}
     save_figure(draw_mosaics(measured[FAST]), images / "mosaicing-mosaics.png", force=True)
     save_figure(draw_errors(measured[FAST]), images / "mosaicing-errors.png", force=True)
     return table(measured)
 
 
-def _gate(images: Path) -> list[str]:
+def _gate(images: Path, quick: bool) -> list[str]:
     ways = [(count, jerks) for count in FIBRES for jerks in (False, True)]
-    links = {(count, jerks): judged_links(JUDGED_FRAMES, SEEDS, count, jerks=jerks) for count, jerks in ways}
+    links = {
+        (count, jerks): judged_links(JUDGED_FRAMES, SEEDS[: 1 if quick else None], count, jerks=jerks)
+        for count, jerks in ways
+    }
     save_figure(draw_gate(links), images / "mosaicing-gate.png", force=True)
     return gate_table({which: gate(found) for which, found in links.items()})
 
@@ -272,21 +276,17 @@ def drift_table(found: dict[tuple[str, bool], Drift]) -> list[str]:
     return lines
 
 
-TABLES: Final[dict[str, Callable[[Path], list[str]]]] = {
+TABLES: Final[dict[str, Callable[[Path, bool], list[str]]]] = {
     "methods": _methods,
     "gate": _gate,
-    "pairs": lambda _: pairs_table(many_pairs(PAIRS)),
-    "drift": lambda _: drift_table(
-        {(name, back): drift(name, back=back) for name in ("fibres", "nuclei", "sparse") for back in (False, True)}
+    "pairs": lambda _, quick: pairs_table(many_pairs(4 if quick else PAIRS)),
+    "drift": lambda _, quick: drift_table(
+        {
+            (name, back): drift(name, back=back, frames=40 if quick else 230)
+            for name in ("fibres", "nuclei", "sparse")[: 1 if quick else None]
+            for back in (False, True)
+        }
     ),
-    "turning": lambda _: turning_table({walk: follow(walk) for walk in WALKS}),
+    "turning": lambda _, quick: turning_table({walk: follow(walk) for walk in WALKS[: 1 if quick else None]}),
 }
-"""The tables of the page, by their marks; what makes them also draws the pictures that belong to them."""
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs"), help="folder of mosaicing.md")
-    parser.add_argument("--only", nargs="+", default=(), choices=list(TABLES), help="tables that are made anew")
-    options = parser.parse_args()
-    make(options.out, options.only)
+"""Tables of the page by their marks: folder of the pictures and `quick` to lines; each also draws its pictures."""

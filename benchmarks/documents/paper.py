@@ -29,7 +29,7 @@ SHOWN: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
 
 
 def make(
-    folder: Path, *, quick: bool = False, force: bool = False, tell: Callable[[str], None] = lambda _: None
+    folder: Path, *, quick: bool = False, force: bool = False, report: Callable[[str], None] = lambda _: None
 ) -> dict[str, str]:
     """Draw the figures into a folder.
 
@@ -41,8 +41,8 @@ def make(
         Few frames: whether it runs.
     force : bool
         Overwrite existing files.
-    tell : callable
-        Is told which figure is being made.
+    report : callable
+        Called with the name of the figure in progress.
 
     Returns
     -------
@@ -55,14 +55,14 @@ def make(
         save_figure(figure, folder / f"paper-{name}.png", force=force)
         tables[f"paper-{name}"] = table
 
-    tell("calibration")
+    report("calibration")
     found = paper.calibrate_simulated(Instrument.of("120hz" if not quick else "240hz"), 20 if quick else 400)
     keep("calibration", draw_calibration(found), calibration_table(found))
-    tell("lens paper, 10 Hz")
+    report("lens paper, 10 Hz")
     frames = paper.lens_paper()
     comparison = compare(frames.raw, frames.rig.calibration, 1)
     keep("motion", draw_comparison(comparison), motion_table(frames))
-    tell("lens paper, 240 Hz")
+    report("lens paper, 240 Hz")
     frames = paper.lens_paper_mosaic(8 if quick else 168)
     made = {
         "LS": paper.mosaic(frames, Mode.LS),
@@ -71,7 +71,7 @@ def make(
         "ELS+, the paper's tracking": paper.mosaic(frames, Mode.ELS, Method.PAPER),
     }
     keep("mosaics", draw_images({name: m.image for name, m in made.items()}, 2), mosaic_table(made))
-    tell("tissue, 60 Hz")
+    report("tissue, 60 Hz")
     frames = paper.tissue(6 if quick else 60)
     single = paper.sectioned(frames, (Mode.LS, Mode.ELS))
     made = {"LS": paper.mosaic(frames, Mode.LS), "ELS+": paper.mosaic(frames, Mode.ELS)}

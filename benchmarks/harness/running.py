@@ -27,7 +27,7 @@ _FINE_S: Final = 1e-6
 REFUSED: Final = Judgement(inf, failed=True, claim=Claim.REFUSED)
 
 
-def run(benchmark: Benchmark, *, quick: bool = False, tell: Callable[[str], None] = lambda _: None) -> Result:
+def run(benchmark: Benchmark, *, quick: bool = False, report: Callable[[str], None] = lambda _: None) -> Result:
     """Measure every method on every case.
 
     Parameters
@@ -36,8 +36,8 @@ def run(benchmark: Benchmark, *, quick: bool = False, tell: Callable[[str], None
         What is compared.
     quick : bool
         Small cases and a single round: whether it runs, not how fast.
-    tell : callable
-        Is told which case is being measured.
+    report : callable
+        Called with the name of the case in progress.
     """
     rows: list[Row] = []
     absent: dict[str, str] = {}
@@ -46,7 +46,7 @@ def run(benchmark: Benchmark, *, quick: bool = False, tell: Callable[[str], None
     cv2.setNumThreads(1)
     try:
         for case in benchmark.cases(quick):
-            tell(f"{benchmark.name}: {case.name}")
+            report(f"{benchmark.name}: {case.name}")
             runners = []
             for method in benchmark.methods:
                 if method.name in absent:

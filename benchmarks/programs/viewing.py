@@ -1,6 +1,6 @@
 """Opening a 10 GB recording as napari layers and scrolling through it: time to the first image, memory.
 
-Run with asv, or by hand: ``python -m benchmarks.viewing``.
+Run with asv, or by hand: ``python -m benchmarks.programs.viewing``.
 """
 
 from __future__ import annotations

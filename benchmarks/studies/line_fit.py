@@ -1,4 +1,4 @@
-"""The model line of state a, fitted to what the paper prints: ``python -m benchmarks.studies.line_fit``.
+"""The model line of state a, fitted to what the paper prints: ``python3 run.py bench docs --only line-fit``.
 
 The paper measured on a bundle, so the fit is made with the rim of a bundle (:mod:`simulation.clipped_response`). Five
 parameters are more than its numbers determine: the share of the halo and the gap may be exchanged for one another with
@@ -43,13 +43,15 @@ class LineFit(NamedTuple):
     predicted_um: Floats
 
 
-def fit_line(start: LineModel = LINE_MODELS["a"]) -> LineFit:
+def fit_line(start: LineModel = LINE_MODELS["a"], steps: int = 20) -> LineFit:
     """Fit core, halo and spread of the line to the paper's drop-off distances of panels (a, b), the rim included.
 
     Parameters
     ----------
     start : LineModel
         Where the fit starts; its share of the halo and its gap are kept.
+    steps : int
+        Evaluations of the model at most.
     """
     targets = paper_targets()
     wanted = np.log([target.um for target in targets])
@@ -61,7 +63,7 @@ def fit_line(start: LineModel = LINE_MODELS["a"]) -> LineFit:
     def misses(logarithms: Floats) -> Floats:
         return np.asarray((np.log(predicted(targets, line_of(logarithms))) - wanted) / sigma, np.float64)
 
-    best = least_squares(misses, np.log([getattr(start, name) for name in FITTED]), diff_step=1e-3, max_nfev=20)
+    best = least_squares(misses, np.log([getattr(start, name) for name in FITTED]), diff_step=1e-3, max_nfev=steps)
     spread = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)))
     line = line_of(best.x)
     return LineFit(line, dict(zip(FITTED, spread.tolist(), strict=True)), predicted(targets, line))
@@ -84,7 +86,9 @@ def predicted(targets: list[Target], line: LineModel) -> Floats:
     return np.array([found[target.offset_um, target.share] for target in targets])
 
 
-def _told(fit: LineFit) -> str:
+def report(*, quick: bool = False) -> str:
+    """Fit the line and return its parameters and distances, a line of text each; a single step if quick."""
+    fit = fit_line(steps=1 if quick else 20)
     parameters = [
         f"{name} {getattr(fit.line, name):.4g} +- {100 * relative:.0f} %"
         for name, relative in fit.relative_uncertainty.items()
@@ -96,7 +100,3 @@ def _told(fit: LineFit) -> str:
         for target, um in zip(paper_targets(), fit.predicted_um, strict=True)
     ]
     return "\n".join([*parameters, *held, *distances])
-
-
-if __name__ == "__main__":
-    print(_told(fit_line()))  # noqa: T201

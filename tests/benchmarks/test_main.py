@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.__main__ import PAGES
+from benchmarks.__main__ import PAGE_PROGRAMS, PAGES
 from benchmarks.harness.registry import MODULES
 
 
@@ -51,6 +51,25 @@ def test_pages_are_filled_between_their_marks(bench_program, tmp_path: Path) -> 
     assert "| tilted Gaussian, all columns | default |" in text
     assert "old" not in text
     assert (tmp_path / "images" / "bench-line.png").exists()
+
+
+def test_a_page_that_is_not_there_is_bad_input(bench_program, tmp_path: Path) -> None:
+    run = bench_program("docs", "--docs", tmp_path, "--quick", "--only", "line", "--only", "weather")
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert all(name in run.err for name in (*MODULES, *PAGE_PROGRAMS))
+    for name in ("calibration", "physics", "mosaicing", "mosaicing-gate"):
+        run = bench_program("docs", "--docs", tmp_path, "--quick", "--only", name)
+        assert (run.code, run.err.count("\n")) == (2, 1), name
+        assert "there is no" in run.err
+
+
+def test_the_package_is_drawn(bench_program, tmp_path: Path) -> None:
+    picture = tmp_path / "package.svg"
+    run = bench_program("architecture", "--out", picture)
+    assert run.code == 0
+    assert picture.read_text("utf-8").startswith("<?xml")
+    assert bench_program("architecture", "--out", picture).code == 2
+    assert bench_program("architecture", "--out", picture, "--source", tmp_path / "none", "--force").code == 2
 
 
 @pytest.mark.checkout
