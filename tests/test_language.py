@@ -23,7 +23,12 @@ RETIRED = [line for line in (PROJECT / "docs" / "retired-names.txt").read_text("
 DOCUMENTED: tuple[str, ...] = (
     "cli/files",
     "diagnosis",
+    "errors.py",
     "hardware",
+    "instrument",
+    "processing/analysis",
+    "processing/compiled.py",
+    "processing/images",
     "processing/mosaicing",
     "viewing",
     "widgets/analysis",

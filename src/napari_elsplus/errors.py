@@ -1,21 +1,21 @@
-"""One way to say what went wrong: what it is, with its value, and what to do about it.
+"""Errors that users can resolve: the problem with its value, and the remedy.
 
-Whatever a user can cause or mend is raised as one of these; the command line prints it as one line, the widgets show
-it as one notification. Anything else that is raised is a defect of ours.
+The command line prints such an error as one line, the widgets show it as one notification. Any other exception is a
+defect of the software.
 """
 
 from __future__ import annotations
 
 
 class ElsPlusError(Exception):
-    """Something the user can mend.
+    """Base of all errors that the user can resolve.
 
     Parameters
     ----------
     problem : str
-        What is wrong, with the offending value in it.
+        What is wrong, including the offending value.
     remedy : str
-        What to do.
+        What to do about it.
 
     Examples
     --------
@@ -49,7 +49,7 @@ class DeviceError(ElsPlusError):
 
 
 def error_message(error: ElsPlusError | OSError) -> str:
-    """Say in one line what is wrong and what to do, also where it was the system that refused.
+    """Return the problem and the remedy of an error, also of an operating system's, as one line.
 
     Examples
     --------

@@ -94,7 +94,7 @@ def test_rows_and_volts_are_inverse() -> None:
     assert galvo.row(galvo.volts(123.4)) == pytest.approx(123.4)
 
 
-def test_scale_and_frame_period_are_told_only_where_they_are_known() -> None:
+def test_scale_and_frame_period_are_given_only_where_they_are_known() -> None:
     known = Calibration.parse(RECORD)
     assert known.um_per_px == 2.138
     assert known.frame_period_s == pytest.approx(1 / 240, rel=1e-4)

@@ -1,8 +1,7 @@
-"""The one record that everything downstream reads: where the line, the mirror and the two images are.
+"""Calibration record: slit offset, galvo map, bundle views and optics of an instrument.
 
-A calibration is measured section by section (slit offset, galvo map, bundle pair, optics), and a section that was not
-measured is absent. The record validates itself: no number in it is NaN or impossible. Files are read and written by
-:mod:`napari_elsplus.io`.
+A calibration is measured section by section, and a section that was not measured is absent. Validation refuses NaN and
+impossible numbers. Files are read and written by :mod:`napari_elsplus.io`.
 """
 
 from __future__ import annotations
@@ -17,7 +16,9 @@ from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
 from napari_elsplus.errors import CalibrationError
 
 FORMAT = "napari-elsplus/calibration"
+"""Value of the file's key `format`."""
 VERSION = 1
+"""Highest version of the file format that is read."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -32,23 +33,24 @@ CALIBRATE_COMMANDS = {
     "bundle": "calibrate --bundle",
     "optics": "calibrate --um-per-px or --bundle-um",
 }
+"""Command that measures each section, for messages."""
 
 
 class Section(BaseModel):
-    """A part of the calibration: immutable, validated, and faithful to keys that it does not know."""
+    """Section of the calibration: immutable and validated; unknown keys are kept."""
 
     model_config = ConfigDict(frozen=True, extra="allow", arbitrary_types_allowed=True)
 
 
 class FrameSection(Section):
-    """The recorded region: its shape, and the sensor pixel where it begins."""
+    """Recorded region: shape in (rows, cols), and sensor pixel (row, col) at which it begins."""
 
     shape: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
     sensor_origin: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] = (0, 0)
 
 
 class AcquiredWith(Section):
-    """The rig's settings while it was calibrated; where they differ later, sections are stale."""
+    """Settings of the rig during calibration; sections become stale where current settings differ."""
 
     rig: str | None = None
     objective: str | None = None
@@ -58,7 +60,7 @@ class AcquiredWith(Section):
 
 
 class OffsetSection(Section):
-    """Row of a standing line in the right image minus its row in the left one."""
+    """Slit offset: row of a standing line in the residual view minus its row in the confocal view, camera rows."""
 
     rows: Finite
     uncertainty_rows: NonNegative
@@ -66,7 +68,7 @@ class OffsetSection(Section):
 
 
 class GalvoSection(Section):
-    """Volts that put the line onto a row of the left image, at the confocal centre's column."""
+    """Galvo map: voltage that puts the line onto a row of the confocal view, at the confocal centre's column."""
 
     volts_per_row: Finite
     volts_at_row_zero: Finite
@@ -84,19 +86,19 @@ class GalvoSection(Section):
         return self
 
     def volts(self, row: float | NDArray[np.floating]) -> float | NDArray[np.floating]:
-        """Volts that hold the line on a row."""
+        """Return the voltage that holds the line on a row (of the recorded region, fractional)."""
         return self.volts_at_row_zero + self.volts_per_row * row
 
     def row(self, volts: float | NDArray[np.floating]) -> float | NDArray[np.floating]:
-        """Row on which the line stands at a voltage."""
+        """Return the row on which the line stands at a voltage in volts."""
         return (volts - self.volts_at_row_zero) / self.volts_per_row
 
 
 class BundleSection(Section):
-    """The pair of bundle images: centres (row, col), half-level diameter, and right mapped onto left.
+    """Bundle views: centres (row, col), half-level diameter, and view alignment.
 
     ``residual_to_confocal`` maps (row, col, 1) in the residual image to (row, col) in the confocal image;
-    ``residual_gain`` is the brightness of the right view over the left.
+    ``residual_gain`` is the brightness of the residual view over that of the confocal view.
     """
 
     confocal_centre: Point
@@ -124,7 +126,7 @@ class BundleSection(Section):
 
 
 class OpticsSection(Section):
-    """Scale and timing; each may be unknown."""
+    """Scale and timing; each None where it is unknown."""
 
     um_per_px: Positive | None = None
     line_period_s: Positive | None = None
@@ -136,7 +138,7 @@ class OpticsSection(Section):
 
 
 class QualitySection(Section):
-    """How well the two views cancel: mean |L - R/gain| / mean L in the 90 % disc, raw and after the core filter."""
+    """Alignment error of the views: mean |L - R/gain| / mean L in the 90 % disc, raw and after the core filter."""
 
     alignment_error: NonNegative
     alignment_error_filtered: NonNegative
@@ -147,7 +149,7 @@ def _now() -> str:
 
 
 class Calibration(Section):
-    """Everything that is known of a rig, as far as it was measured.
+    """Calibration of a rig: the sections that were measured, background and flat field.
 
     Parameters
     ----------
@@ -184,12 +186,12 @@ class Calibration(Section):
 
     @classmethod
     def parse(cls, content: object) -> Calibration:
-        """Validate what was read from a calibration's JSON.
+        """Return a validated calibration from the content of its JSON file.
 
         Raises
         ------
         CalibrationError
-            If it is no calibration, comes from a newer version, or holds NaN or impossible numbers.
+            If it is no calibration, has a newer version, or contains NaN or impossible numbers.
         """
         if not isinstance(content, dict) or content.get("format", FORMAT) != FORMAT:
             raise CalibrationError(f"this is no {FORMAT} record", "name the .json file that `calibrate` wrote")
@@ -210,28 +212,28 @@ class Calibration(Section):
 
     @property
     def um_per_px(self) -> float | None:
-        """Micrometres at the bundle for one camera pixel, where they are known."""
+        """Micrometres at the bundle per camera pixel; None if unknown."""
         return None if self.optics is None else self.optics.um_per_px
 
     @property
     def frame_period_s(self) -> float | None:
-        """Seconds from one frame to the next, where the timing is known."""
+        """Frame period in seconds; None if the timing is unknown."""
         optics = self.optics
         if optics is None or optics.line_period_s is None or optics.line_periods_per_frame is None:
             return None
         return optics.line_period_s * optics.line_periods_per_frame
 
     def content(self) -> dict[str, Any]:
-        """Everything but the arrays, ready for JSON; absent sections are left out, unknown keys are kept."""
+        """Return all but the arrays, ready for JSON; absent sections are left out, unknown keys are kept."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)
 
     def require(self, *sections: str) -> None:
-        """Make sure that sections were measured.
+        """Check that sections were measured.
 
         Raises
         ------
         CalibrationError
-            Naming the first that is absent and how to measure it.
+            If one is absent; names the first, and the command that measures it.
         """
         for name in sections:
             if getattr(self, name) is None:
@@ -239,7 +241,20 @@ class Calibration(Section):
                 raise CalibrationError(f"the calibration has no {name} section", f"measure it with `{how}`")
 
     def stale_sections(self, settings: AcquiredWith, frame: FrameSection | None = None) -> dict[str, str]:
-        """Sections that no longer hold, each with the reason, when the rig runs with other settings."""
+        """Return the sections that no longer hold when the rig runs with other settings.
+
+        Parameters
+        ----------
+        settings : AcquiredWith
+            Current settings of the rig; None in a field: not compared.
+        frame : FrameSection, optional
+            Current recorded region.
+
+        Returns
+        -------
+        dict of str to str
+            Reason by the name of the section, or `background`.
+        """
         stale: dict[str, str] = {}
         if frame is not None and self.frame is not None and frame.shape != self.frame.shape:
             reason = f"frame {self.frame.shape} became {frame.shape}"

@@ -1,6 +1,6 @@
-"""The instrument in numbers: pixel, magnification, line period; rows <-> micrometres <-> seconds.
+"""Optics and timing of the instrument: conversion between rows, micrometres and seconds; the paper's presets.
 
-The rolling shutter makes rows the natural unit of everything: an exposure of N line periods is a slit of N rows, the
+Rows are the natural unit of a rolling shutter: an exposure of N line periods is a slit of N rows, the
 offset between the two views is a number of rows, and rows are time. Thrapp and Hughes, Methods; their eq. (2)
 multiplies by the magnification where it must divide: slit width at the bundle = pixel pitch x rows / M.
 """
@@ -14,20 +14,20 @@ from typing import Final
 from napari_elsplus.errors import InputError
 
 PIXEL_PITCH_UM: Final = 3.63
-"""Pixel pitch of the FL3-U3-13S2M's sensor."""
+"""Pixel pitch of the sensor, micrometres (data sheet of the FL3-U3-13S2M)."""
 SENSOR_SHAPE: Final = (1048, 1328)
-"""Rows and columns of the sensor."""
+"""Rows and columns of the sensor (data sheet of the FL3-U3-13S2M)."""
 LINE_RATE_HZ: Final = 130_750.6
-"""Rows read per second, from the authors' later code; the paper's 7.63 us is the same, rounded."""
+"""Rows read per second (the authors' later code); the paper's line period of 7.63 us is the same to 0.3 %."""
 BUNDLE_UM: Final = 620.0
-"""Diameter of the imaged part of the FIGH-30-650S."""
+"""Diameter of the imaged part of the bundle FIGH-30-650S, micrometres (the paper)."""
 CORE_PITCH_UM: Final = 3.2
-"""Mean spacing of the bundle's cores."""
+"""Mean spacing of the bundle's cores, micrometres (the paper)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """Scale and timing of one set-up.
+    """Scale and timing of an optical set-up.
 
     Parameters
     ----------
@@ -64,34 +64,34 @@ class Optics:
 
     @property
     def frame_period_s(self) -> float:
-        """Seconds from one frame to the next."""
+        """Frame period in seconds."""
         return self.line_periods_per_frame * self.line_period_s
 
     @property
     def frame_rate_hz(self) -> float:
-        """Frames per second."""
+        """Frame rate in frames per second."""
         return 1 / self.frame_period_s
 
     def um(self, rows: float) -> float:
-        """Micrometres at the bundle spanned by a number of camera rows (or columns)."""
+        """Return the length in micrometres at the bundle that a number of camera rows (or columns) spans."""
         return rows * self.um_per_px
 
     def rows(self, um: float) -> float:
-        """Camera rows spanned by a length at the bundle."""
+        """Return the number of camera rows that a length in micrometres (`um`) at the bundle spans."""
         return um / self.um_per_px
 
     def exposure_s(self, slit_rows: float) -> float:
-        """Exposure that makes a slit of so many rows: eq. (1) of the paper."""
+        """Return the exposure in seconds that gives a slit of a width in rows (`slit_rows`): eq. (1) of the paper."""
         return slit_rows * self.line_period_s
 
     def at_rate(self, rate_hz: float) -> Optics:
-        """Return the same optics at another frame rate: the line period stays, the idle time grows."""
+        """Return the same optics at another frame rate in Hz: the line period stays, the idle time changes."""
         return Optics(self.um_per_px, self.line_period_s, 1 / (rate_hz * self.line_period_s))
 
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """A way to run the camera: region, objective, highest frame rate.
+    """Camera mode: region, objective, highest frame rate.
 
     Parameters
     ----------
@@ -122,16 +122,17 @@ PRESETS: Final = {
         "240hz", (524, 1328), (262, 0), "4x", Optics(CORE_PITCH_UM / 2.4, line_periods_per_frame=LINE_RATE_HZ / 240)
     ),
 }
-"""The paper's two modes: all rows through the 10x objective; half of them through the 4x, 2.4 pixels per core."""
+"""The paper's two modes: 120 Hz, all rows, 10x objective (magnification 3.778); 240 Hz, half the rows, 4x objective
+(2.4 pixels per core)."""
 
 
 def preset(name: str) -> Preset:
-    """Return the preset of that name.
+    """Return the preset with a name.
 
     Raises
     ------
     InputError
-        If there is none.
+        If no preset has that name.
     """
     try:
         return PRESETS[name]

@@ -1,8 +1,4 @@
-"""Compiled kernels that release the GIL.
-
-The only place that speaks to numba's decorators, so that every kernel is compiled alike: no Python objects, no GIL,
-kept on disk between runs where the disk allows it.
-"""
+"""Compilation of kernels by numba, all with the same options: nopython, without the GIL, cached on disk."""
 
 from __future__ import annotations
 
@@ -25,18 +21,19 @@ _OPTIONS: Final = {"nogil": True, "error_model": "numpy", "fastmath": {"contract
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function to machine code that runs without the GIL.
+    """Compile a function to machine code that releases the GIL.
 
-    The compiled code is cached beside the source, or in the user's cache folder; where neither can be written it is
-    compiled anew in each process.
+    The machine code is cached beside the source, or in the user's cache folder; where neither can be written, each
+    process compiles it again.
     """
     return _cached(partial(numba.njit, **_OPTIONS), function)
 
 
 def lean_kernel(function: Function) -> Function:
-    """Compile a kernel that works in the arrays it is given: it cannot allocate, and in return slices cost nothing.
+    """Compile a function as :func:`kernel` does, without numba's runtime.
 
-    Without numba's runtime no reference is counted; counting them is what short loops over slices spend their time on.
+    It cannot allocate arrays. In return no references are counted, which is what short loops over slices would spend
+    most of their time on.
     """
     return _cached(partial(numba.njit, _nrt=False, **_OPTIONS), function)
 
@@ -44,12 +41,12 @@ def lean_kernel(function: Function) -> Function:
 def _cached(compile_with: Callable[..., Any], function: Function) -> Function:
     try:
         return cast("Function", compile_with(cache=True)(function))
-    except RuntimeError:  # numba's word for "no folder in which the cache could be written"
+    except RuntimeError:  # raised by numba where no cache folder is writable
         return cast("Function", compile_with()(function))
 
 
 def _prefetch(_: Any, array: Any, row: Any, col: Any) -> Any:
-    """Ask for the memory of an array's element, which will be read soon; an address outside of it does no harm."""
+    """Prefetch the cache line of an array's element; an address outside of the array is harmless."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         kind = signature.args[0]
@@ -71,4 +68,4 @@ def _prefetch(_: Any, array: Any, row: Any, col: Any) -> Any:
 
 
 prefetch = cast("Callable[[NDArray[Any], int, int], None]", intrinsic(_prefetch))
-"""In a kernel: ask for the memory of array[row, col], which will be read soon."""
+"""Prefetch, within a kernel, the cache line of array[row, col], an element that will be read soon."""

@@ -12,12 +12,11 @@ import numpy as np
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.axial_response import (
     AxialResponse,
-    Saturation,
     SystematicUncertainty,
     axial_profiles,
     axial_response,
-    fit_saturation,
 )
+from napari_elsplus.processing.analysis.slit_offset import SaturationFit, fit_saturation
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -196,15 +195,15 @@ class DropOffs:
         (m,), increasing.
     drop_3db_um, drop_10db_um : numpy.ndarray
         (m,); NaN where the signal does not drop so far within the scan.
-    fit_3db, fit_10db : Saturation or None
+    fit_3db, fit_10db : SaturationFit or None
         Fits against the offset; None if there are too few scans or they do not saturate.
     """
 
     x_um: NDArray[np.float64]
     drop_3db_um: NDArray[np.float64]
     drop_10db_um: NDArray[np.float64]
-    fit_3db: Saturation | None
-    fit_10db: Saturation | None
+    fit_3db: SaturationFit | None
+    fit_10db: SaturationFit | None
 
 
 def drop_offs(scans: Sequence[Scan], against: SlitParameter | str) -> DropOffs:
@@ -232,7 +231,7 @@ def drop_offs(scans: Sequence[Scan], against: SlitParameter | str) -> DropOffs:
     return DropOffs(x, three, ten, *fits)
 
 
-def _fit(x_um: NDArray[np.float64], drop_um: NDArray[np.float64]) -> Saturation | None:
+def _fit(x_um: NDArray[np.float64], drop_um: NDArray[np.float64]) -> SaturationFit | None:
     there = np.isfinite(drop_um)
     if len(np.unique(x_um[there])) < MIN_SCANS_FOR_FIT:
         return None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.instrument.optics import BUNDLE_UM
-from napari_elsplus.processing.analysis.axial_response import contrast_to_noise
+from napari_elsplus.processing.analysis.slit_offset import contrast_to_noise
 from napari_elsplus.processing.tracking.front_end.grid import overlap_of_discs
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel, drop_offs, line_response, signal_kept
 

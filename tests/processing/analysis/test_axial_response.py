@@ -11,8 +11,6 @@ from napari_elsplus.processing.analysis.axial_response import (
     SystematicUncertainty,
     axial_profiles,
     axial_response,
-    contrast_to_noise,
-    fit_saturation,
 )
 
 DEPTH_UM = np.arange(0.0, 800.0, 2.0)
@@ -125,18 +123,3 @@ def test_a_square_larger_than_the_bundle_is_refused_and_the_scale_is_needed() ->
         axial_profiles(frames, Calibration.parse(record))
     with pytest.raises(CalibrationError, match="um_per_px"):
         axial_profiles(frames, Calibration.parse(record | {"optics": {"line_period_s": 1e-5}}))
-
-
-def test_contrast_to_noise_has_a_best_offset_only_through_noise() -> None:
-    assert contrast_to_noise(400, 0, 0) == pytest.approx(20)
-    assert contrast_to_noise(400, 100, 0) == pytest.approx(300 / np.sqrt(500))
-    assert contrast_to_noise(400, 100, 50) < contrast_to_noise(400, 100, 0)
-
-
-def test_saturation_fit_says_when_nothing_saturates() -> None:
-    offset = np.array([12.0, 29, 40, 58, 77])
-    fit = fit_saturation(offset, [16.9, 35, 41.8, 48.4, 53])
-    assert fit.limit_um == pytest.approx(58, abs=5)
-    assert fit.rate_per_um == pytest.approx(0.032, rel=0.15)
-    with pytest.raises(MeasurementError, match="do not saturate"):
-        fit_saturation(offset, np.full(5, np.nan))

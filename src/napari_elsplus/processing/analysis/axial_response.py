@@ -1,4 +1,4 @@
-"""Axial response: how fast the signal of a plate falls as it leaves the focus (Thrapp and Hughes, Sec. 3.1).
+"""Axial response: decrease of a fluorescent plate's signal with its distance from the focus (the paper, Sec. 3.1).
 
 The mean of the central 240 x 240 um of LS, residual and ELS+ is taken at each depth; the distances at which LS and ELS+
 have fallen to a half (3 dB) and to a tenth (10 dB) of their value in contact measure the optical sectioning.
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import curve_fit, isotonic_regression
+from scipy.optimize import isotonic_regression
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.processing.analysis.rounding import pixel_noise_dn, rounding_bias_dn
@@ -27,14 +27,28 @@ if TYPE_CHECKING:
     Curve = NDArray[np.float64]
 
 SQUARE_UM: Final = 240.0
-"""Side of the square that is averaged, as in the paper."""
-LEVEL_3DB, LEVEL_10DB = 0.5, 0.1
-_MIN_DEPTHS = 3
+"""Side of the central square that is averaged, micrometres (the paper, Sec. 3.1)."""
+LEVEL_3DB: Final = 0.5
+"""Level of the 3 dB drop-off, fraction of the signal in contact (the paper, Sec. 3.1)."""
+LEVEL_10DB: Final = 0.1
+"""Level of the 10 dB drop-off, fraction of the signal in contact (the paper, Sec. 3.1)."""
+_MIN_DEPTHS: Final = 3
+"""Smallest number of depths; derived: the noise is estimated from a point and its two neighbours."""
+_MAD_TO_SIGMA: Final = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation (derived)."""
+_MIN_SIGNAL_SIGMAS: Final = 3
+"""Smallest signal in contact, standard deviations of its noise; chosen: the usual limit of detection."""
 
 
 @dataclass(frozen=True, slots=True)
 class DropOff:
-    """Distance from contact at which a curve falls to a level; NaN where the scan does not reach it."""
+    """Distance from contact at which a curve falls to a level; NaN where the scan does not reach it.
+
+    Parameters
+    ----------
+    um, uncertainty_um : float
+        Distance and its standard deviation, micrometres.
+    """
 
     um: float
     uncertainty_um: float
@@ -42,14 +56,14 @@ class DropOff:
 
 @dataclass(frozen=True, slots=True)
 class AxialResponse:
-    """What a scan of depths says about the sectioning.
+    """Axial response measured by a scan of depths.
 
     Parameters
     ----------
     depth_um : numpy.ndarray
-        Depths as they were given, increasing, each once.
+        Depths (depths,) in increasing order, each once.
     contact_um : float
-        The depth at which the plate touches: the maximum of the confocal signal.
+        Depth at which the plate is in contact: the maximum of the confocal signal.
     ls, residual, els : numpy.ndarray
         Normalised curves: LS and residual over LS in contact, ELS+ over ELS+ in contact.
     ls_3db, ls_10db, els_3db, els_10db : DropOff
@@ -73,7 +87,7 @@ class AxialResponse:
     signal_kept_uncertainty: float
 
     def content(self) -> dict[str, Any]:
-        """Everything, ready for JSON; a distance that the scan does not reach is None."""
+        """Return all results, ready for JSON; a distance that the scan does not reach is None."""
 
         def number(value: float) -> float | None:
             return float(value) if np.isfinite(value) else None
@@ -98,14 +112,14 @@ class AxialResponse:
 
 
 class SystematicUncertainty(NamedTuple):
-    """What is uncertain in all depths alike, so that the scatter of the points does not show it.
+    """Systematic uncertainties, common to all depths, which the scatter of the points does not contain.
 
     Parameters
     ----------
     ls_zero_dn, residual_zero_dn : float
-        Standard deviation of the zero of LS and of the residual, grey levels.
+        Standard deviations of the zero of LS and of the residual, grey levels.
     gain : float
-        Relative standard deviation of the right view's gain, by which the residual was divided.
+        Relative standard deviation of the residual gain.
     """
 
     ls_zero_dn: float = 0.0
@@ -117,7 +131,15 @@ _NO_SYSTEMATIC = SystematicUncertainty()
 
 
 class AxialProfiles(NamedTuple):
-    """Signal of LS and residual (T,) in grey levels, ELS+ being their difference, and what is uncertain in them."""
+    """Signals of a scan of depths; ELS+ is the difference of the two.
+
+    Parameters
+    ----------
+    ls, residual : numpy.ndarray
+        (T,) float64, grey levels.
+    systematic : SystematicUncertainty
+        Uncertainties common to all depths.
+    """
 
     ls: Curve
     residual: Curve
@@ -130,21 +152,21 @@ def axial_profiles(
     *,
     progress: Callable[[Iterable[int]], Iterable[int]] = lambda numbers: numbers,
 ) -> AxialProfiles:
-    """Mean LS and residual signal of the central square in each frame, grey levels.
+    """Return the mean LS and residual signal of the central square in each frame.
 
     Parameters
     ----------
     frames : sequence of numpy.ndarray
         Raw frames (rows, cols).
     calibration : Calibration
-        Needs the bundle pair and the scale.
+        With its bundle section and scale.
     progress : callable
-        Wraps the frame numbers, say with a progress bar.
+        Wraps the iteration over frame numbers, for a progress bar.
 
     Returns
     -------
     AxialProfiles
-        The systematic are the calibration's in the gain, and what rounding to whole grey levels may add to a mean.
+        Systematic uncertainties are that of the residual gain, and the bias of means by rounding to grey levels.
 
     Raises
     ------
@@ -157,7 +179,7 @@ def axial_profiles(
     assert calibration.bundle is not None
     um_per_px = calibration.um_per_px
     if um_per_px is None:
-        raise CalibrationError("the calibration does not know um_per_px", "give it with `calibrate --um-per-px`")
+        raise CalibrationError("the calibration has no um_per_px", "give it with `calibrate --um-per-px`")
     if not len(frames):
         raise InputError("the scan holds no frame", "record one at each depth")
     diameter_um = calibration.bundle.diameter_px * um_per_px
@@ -189,7 +211,7 @@ def _square(centre: tuple[float, float], half: float) -> tuple[slice, ...]:
 
 
 def _zero_dn(frames: Frames, ls: Curve, background: NDArray[np.float32] | None, square: tuple[slice, ...]) -> float:
-    """By how much rounding may shift the zero of a view: its background hardly has a pattern that would even it out."""
+    """Return the bias of a view's zero by rounding: its background hardly has a pattern that would average it out."""
     if len(ls) < 2 or background is None or not np.issubdtype(frames[0].dtype, np.integer):
         return 0.0
     darkest = int(np.argmin(ls[:-1] + ls[1:]))
@@ -200,19 +222,19 @@ def _zero_dn(frames: Frames, ls: Curve, background: NDArray[np.float32] | None, 
 def axial_response(
     depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike, systematic: SystematicUncertainty = _NO_SYSTEMATIC
 ) -> AxialResponse:
-    """Drop-off distances and kept signal from signals against depth.
+    """Estimate drop-off distances and kept signal from signals against depth.
 
-    Frames at the same depth are averaged. The plate touches where LS is largest, found by the best curve that rises to
-    one maximum and falls from it; beyond it the falling curve is followed, so that noise does not end it too early.
+    Frames at the same depth are averaged. Contact is the maximum of LS under unimodal regression; beyond it,
+    drop-offs are taken from an isotonic regression, so that noise does not end a curve too early.
 
     Parameters
     ----------
     depths_um : array_like
-        Depth of each frame, in any order, not necessarily even nor from zero.
+        Depth of each frame (T,), in any order, not necessarily equidistant nor from zero.
     ls, residual : array_like
-        Signals (T,), the background subtracted.
+        Signals (T,) in grey levels, the background subtracted.
     systematic : SystematicUncertainty
-        What is uncertain in all depths alike; it widens the distances' uncertainties.
+        Uncertainties common to all depths; they add to those of the distances.
 
     Returns
     -------
@@ -241,7 +263,7 @@ def axial_response(
     ls_fall = _Fall(depth[beyond], ls_mean[beyond], systematic.ls_zero_dn, 0 * depth[beyond])
     els_zero_dn = float(np.hypot(systematic.ls_zero_dn, systematic.residual_zero_dn))
     els_fall = _Fall(depth[beyond], els_mean[beyond], els_zero_dn, systematic.gain * residual_mean[beyond])
-    if not (ls_fall.contact > 3 * ls_fall.noise and ls_fall.contact > 0):
+    if not (ls_fall.contact > _MIN_SIGNAL_SIGMAS * ls_fall.noise and ls_fall.contact > 0):
         raise MeasurementError(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
             "is the laser on, and does the background belong to this scan?",
@@ -270,9 +292,9 @@ def axial_response(
 
 
 class _Fall:
-    """A curve that falls from its first point: noise removed by pooling what does not fall.
+    """Curve that decreases from its first point, by isotonic regression of noisy signals.
 
-    Its zero is uncertain by `zero_dn` at all depths, and by `together_dn` (depths,) it errs at all depths at once.
+    Its zero has the standard deviation `zero_dn`; `together_dn` (depths,) is a fully correlated error of all depths.
     """
 
     def __init__(self, depth: Curve, signal: Curve, zero_dn: float, together_dn: Curve) -> None:
@@ -316,7 +338,7 @@ def _by_depth(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple
 
 
 def _peak(signal: Curve) -> int:
-    """Index of the maximum of the best curve that rises to it and falls from it."""
+    """Return the index of the maximum under unimodal regression: least squares, rising before and falling after it."""
     misfit = [
         np.square(signal[: k + 1] - isotonic_regression(signal[: k + 1]).x).sum()
         + np.square(signal[k:] - isotonic_regression(signal[k:], increasing=False).x).sum()
@@ -326,61 +348,10 @@ def _peak(signal: Curve) -> int:
 
 
 def _noise(depth: Curve, signal: Curve) -> float:
-    """Estimate the noise on a smooth curve from its points' departure from their neighbours' lines."""
+    """Estimate the noise on a smooth curve from each point's departure from the line through its neighbours."""
     if len(depth) < _MIN_DEPTHS:
         return 0.0
     ahead = (depth[1:-1] - depth[:-2]) / (depth[2:] - depth[:-2])
     departure = signal[1:-1] - (1 - ahead) * signal[:-2] - ahead * signal[2:]
     departure /= np.sqrt(1 + ahead**2 + (1 - ahead) ** 2)
-    return float(1.4826 * np.median(np.abs(departure - np.median(departure))))
-
-
-def contrast_to_noise(ls: ArrayLike, residual: ArrayLike, read_noise: float) -> Curve:
-    """Contrast of ELS+ over its noise, both views shot-noise limited.
-
-    Parameters
-    ----------
-    ls, residual : array_like
-        Electrons of the in-focus plane in either view.
-    read_noise : float
-        Electrons rms, of both views together.
-    """
-    confocal, offset = np.asarray(ls, np.float64), np.asarray(residual, np.float64)
-    return np.asarray((confocal - offset) / np.sqrt(confocal + offset + read_noise**2))
-
-
-@dataclass(frozen=True, slots=True)
-class Saturation:
-    """Fit ``limit (1 - exp(-rate offset))`` of drop-offs against slit offset, as the paper prints it."""
-
-    limit_um: float
-    rate_per_um: float
-    limit_uncertainty_um: float
-    rate_uncertainty_per_um: float
-
-
-def fit_saturation(offsets_um: ArrayLike, drops_um: ArrayLike) -> Saturation:
-    """Fit the paper's curve to drop-off distances against slit offset.
-
-    Raises
-    ------
-    MeasurementError
-        If the distances do not follow such a curve.
-
-    Examples
-    --------
-    >>> offset = np.array([12.0, 29, 40, 58, 77])
-    >>> fit = fit_saturation(offset, 58 * (1 - np.exp(-0.032 * offset)))
-    >>> round(fit.limit_um, 3), round(fit.rate_per_um, 5)
-    (58.0, 0.032)
-    """
-    offset, drop = np.asarray(offsets_um, np.float64), np.asarray(drops_um, np.float64)
-    start = (float(drop.max()), 1 / float(np.median(offset)))
-    try:
-        (limit, rate), covariance = curve_fit(lambda x, a, b: a * (1 - np.exp(-b * x)), offset, drop, p0=start)
-    except (RuntimeError, TypeError, ValueError) as error:
-        raise MeasurementError(
-            f"the drop-offs {drop} do not saturate ({error!s:.60})", "measure more offsets"
-        ) from None
-    limit_error, rate_error = np.sqrt(np.diag(covariance))
-    return Saturation(float(limit), float(rate), float(limit_error), float(rate_error))
+    return float(_MAD_TO_SIGMA * np.median(np.abs(departure - np.median(departure))))

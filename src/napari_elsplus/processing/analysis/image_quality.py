@@ -1,4 +1,4 @@
-"""Numbers for how good an image is, as the paper takes them: saturation scaling, alignment error, contrast."""
+"""Image quality by the paper's measures: saturation scaling, alignment error, contrast, edge artefact."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SATURATED_FRACTION: Final = 1e-4
-"""The paper normalises images individually, "allowing 0.01 % saturation"."""
+"""Fraction of pixels shown as white (the paper normalises images individually, "allowing 0.01 % saturation")."""
 PAPER_ALIGNMENT_PERCENT: Final = (5.5, 0.74)
-"""Alignment error that the paper finds for a USAF target in transmission: as it is, and after the core filter."""
+"""The paper's alignment error for a USAF target in transmission, per cent: unfiltered, and after the core filter."""
 USED_DIAMETER: Final = 0.9
-"""Share of the bundle's diameter that images are judged in, the paper's circular crop."""
+"""Diameter of the disc that measures are taken in, fraction of the bundle's diameter (the paper's circular crop)."""
 
 
 def white_level(image: NDArray[np.floating], inside: NDArray[np.bool_]) -> float:
-    """Grey level above which one of ten thousand pixels lies: what is shown as white.
+    """Return the grey level shown as white, which one pixel in ten thousand exceeds.
 
     Parameters
     ----------
     image : numpy.ndarray
         (n, n).
     inside : numpy.ndarray
-        (n, n) bool, the pixels that count.
+        (n, n) bool, the pixels that are counted.
 
     Returns
     -------
     float
-        At least the smallest positive float, so that one may divide by it.
+        At least the smallest positive float32, so that it is a valid divisor.
 
     Examples
     --------
@@ -49,7 +49,7 @@ def white_level(image: NDArray[np.floating], inside: NDArray[np.bool_]) -> float
 
 
 def alignment_error(confocal: NDArray[np.floating], residual: NDArray[np.floating], diameter_px: float) -> float:
-    """Mean absolute difference of the two views over the mean of the confocal one, in the 90 % disc.
+    """Return the mean absolute difference of the views over the mean of the confocal view, in the 90 % disc.
 
     The paper finds 5.5 % for a USAF target in transmission, 0.74 % after the core filter.
 
@@ -58,12 +58,12 @@ def alignment_error(confocal: NDArray[np.floating], residual: NDArray[np.floatin
     confocal, residual : numpy.ndarray
         (n, n), the residual aligned and divided by its gain.
     diameter_px : float
-        Diameter of the bundle.
+        Diameter of the bundle, pixels.
 
     Returns
     -------
     float
-        A fraction; not-a-number where the confocal image is dark.
+        A fraction; NaN if the confocal image is dark.
     """
     used = disc(len(confocal), USED_DIAMETER * diameter_px)
     mean = float(confocal[used].mean())
@@ -72,14 +72,14 @@ def alignment_error(confocal: NDArray[np.floating], residual: NDArray[np.floatin
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """How far the structure stands above the background.
+    """Levels of structure and background in an image.
 
     Attributes
     ----------
     background : float
-        Level that 10 % of the pixels fall below: light that no structure explains, grey levels.
+        First decile, grey levels: light from out of focus.
     structure : float
-        Level that 10 % of the pixels exceed, grey levels.
+        Ninth decile, grey levels.
     """
 
     background: float
@@ -87,14 +87,21 @@ class Contrast:
 
     @property
     def michelson(self) -> float:
-        """(structure - background) / (structure + background), a background below zero counted as none."""
+        """Michelson contrast, (structure - background) / (structure + background), a negative background taken as 0."""
         background = max(self.background, 0.0)
         total = self.structure + background
         return (self.structure - background) / total if total > 0 else float("nan")
 
 
 def contrast(image: NDArray[np.floating], inside: NDArray[np.bool_]) -> Contrast:
-    """Levels of background and structure in an image (n, n), from its deciles.
+    """Measure the levels of background and structure in an image by its deciles.
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        (n, n), grey levels.
+    inside : numpy.ndarray
+        (n, n) bool, the pixels that are counted.
 
     Examples
     --------
@@ -107,12 +114,12 @@ def contrast(image: NDArray[np.floating], inside: NDArray[np.bool_]) -> Contrast
 
 
 def edge_artefact(residuals: Iterable[NDArray[np.floating]]) -> NDArray[np.float64]:
-    """Mean residual image over its central level: where the clipped line leaves the residual short of light.
+    """Return the normalised mean residual image, which shows the edge artefact: less light where the line is clipped.
 
     Parameters
     ----------
     residuals : iterable of numpy.ndarray
-        Residual images (n, n) of a moving probe; the paper averages about 300.
+        (n, n) residual images of a moving probe; the paper averages about 300.
 
     Returns
     -------

@@ -1,7 +1,7 @@
-"""Resolution as the paper states it: the finest element of a bar target whose bars can still be told apart.
+"""Resolution by the paper's measure: the finest element of a bar target whose bars are resolved.
 
 A line pair is a bar and a gap; the paper's 5.52 um and 8.8 um are such periods (USAF 1951, group 7 element 4 and group
-6 element 6), not widths of a point's image. Thrapp and Hughes, Methods.
+6 element 6), not widths of a point spread function. Thrapp and Hughes, Methods.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 RESOLVED_CONTRAST: Final = 0.1
-"""Michelson contrast from which an element counts as resolved."""
+"""Smallest Michelson contrast of a resolved element; chosen: a usual limit of visibility (the paper states none)."""
 
 
 @dataclass(frozen=True, slots=True)
 class BarElement:
-    """Three parallel bars of a target, as they lie in an image.
+    """Parallel bars of one element of a target, located in an image.
 
     Parameters
     ----------
     line_pair_um : float
-        Period: a bar and a gap.
+        Period, a bar and a gap, micrometres.
     bars_px : tuple
         Edges (top, left, bottom, right) of each bar in pixels, in order across the element; at least two.
     """
@@ -40,20 +40,20 @@ class BarElement:
 
 
 def element_contrast(image: NDArray[np.floating], element: BarElement) -> float:
-    """Michelson contrast between the bars of an element and the gaps between them.
+    """Return the Michelson contrast between the bars of an element and the gaps between them.
 
     Parameters
     ----------
     image : numpy.ndarray
         (rows, cols), bars brighter than gaps.
     element : BarElement
-        Where its bars are.
+        Location of its bars.
 
     Returns
     -------
     float
         (bars - gaps) / (bars + gaps) of the mean grey levels in the middle half of each bar and gap; negative where
-        the gaps are brighter, not-a-number where both are dark.
+        the gaps are brighter, NaN if both are dark.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def element_contrast(image: NDArray[np.floating], element: BarElement) -> float:
 def smallest_resolved_line_pair_um(
     image: NDArray[np.floating], elements: Iterable[BarElement], min_contrast: float = RESOLVED_CONTRAST
 ) -> float:
-    """Return the finest period of a bar target at which, and above which, every element is resolved.
+    """Return the finest period of a bar target down to which every element is resolved.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def smallest_resolved_line_pair_um(
     elements : iterable of BarElement
         Of any periods and orientations; several may share a period.
     min_contrast : float
-        Michelson contrast from which an element is resolved.
+        Smallest Michelson contrast of a resolved element.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def smallest_resolved_line_pair_um(
     for element in elements:
         periods.setdefault(element.line_pair_um, []).append(element)
     if not periods:
-        raise InputError("a target of 0 elements", "say where its elements are")
+        raise InputError("a target of 0 elements", "give the positions of its elements")
     finest = None
     for period_um in sorted(periods, reverse=True):
         if not all(element_contrast(image, element) >= min_contrast for element in periods[period_um]):
@@ -117,22 +117,22 @@ def smallest_resolved_line_pair_um(
     if finest is None:
         raise MeasurementError(
             f"no element of the target is resolved (contrast below {min_contrast:g} at {max(periods):.1f} um)",
-            "is the target in focus, and where it is said to be?",
+            "is the target in focus, and at the given position?",
         )
     return finest
 
 
 def bars_within(box_px: tuple[float, float, float, float], period_um: float, *, upright: bool) -> BarElement:
-    """Three bars and the two gaps between them, which fill a box.
+    """Return the element of three bars and two gaps that fill a box.
 
     Parameters
     ----------
     box_px : tuple of float
         Edges (top, left, bottom, right), drawn closely around the three bars.
     period_um : float
-        A bar and a gap.
+        Period, a bar and a gap, micrometres.
     upright : bool
-        Whether the bars run along the columns.
+        True if the bars run along the columns.
 
     Examples
     --------
@@ -148,7 +148,7 @@ def bars_within(box_px: tuple[float, float, float, float], period_um: float, *, 
 
 
 def nearest_usaf_1951(line_pair_um: float) -> tuple[int, int, float]:
-    """Return group, element and period in micrometres of the element of a USAF 1951 target that comes nearest.
+    """Return group, element and period (um) of the USAF 1951 element nearest to a line pair of `line_pair_um`.
 
     Examples
     --------
@@ -170,7 +170,7 @@ def _between(
 
 
 def _middle_level(image: NDArray[np.floating], box: tuple[float, float, float, float]) -> float:
-    """Mean over the middle half of a box across its short side, and over three quarters along its long one."""
+    """Return the mean over the middle half of a box across its short side, and three quarters along its long one."""
     spans = [(box[0], box[2]), (box[1], box[3])]
     short = int(spans[1][1] - spans[1][0] < spans[0][1] - spans[0][0])
     cells = []
@@ -182,7 +182,7 @@ def _middle_level(image: NDArray[np.floating], box: tuple[float, float, float, f
         if first < 0 or last > image.shape[axis]:
             raise InputError(
                 f"a bar from {low:.0f} to {high:.0f} px lies outside of the image of {image.shape[axis]} px",
-                "say where the target is",
+                "give the position of the target",
             )
         cells.append(slice(first, last))
     return float(image[cells[0], cells[1]].mean())

@@ -1,9 +1,9 @@
-"""Standard deviations that hold when residuals are not independent.
+"""Cluster-robust standard deviations, for residuals that are not independent.
 
-Under a bundle the residuals of any fit come in lumps: the cores are brighter or dimmer than the model by their own
-transmission, which photon statistics know nothing of. Residuals are therefore summed over clusters (columns, arcs,
-runs of frames) that are wider than a lump, and the spread of those sums gives the covariance: the sandwich estimator
-(Liang & Zeger 1986, https://doi.org/10.1093/biomet/73.1.13).
+Through a fibre bundle, the residuals of any fit are correlated within a core, by its transmission, which photon
+statistics do not contain. Residuals are therefore summed over clusters (columns, arcs, runs of frames) wider than a
+core, and the spread of those sums gives the covariance: the sandwich estimator (Liang & Zeger 1986,
+https://doi.org/10.1093/biomet/73.1.13).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def clustered_influence(jacobian: Floats, residuals: Floats, clusters: NDArray[np.intp], count: int) -> Floats:
-    """Return what each cluster of residuals contributes to the error of a least-squares fit.
+    """Return the contribution of each cluster of residuals to the error of a least-squares fit (its influence).
 
     The covariance of the parameters is ``influence.T @ influence``; that of a difference of two fits of the same
     clusters follows from the difference of their influences, with what they share cancelled.
@@ -52,14 +52,14 @@ def clustered_influence(jacobian: Floats, residuals: Floats, clusters: NDArray[n
 
 
 def estimator_influence(scores: Floats, curvature: Floats, clusters: NDArray[np.intp], count: int) -> Floats:
-    """Return what each cluster of samples contributes to the error of any estimate that solves ``scores.sum(0) == 0``.
+    """Return the influence of each cluster of samples on an estimate that solves ``scores.sum(0) == 0``.
 
     Parameters
     ----------
     scores : numpy.ndarray
-        What each sample pulls at the parameters, shape (samples, parameters).
+        Score of each sample, the gradient of its log-likelihood, shape (samples, parameters).
     curvature : numpy.ndarray
-        How the sum of the scores falls with the parameters, shape (parameters, parameters).
+        Negative derivative of the sum of the scores by the parameters, shape (parameters, parameters).
     clusters : numpy.ndarray
         Cluster of each sample, 0 to ``count - 1``, shape (samples,).
     count : int
@@ -78,24 +78,25 @@ def estimator_influence(scores: Floats, curvature: Floats, clusters: NDArray[np.
 
 
 def newey_west_sigma(influence: Floats, neighbours: int) -> float:
-    """One standard deviation of an estimate whose clusters lie in a row, neighbours not being quite independent.
+    """Return the standard deviation of an estimate from serially correlated clusters by Newey and West's estimator.
 
     Parameters
     ----------
     influence : numpy.ndarray
-        What each cluster contributes to the error, in order, shape (clusters,).
+        Contribution of each cluster to the error, in order, shape (clusters,).
     neighbours : int
-        Over so many neighbours the contributions are summed before they are squared; the sums overlap (Newey & West
-        1987, https://doi.org/10.2307/1913610).
+        Number of successive clusters over which contributions are summed before squaring; the sums overlap (Newey
+        & West 1987, https://doi.org/10.2307/1913610).
 
     Returns
     -------
     float
+        In the unit of the influence.
 
     Notes
     -----
-    Where one cluster takes what the next lacks, as where a core lies on the border between two, a sum of squares alone
-    would state too much; where they err alike, too little.
+    Where the errors of neighbours are opposite, as for a core on the border between two clusters, a sum of squares
+    alone would be too large; where they are alike, too small.
 
     Examples
     --------
@@ -111,29 +112,29 @@ def newey_west_sigma(influence: Floats, neighbours: int) -> float:
 def overlapping_influence(
     jacobian: Floats, residuals: Floats, clusters: NDArray[np.intp], count: int, neighbours: int
 ) -> Floats:
-    """Return what overlapping stretches of clusters in a row contribute to the error of a least-squares fit.
+    """Return the influence of overlapping runs of serially correlated clusters on a least-squares fit.
 
-    As :func:`clustered_influence`, for clusters of which neighbours are not independent. The fit takes a part of every
-    long wave out of its residuals; that is made up for, so that independent noise is stated truly.
+    As :func:`clustered_influence`, for correlated neighbours. The fit removes a part of every slow variation from its
+    residuals; this is corrected for, so that the covariance is unbiased for independent noise.
 
     Parameters
     ----------
     jacobian, residuals, clusters, count
-        As there; the clusters are numbered in order.
+        As in :func:`clustered_influence`; clusters are numbered in order.
     neighbours : int
-        Clusters of a stretch.
+        Number of clusters in a run.
 
     Returns
     -------
     numpy.ndarray
-        Shape (stretches, parameters); the covariance is ``influence.T @ influence``.
+        Shape (runs, parameters); the covariance is ``influence.T @ influence``.
     """
     parameters = jacobian.shape[1]
     products = jacobian[:, :, None] * jacobian[:, None, :]
     last = np.arange(count + neighbours - 1)[:, None]
-    stretch = ((clusters <= last) & (clusters > last - neighbours)).astype(np.float64)
-    scores = stretch @ (jacobian * residuals[:, None])
-    curvature = (stretch @ products.reshape(len(jacobian), -1)).reshape(-1, parameters, parameters)
+    run = ((clusters <= last) & (clusters > last - neighbours)).astype(np.float64)
+    scores = run @ (jacobian * residuals[:, None])
+    curvature = (run @ products.reshape(len(jacobian), -1)).reshape(-1, parameters, parameters)
     inverse = np.linalg.pinv(products.sum(axis=0))
     seen = curvature - curvature @ inverse @ curvature
     expected = np.linalg.cholesky(inverse @ seen.sum(axis=0) @ inverse)

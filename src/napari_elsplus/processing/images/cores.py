@@ -1,8 +1,8 @@
-"""The honeycomb of fibre cores, and three ways to be rid of it.
+"""Core pattern of the fibre bundle: its pitch, the positions of the cores, and three filters that suppress it.
 
-The paper smooths with a 3x3 median where the bundle is well sampled and with nothing where it is not. A Gaussian is
-linear, so that it keeps the sum of the light; interpolation over the cores, which a flat field shows once and for all,
-takes the values where the light is and rebuilds the image between them.
+The paper applies a 3x3 median where the bundle is well sampled, and no filter where it is not. A Gaussian is linear
+and so preserves the sum of the light. Interpolation takes the values at the cores, whose positions are found in a flat
+field, and rebuilds the image between them.
 """
 
 from __future__ import annotations
@@ -30,15 +30,19 @@ if TYPE_CHECKING:
     Filter = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 GAUSSIAN_SIGMA_PITCHES: Final = 0.4
-"""Sigma of the Gaussian filter in core pitches: it leaves 3 % of the honeycomb."""
+"""Sigma of the Gaussian filter, core pitches; measured (`bench cores`): it leaves 2 to 3 % of the core pattern."""
 _MIN_PITCH_PX: Final = 2.0
+"""Smallest core pitch that is searched for, pixels; derived: the Nyquist limit."""
 _MIN_PROMINENCE: Final = 3.0
+"""Smallest ratio of the power of the core pattern's ring to its surroundings; chosen: images of noise stay below 2."""
 _DARKEST_CORE: Final = 0.1
+"""Level of the dimmest core that counts, fraction of the flat field's mean; chosen: dead cores are darker."""
 _READING_SIGMA_PITCHES: Final = 0.2
+"""Sigma of the Gaussian with which a core is read, core pitches; chosen: half of the filter's, within one core."""
 
 
 class CoreFilter(StrEnum):
-    """How the core pattern is suppressed."""
+    """Filter that suppresses the core pattern."""
 
     NONE = "none"
     MEDIAN = "median"
@@ -46,32 +50,32 @@ class CoreFilter(StrEnum):
     GAUSSIAN = "gaussian"
     """Gaussian of 0.4 core pitches."""
     INTERPOLATE = "interpolate"
-    """Barycentric interpolation over the cores that the flat field shows."""
+    """Barycentric interpolation between the cores found in the flat field."""
 
     @property
     def needs_flat(self) -> bool:
-        """Whether the filter is calibrated with a flat field."""
+        """True if the filter is calibrated with a flat field."""
         return self in {CoreFilter.GAUSSIAN, CoreFilter.INTERPOLATE}
 
     def prepared(self, flat: NDArray[np.float32] | None, inside: NDArray[np.bool_]) -> Filter:
-        """Return the filter, ready for images of one bundle.
+        """Return the filter as a function, calibrated for images of one bundle.
 
         Parameters
         ----------
         flat : numpy.ndarray or None
-            (n, n) float32 image of evenly lit cores, on the images' grid; needed if `needs_flat`.
+            (n, n) float32 image of evenly lit cores, on the images' grid; required if `needs_flat`.
         inside : numpy.ndarray
             (n, n) bool, the lit disc.
 
         Returns
         -------
         callable
-            (n, n) float32 to (n, n) float32; the argument is left as it was.
+            (n, n) float32 to (n, n) float32; the argument is not modified.
 
         Raises
         ------
         MeasurementError
-            If the cores cannot be told apart in the flat field.
+            If the cores are not resolved in the flat field.
         """
         match self:
             case CoreFilter.NONE:
@@ -90,7 +94,7 @@ class CoreFilter(StrEnum):
 
 
 def core_pitch_px(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> float:
-    """Mean distance between neighbouring cores, from the ring that the honeycomb leaves in the power spectrum.
+    """Estimate the core pitch from the ring of the core pattern in the power spectrum.
 
     Parameters
     ----------
@@ -130,7 +134,7 @@ def core_pitch_px(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> floa
 
 
 def find_cores(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Centres of the cores that a flat field shows.
+    """Detect the centres of the cores in a flat field.
 
     Parameters
     ----------
@@ -162,23 +166,23 @@ def find_cores(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> NDArray
 
 @dataclass(frozen=True)
 class CoreInterpolation:
-    """Values taken at the cores, interpolated linearly in the triangles between them.
+    """Linear interpolation in the triangles between cores, of the values read at the cores.
 
     Each core is read with a narrow Gaussian, divided by what it reads in the flat field and scaled to the
-    flat field's local mean, so that brightness and vignette stay while each core's transmission goes.
+    flat field's local mean, so that brightness and vignetting are preserved and each core's transmission is removed.
 
     Attributes
     ----------
     cores : numpy.ndarray
         (cores, 2) float64, row and column.
     corners : numpy.ndarray
-        (n, n, 3) int32, the cores around each pixel; -1 where there are none.
+        (n, n, 3) int32 indices of the cores around each pixel; -1 where there are none.
     weights : numpy.ndarray
-        (n, n, 3) float32, barycentric.
+        (n, n, 3) float32 barycentric coordinates.
     gain : numpy.ndarray
-        (cores,) float32, local mean over reading in the flat field.
+        (cores,) float32 local mean over reading in the flat field.
     sigma_px : float
-        Width of the reading.
+        Sigma of the Gaussian with which cores are read, pixels.
     """
 
     cores: NDArray[np.float64]
@@ -189,7 +193,14 @@ class CoreInterpolation:
 
     @classmethod
     def from_flat(cls, flat: NDArray[np.float32], inside: NDArray[np.bool_]) -> CoreInterpolation:
-        """Find the cores and tabulate the triangles.
+        """Return the interpolation for a bundle: detect the cores, and tabulate the triangles.
+
+        Parameters
+        ----------
+        flat : numpy.ndarray
+            (n, n) float32 image of evenly lit cores.
+        inside : numpy.ndarray
+            (n, n) bool, the lit disc.
 
         Raises
         ------
@@ -223,7 +234,7 @@ class CoreInterpolation:
         )
 
     def __call__(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Interpolate an image (n, n) float32 over the cores; zero outside of them."""
+        """Interpolate an image (n, n) float32 between the cores; zero outside of them."""
         row, col = self.cores.astype(np.float32).T
         values = _read_at(cv2.GaussianBlur(image, (0, 0), self.sigma_px), row, col) * self.gain
         out = np.empty(image.shape, np.float32)
@@ -233,7 +244,7 @@ class CoreInterpolation:
 
 @kernel
 def _read_at(image: NDArray[np.float32], row: NDArray[np.float32], col: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Bilinear values at points inside of an image, any number of them: cv2.remap takes no more than 32,766."""
+    """Return bilinear values at points inside of an image; cv2.remap is limited to 32,766 of them."""
     rows, cols = image.shape
     values = np.empty(len(row), np.float32)
     for k in range(len(row)):

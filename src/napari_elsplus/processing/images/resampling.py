@@ -1,8 +1,8 @@
-"""One image brought onto another's grid without dulling the honeycomb.
+"""Resampling through an affine map by a windowed sinc, which preserves the contrast of the core pattern.
 
-A bundle is sampled by as few as 2.4 pixels per core, so that the honeycomb lies at 0.48 cycles per pixel. Linear
+A bundle is sampled by as few as 2.4 pixels per core, so that the core pattern lies at 0.48 cycles per pixel. Linear
 interpolation by half a pixel leaves 6 % of it, and two views that are interpolated by different fractions then differ
-by their honeycomb. A Kaiser-windowed sinc of twelve taps is within 0.5 % up to 0.35 cycles per pixel.
+by their core patterns. A Kaiser-windowed sinc of twelve taps is within 0.5 % up to 0.35 cycles per pixel.
 """
 
 from __future__ import annotations
@@ -19,16 +19,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LOBES: Final = 6
-"""Taps on each side of a point."""
+"""Taps on each side of a point; derived: with six the kernel is within 0.5 % up to 0.35 cycles per pixel."""
 _KAISER_BETA: Final = 5.0
+"""Shape of the Kaiser window; chosen: near 5 the pass band is flat to 0.5 %."""
 _PHASES: Final = 256
-"""Fractions of a pixel that are tabulated; half a step is an error of 0.002 px."""
+"""Number of tabulated fractions of a pixel; derived: half a step is an error of 0.002 px."""
 _MAX_DEVIATION_PX: Final = 0.06
-"""How far a pixel may lie from where its block's weights were taken; first order leaves 1.6 % of the honeycomb."""
+"""Largest distance of a pixel from the centre of its block, at which weights are taken, pixels; derived: the
+first-order correction then leaves an error of 1.6 % of the core pattern."""
 
 
 def taps(fraction: NDArray[np.floating] | float) -> NDArray[np.float32]:
-    """Weights of the neighbours of a point that lies a fraction of a pixel past the middle one; their sum is 1.
+    """Return interpolation weights for a point that lies a fraction of a pixel beyond a pixel; their sum is 1.
 
     Parameters
     ----------
@@ -38,7 +40,7 @@ def taps(fraction: NDArray[np.floating] | float) -> NDArray[np.float32]:
     Returns
     -------
     numpy.ndarray
-        (..., 12) float32, for pixels -5 to 6 counted from the one before the point.
+        (..., 12) float32, for pixels -5 to 6 relative to the one before the point.
 
     Examples
     --------
@@ -53,9 +55,9 @@ def taps(fraction: NDArray[np.floating] | float) -> NDArray[np.float32]:
 
 
 class Resampler:
-    """Resamples one image after another through one affine map; its buffers are reused.
+    """Resampling of images through one affine map; buffers are reused.
 
-    The map is done in two passes, along the rows and then along the columns. Along the direction that is not
+    The map is applied in two passes, along the rows and then along the columns. Along the direction that is not
     resampled, the fraction of a pixel changes only by the map's small rotation: a block of pixels shares its weights,
     corrected to first order, so that the innermost loops are plain sums of contiguous rows.
 
@@ -69,9 +71,9 @@ class Resampler:
     Attributes
     ----------
     first : tuple of int
-        Row and column of the image where the window begins that is needed; may be negative.
+        Row and column of the image at which the window begins; may be negative.
     window : numpy.ndarray
-        (rows, cols) float32, to be filled with that part of the image before each call.
+        (rows, cols) float32: part of the image that is needed, to be filled in before each call.
     """
 
     def __init__(self, grid_to_image: NDArray[np.float64], side: int) -> None:
@@ -93,7 +95,7 @@ class Resampler:
         self._derivative = (taps(fractions + step) - taps(fractions - step)) / np.float32(2 * step)
 
     def __call__(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Resample what is in the window into (side, side) float32."""
+        """Resample the content of the window into `out`, (side, side) float32, and return it."""
         cv2.transpose(self.window, dst=self._window_across)
         _resample_down(self._window_across, *self._across, self._table, self._derivative, self._resampled_across)
         cv2.transpose(self._resampled_across, dst=self._resampled)
@@ -102,7 +104,7 @@ class Resampler:
 
 
 def resampled(image: NDArray[np.float32], grid_to_image: NDArray[np.float64], side: int) -> NDArray[np.float32]:
-    """Resample one image once; what lies outside of it is zero.
+    """Resample one image once; pixels outside of the image are zero.
 
     Parameters
     ----------
@@ -140,7 +142,7 @@ def _resample_down(
     derivative: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
-    """Read each column of an image at rows start + per_row * (row of out) + per_col * column."""
+    """Interpolate each column of an image at rows start + per_row * (row of out) + per_col * column."""
     rows, cols = image.shape
     block = cols
     if abs(per_col) * cols > 2 * _MAX_DEVIATION_PX:

@@ -1,8 +1,8 @@
-"""From a raw frame to LS, residual, ELS+ and ELSA: the paper's Image Processing, kept signed.
+"""Sectioning of raw frames into LS, residual, ELS+ and ELSA images: the paper's Image Processing, in signed numbers.
 
-The background (a mean frame of the dark tube) is subtracted, the two views are cut out of the frame and brought onto
-one grid, and the residual is subtracted from the confocal image. Nothing is clipped: a saturating subtraction turns
-noise into background.
+The background (a mean frame of the dark tube) is subtracted, the two views are resampled onto one grid, and the
+residual is subtracted from the confocal image. Nothing is clipped: a saturating subtraction turns noise into
+background.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 
 class Mode(StrEnum):
-    """Which image is made of a raw frame."""
+    """Image type that is made of raw frames."""
 
     LS = "ls"
     """Confocal view alone: line-scan confocal."""
     RESIDUAL = "residual"
-    """Residual view, aligned onto the confocal one and brought to its brightness."""
+    """Residual view, aligned with the confocal one and divided by the residual gain."""
     ELS = "els"
     """Confocal minus residual of one frame: ELS+."""
     ELSA = "elsa"
@@ -46,7 +46,7 @@ class Mode(StrEnum):
 
 
 class Frames(Protocol):
-    """Raw frames by number: an array (T, rows, cols), a list, an open recording."""
+    """Sequence of raw frames (rows, cols): an array (T, rows, cols), a list, an open recording."""
 
     def __len__(self) -> int: ...
 
@@ -54,19 +54,19 @@ class Frames(Protocol):
 
 
 def side_px(diameter_px: float) -> int:
-    """Side of the square that holds a bundle image: its diameter and a pixel of margin on each side."""
+    """Return the side of a bundle's square image: `diameter_px` rounded up, and a margin of one pixel on each side."""
     return ceil(diameter_px) + 2
 
 
 def disc(side: int, diameter_px: float) -> NDArray[np.bool_]:
-    """Pixels of a square grid within a circle about its middle.
+    """Return the pixels of a square grid within a circle about its middle.
 
     Parameters
     ----------
     side : int
         Rows and columns of the grid.
     diameter_px : float
-        Diameter of the circle.
+        Diameter of the circle, pixels.
 
     Returns
     -------
@@ -84,7 +84,7 @@ def disc(side: int, diameter_px: float) -> NDArray[np.bool_]:
 
 
 class Sectioner:
-    """Cuts the two views out of raw frames and subtracts them; built once per calibration.
+    """Sectioning of raw frames under one calibration: resampled views and their differences.
 
     Results are (n, n) float32 signed grey levels on the confocal view's grid, the bundle's centre at (n - 1) / 2, zero
     outside the lit disc. Buffers are reused from call to call: use one sectioner per thread.
@@ -92,23 +92,23 @@ class Sectioner:
     Parameters
     ----------
     calibration : Calibration
-        Needs the bundle section; its background, where there is one, is subtracted.
+        With its bundle section; its background, if any, is subtracted.
     frame_shape : tuple of int
         Rows and columns of the raw frames.
 
     Attributes
     ----------
     side : int
-        n.
+        n, rows and columns of the images.
     diameter_px : float
-        Diameter of the lit disc.
+        Diameter of the lit disc, pixels.
     inside : numpy.ndarray
         (n, n), bool: the lit disc.
 
     Raises
     ------
     CalibrationError
-        If the bundle was not located, or frames of another shape were calibrated.
+        If the bundle section is absent, or was measured on frames of another shape.
 
     References
     ----------
@@ -137,23 +137,31 @@ class Sectioner:
         self._scratch = np.empty((self.side, self.side), np.float32)
 
     def ls(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """Confocal view of a raw frame (rows, cols)."""
-        return self._confocal.cut(raw, self._given(out))
+        """Return the confocal view of a raw frame.
+
+        Parameters
+        ----------
+        raw : numpy.ndarray
+            (rows, cols) grey levels.
+        out : numpy.ndarray, optional
+            (n, n) float32, filled and returned.
+        """
+        return self._confocal.extract(raw, self._array(out))
 
     def residual(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """Residual view of a raw frame, aligned onto the confocal one and divided by its gain."""
-        return self._residual.cut(raw, self._given(out))
+        """Return the residual view of a raw frame, aligned and divided by its gain; arguments as in :meth:`ls`."""
+        return self._residual.extract(raw, self._array(out))
 
     def els(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """ELS+ of a raw frame: exactly ``ls(raw) - residual(raw)``."""
+        """Return ELS+ of a raw frame, exactly ``ls(raw) - residual(raw)``; arguments as in :meth:`ls`."""
         return self.elsa(raw, raw, out)
 
     def elsa(
         self, raw: NDArray[np.generic], raw_next: NDArray[np.generic], out: NDArray[np.float32] | None = None
     ) -> NDArray[np.float32]:
-        """Sequential ELS: confocal of one raw frame minus residual of the next."""
+        """Return sequential ELS: confocal view of `raw` minus residual view of `raw_next`; see :meth:`ls`."""
         confocal = self.ls(raw, out)
-        residual = self._residual.cut(raw_next, self._scratch)
+        residual = self._residual.extract(raw_next, self._scratch)
         return np.subtract(confocal, residual, out=confocal)
 
     def image(
@@ -171,12 +179,12 @@ class Sectioner:
             case Mode.ELSA:
                 return self.elsa(frames[confocal], frames[residual], out)
 
-    def _given(self, out: NDArray[np.float32] | None) -> NDArray[np.float32]:
+    def _array(self, out: NDArray[np.float32] | None) -> NDArray[np.float32]:
         return np.empty((self.side, self.side), np.float32) if out is None else out
 
 
 class _View:
-    """One of the two bundle images: its window of the frame, and how that is brought onto the common grid."""
+    """One of the two bundle views: its window of the frame, and its resampling onto the common grid."""
 
     def __init__(
         self,
@@ -192,13 +200,14 @@ class _View:
         high = [min(f + size, limit) for f, size, limit in zip(first, window.shape, frame_shape, strict=True)]
         if any(a >= b for a, b in zip(low, high, strict=True)):
             raise CalibrationError(
-                f"a bundle image lies outside of the {frame_shape[0]} x {frame_shape[1]} frame", "locate the pair again"
+                f"a bundle view lies outside of the {frame_shape[0]} x {frame_shape[1]} frame",
+                "locate the bundle views again",
             )
         self._in_frame = (slice(low[0], high[0]), slice(low[1], high[1]))
         self._on_sensor = window[low[0] - first[0] : high[0] - first[0], low[1] - first[1] : high[1] - first[1]]
         self._background = None if background is None else np.ascontiguousarray(background[self._in_frame], np.float32)
 
-    def cut(self, raw: NDArray[np.generic], out: NDArray[np.float32]) -> NDArray[np.float32]:
+    def extract(self, raw: NDArray[np.generic], out: NDArray[np.float32]) -> NDArray[np.float32]:
         if self._background is None:
             self._on_sensor[...] = raw[self._in_frame]
         else:
@@ -207,11 +216,11 @@ class _View:
 
 
 def _check_possible(bundle: BundleSection, frame_shape: tuple[int, int]) -> None:
-    """Refuse images larger than memory before they are allocated."""
+    """Refuse images that would exceed memory, before they are allocated."""
     if bundle.diameter_px > 2 * max(frame_shape):
         raise CalibrationError(
             f"the bundle's diameter is {bundle.diameter_px:g} px, the frame has {frame_shape[0]} x {frame_shape[1]}",
-            "locate the pair again",
+            "locate the bundle views again",
         )
 
 

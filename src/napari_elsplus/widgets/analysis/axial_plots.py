@@ -11,7 +11,8 @@ from napari_elsplus.widgets.shared.plots import Curve
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from napari_elsplus.processing.analysis.axial_response import DropOff, Saturation
+    from napari_elsplus.processing.analysis.axial_response import DropOff
+    from napari_elsplus.processing.analysis.slit_offset import SaturationFit
     from napari_elsplus.viewing.axial import DropOffs, Scan
 
     Mark = tuple[float, str, str]
@@ -92,5 +93,5 @@ def _with_uncertainty(drop: DropOff) -> str:
     return f"{drop.um:.1f} ± {max(drop.uncertainty_um, 0.1):.1f}"
 
 
-def _fit_label(name: str, fit: Saturation) -> str:
+def _fit_label(name: str, fit: SaturationFit) -> str:
     return f"{name} fit: {fit.limit_um:.0f} (1 - exp(-{fit.rate_per_um:.3f} x))"
