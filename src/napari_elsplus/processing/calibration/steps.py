@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 
 register_step = register
 ENTRY_POINTS: Final = "napari_elsplus.calibration_steps"
-"""Group of the entry points whose modules register steps when they are imported."""
+"""Group of the entry points by which installed packages add steps; each names a CalibrationStep."""
 
 
 @cache
 def _load_added_steps() -> None:
     for entry_point in entry_points(group=ENTRY_POINTS):
-        entry_point.load()
+        register(entry_point.load())
 
 
 def calibration_steps(first: Sequence[str] = ()) -> tuple[CalibrationStep[Any], ...]:
