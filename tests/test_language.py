@@ -26,6 +26,7 @@ DOCUMENTED: tuple[str, ...] = (
     "errors.py",
     "hardware",
     "instrument",
+    "io",
     "processing/analysis",
     "processing/compiled.py",
     "processing/images",

@@ -27,7 +27,7 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     Parameters
     ----------
     path : str
-        The file, which is replaced if it exists: napari has asked the user.
+        The file, replaced if it exists; napari confirms that with the user.
     data : array-like
         (rows, cols) or (T, rows, cols); of a multiscale layer, the full resolution is written.
     attributes : dict
@@ -45,9 +45,9 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     """
     image = _grey(data, attributes)
     file_format = format_to_write(Path(path))
-    known = _provenance(attributes)
-    calibration: Calibration | None = known.get("calibration")
-    notes = _notes(known, attributes)
+    provenance = _provenance_of(attributes)
+    calibration: Calibration | None = provenance.get("calibration")
+    notes = _notes(provenance, attributes)
     step_s, um_per_px = _steps(attributes, image.ndim)
     if file_format is TIFF and image.ndim == 2:
         write_mosaic(path, np.asarray(image), um_per_px, metadata=notes, calibration=calibration, force=True)
@@ -57,13 +57,13 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
             path, _Planes(image if image.ndim == 3 else image[None]), um_per_px=um_per_px, frame_period_s=step_s,
             metadata=notes, calibration=calibration, force=True,
         )  # fmt: skip
-    return [path, *_calibration_of_raw(path, known)]
+    return [path, *_calibration_of_raw(path, provenance)]
 
 
-def _calibration_of_raw(path: str, known: Mapping[str, Any]) -> list[str]:
+def _calibration_of_raw(path: str, provenance: Mapping[str, Any]) -> list[str]:
     """Write the calibration beside raw frames, background and all, so that they give the same images again."""
-    calibration: Calibration | None = known.get("calibration")
-    if known.get("kind") != "raw" or calibration is None:
+    calibration: Calibration | None = provenance.get("calibration")
+    if provenance.get("kind") != "raw" or calibration is None:
         return []
     return [str(write_calibration(beside(path, ".calibration.json"), calibration, force=True))]
 
@@ -106,15 +106,15 @@ def _in(unit: Any, target: str, value: float) -> float | None:
         return None
 
 
-def _provenance(attributes: Mapping[str, Any]) -> Mapping[str, Any]:
-    known = (attributes.get("metadata") or {}).get("elsplus", {})
-    return known if isinstance(known, dict) else {}
+def _provenance_of(attributes: Mapping[str, Any]) -> Mapping[str, Any]:
+    provenance = (attributes.get("metadata") or {}).get("elsplus", {})
+    return provenance if isinstance(provenance, dict) else {}
 
 
-def _notes(known: Mapping[str, Any], attributes: Mapping[str, Any]) -> dict[str, Any]:
+def _notes(provenance: Mapping[str, Any], attributes: Mapping[str, Any]) -> dict[str, Any]:
     notes = {"layer": str(attributes.get("name", ""))}
-    if "kind" in known:
-        notes["mode"] = str(known["kind"])
-    if known.get("path") is not None:
-        notes["recording"] = str(known["path"].name)
+    if "kind" in provenance:
+        notes["mode"] = str(provenance["kind"])
+    if provenance.get("path") is not None:
+        notes["recording"] = str(provenance["path"].name)
     return notes

@@ -1,4 +1,4 @@
-"""Files appear whole or not at all: written beside the target, flushed to the disk, then renamed onto it."""
+"""Atomic writing of files: written beside the target, flushed to the disk, then renamed onto it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 def refuse_existing(path: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Make sure that a target may be written, before any work is done for it.
+    """Raise an error if a target must not be written, before any work is done for it.
 
     Parameters
     ----------
     path : path-like
         The file that will be written.
     force : bool
-        Whether an existing file may be replaced.
+        Replace an existing file instead of refusing it.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     path : path-like
         The target.
     force : bool
-        Whether an existing target may be replaced.
+        Replace an existing target instead of refusing it.
 
     Yields
     ------
@@ -96,7 +96,7 @@ def replacing_all(*paths: str | os.PathLike[str], force: bool = False) -> Iterat
     *paths : path-like
         The targets; the one that readers look for comes first, so that it appears when the others are in place.
     force : bool
-        Whether existing targets may be replaced.
+        Replace existing targets instead of refusing them.
 
     Yields
     ------

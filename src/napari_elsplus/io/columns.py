@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 DEPTH: Final = "depth_um"
 VOLTS: Final = "volts"
-LARGEST: Final = 64 << 20
+MAX_CSV_BYTES: Final = 64 << 20
+"""Chosen: a million numbers have some 20 MB; a larger file is another one, named by mistake."""
 
 
 def read_depths_um(path: str | os.PathLike[str]) -> NDArray[np.float64]:
@@ -88,7 +89,7 @@ def write_table(
     columns : mapping
         Name, with its unit, to values.
     force : bool
-        Whether an existing file may be replaced.
+        Replace an existing file instead of refusing it.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def write_table(
 
 def _lines(path: Path) -> list[str]:
     try:
-        if path.stat().st_size > LARGEST:
+        if path.stat().st_size > MAX_CSV_BYTES:
             raise InputError(f"{path.name} has {path.stat().st_size} bytes", "a CSV file of one column is expected")
         return path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:

@@ -26,10 +26,11 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
 FLUSH_PERIOD_S: Final = 1.0
+"""What a power cut may cost. Chosen: part of the contract of recordings; a flush each second costs no frame."""
 
 
 class RecordingWriter:
-    """Write raw frames to a file from which nothing is lost but what was never written.
+    """Write raw frames to a file that a crash leaves readable up to its last whole frame.
 
     Each frame becomes one uncompressed page of a BigTIFF, all of the same length, with its time and number in a
     private tag. The file is flushed to the disk each second. After a kill all whole pages open; after a power cut,
@@ -44,16 +45,16 @@ class RecordingWriter:
     dtype : dtype-like
         uint8 or uint16.
     calibration : Calibration, optional
-        In force while recording; written beside, NAME.calibration.json, before the first frame.
+        Active while recording; written beside, NAME.calibration.json, before the first frame.
     settings : mapping, optional
         The rig's settings, kept in the OME-XML.
     force : bool
-        Whether existing files may be replaced.
+        Replace existing files instead of refusing them.
 
     Raises
     ------
     InputError
-        If a file exists and `force` is not given, or the frames are no raw frames.
+        If a file exists and `force` is not given, or the frames are not uint8 or uint16.
 
     Examples
     --------
@@ -102,7 +103,7 @@ class RecordingWriter:
 
     @property
     def closed(self) -> bool:
-        """Whether the recording has ended, by :meth:`close` or by a failure of the disk."""
+        """True once the recording has ended, by :meth:`close` or by a failure of the disk."""
         return self._file is None
 
     def append(self, frame: NDArray[Any], time_s: float, frame_number: int) -> None:
@@ -138,13 +139,13 @@ class RecordingWriter:
             _write(self._file, self._layout.head(index, time_s, frame_number))
             _write(self._file, np.ascontiguousarray(frame).data)
             _write(self._file, self._layout.padding)
-            if index:  # the page is whole: now it may be found
+            if index:  # the page is complete: link it
                 place, link = self._layout.link(index)
                 self._file.seek(place)
                 _write(self._file, link)
                 self._file.seek(0, os.SEEK_END)
         except OSError as error:
-            self._let_go()
+            self._close_file()
             self._cut_to_whole_pages()
             raise OSError(
                 error.errno, f"the recording ended after {index} frames ({error.strerror})", str(self.path)
@@ -155,12 +156,12 @@ class RecordingWriter:
         """End the recording: put the OME-XML into its first page and flush it to the disk."""
         if self._file is None:
             return
-        self._let_go()
+        self._close_file()
         if not self._times_s:
             self.path.unlink()
             return
         try:
-            ome.put_into_first_page(self.path, (len(self), *self.frame_shape), self.dtype, **self._known())
+            ome.put_into_first_page(self.path, (len(self), *self.frame_shape), self.dtype, **self._metadata())
             self._flush()
         except OSError:
             self._cut_to_whole_pages()
@@ -172,7 +173,7 @@ class RecordingWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _known(self) -> dict[str, Any]:
+    def _metadata(self) -> dict[str, Any]:
         times = np.array(self._times_s)
         period = float(np.median(np.diff(times))) if len(times) > 1 else None
         return {
@@ -183,7 +184,7 @@ class RecordingWriter:
             "settings": self._settings,
         }
 
-    def _let_go(self) -> None:
+    def _close_file(self) -> None:
         file, self._file = self._file, None
         self._stop.set()
         self._flusher.join()

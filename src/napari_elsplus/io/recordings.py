@@ -165,7 +165,9 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     """
     path = Path(path)
     with decoding(path), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what makes a file unreadable is raised; decoders' other remarks do not matter
+        warnings.simplefilter(
+            "ignore"
+        )  # what makes a file unreadable is raised; other warnings of decoders do not matter
         opener = format_to_read(path).opener
         assert opener is not None
         return Recording(opener(path))

@@ -1,4 +1,4 @@
-"""A track that grows, as columns: a row for every frame, eighty bytes each, however long the session."""
+"""A growing track in columns: one row of eighty bytes for every frame."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ ROW: Final = np.dtype(
         ("row_um", "<f8"), ("col_um", "<f8"), ("score", "<f8"), ("sigma_px", "<f8"), ("state", "<i8"),
     ]
 )  # fmt: skip
-"""A point of the track; its state as a number, by the order of `STATES`."""
+"""One point of a track; `state` is an index into `STATES`."""
 LOST: Final = STATES.index("lost")
 _UNKNOWN: Final = ("row_px", "col_px", "row_um", "col_um", "score", "sigma_px")
-_FIRST_ROOM: Final = 1 << 10
+_INITIAL_CAPACITY: Final = 1 << 10
 _VALUES: Final = attrgetter(*HEADER)
 
 
@@ -32,12 +32,12 @@ class TrackTable(Sequence[TrackPoint]):
     Parameters
     ----------
     points : iterable of TrackPoint
-        To begin with.
+        The first points.
 
     Attributes
     ----------
     rewritten : int
-        Goes up when points that were there change.
+        Number of times that existing points changed.
 
     Examples
     --------
@@ -51,24 +51,32 @@ class TrackTable(Sequence[TrackPoint]):
     """
 
     def __init__(self, points: Iterable[TrackPoint] = ()) -> None:
-        self._rows = np.zeros(_FIRST_ROOM, ROW)
+        self._rows = np.zeros(_INITIAL_CAPACITY, ROW)
         self._count = self.rewritten = 0
         self._states = np.zeros(len(STATES), np.int64)
         for point in points:
             self.append(point)
 
     def append(self, point: TrackPoint) -> None:
-        """Add a point at the end."""
+        """Append a point."""
         index = self._count
-        self._make_room(index + 1)
+        self._ensure_capacity(index + 1)
         self._rows[index] = packed(point)
         self._states[self._rows["state"][index]] += 1
         self._count += 1
 
     def write(self, first: int, rows: Any) -> None:
-        """Put rows of the type `ROW` where they belong: over those that are there, and at the end."""
+        """Write consecutive rows over existing ones and beyond the end.
+
+        Parameters
+        ----------
+        first : int
+            Index of the first row written.
+        rows : numpy.ndarray, (n,)
+            Of the type `ROW`.
+        """
         last = first + len(rows)
-        self._make_room(last)
+        self._ensure_capacity(last)
         self._states -= _counted(self._rows[first : min(last, self._count)])
         self._rows[first:last] = rows
         self._states += _counted(rows)
@@ -76,7 +84,7 @@ class TrackTable(Sequence[TrackPoint]):
         self._count = max(self._count, last)
 
     def lose(self, segment: int) -> None:
-        """Call the frames of a segment lost."""
+        """Set the state of all frames of a segment to lost."""
         rows = self.columns
         lose(rows, segment)
         self._states = _counted(rows)
@@ -85,15 +93,15 @@ class TrackTable(Sequence[TrackPoint]):
     @property
     def columns(self) -> Any:
         """(n,) rows of the type `ROW`, in place: ``columns["row_px"]``."""
-        count = self._count  # before the rows, which may be moved to where there is more room
+        count = self._count  # read before the rows, which another thread may reallocate
         return self._rows[:count]
 
     @property
     def counts(self) -> dict[str, int]:
-        """Frames by their state."""
+        """Number of frames by state."""
         return dict(zip(STATES, self._states.tolist(), strict=True))
 
-    def _make_room(self, count: int) -> None:
+    def _ensure_capacity(self, count: int) -> None:
         while count > len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
 
@@ -110,13 +118,13 @@ class TrackTable(Sequence[TrackPoint]):
 
 
 def packed(point: TrackPoint) -> tuple[Any, ...]:
-    """Return the values of a row of the type `ROW`."""
+    """Return a point of a track as the values of a row of the type `ROW`."""
     *values, state = _VALUES(point)
     return (*values, STATES.index(state))
 
 
 def lose(rows: Any, segment: int) -> None:
-    """Call lost what lies in a segment; rows of the type `ROW`, in place."""
+    """Set the rows (type `ROW`) of a segment to lost, positions NaN, in place."""
     gone = rows["segment"] == segment
     for name in _UNKNOWN:
         rows[name][gone] = np.nan

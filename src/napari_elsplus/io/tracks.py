@@ -1,4 +1,4 @@
-"""Track files: where the probe was in every frame, and how surely."""
+"""Track files: position of the probe in every frame, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def write_track(path: str | os.PathLike[str], rows: Iterable[TrackPoint], force:
     rows : iterable of TrackPoint
         In the order of frames.
     force : bool
-        Whether an existing file may be replaced.
+        Replace an existing file instead of refusing it.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def write_track(path: str | os.PathLike[str], rows: Iterable[TrackPoint], force:
                 raise InputError(
                     f"frame {row.frame} has state {row.state!r}", f"one of {', '.join(STATES)} is expected"
                 )
-            table.writerow(_said(name, getattr(row, name)) for name in HEADER)
+            table.writerow(_formatted(name, getattr(row, name)) for name in HEADER)
 
 
 def read_track(path: str | os.PathLike[str]) -> list[TrackPoint]:
@@ -121,7 +121,7 @@ def read_track(path: str | os.PathLike[str]) -> list[TrackPoint]:
     return [_point(path, number, line) for number, line in enumerate(lines[1:], start=2)]
 
 
-def _said(name: str, value: object) -> object:
+def _formatted(name: str, value: object) -> object:
     if name == "state":
         return value
     return int(value) if name in _INTEGERS else float(value)  # type: ignore[call-overload, arg-type]

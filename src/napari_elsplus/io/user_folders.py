@@ -1,4 +1,4 @@
-"""Where the user's own files are kept: settings and rigs."""
+"""Folder of the user's own files: settings and rigs."""
 
 from __future__ import annotations
 

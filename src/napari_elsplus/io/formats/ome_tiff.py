@@ -1,4 +1,4 @@
-"""Finished images to OME-TIFF: stacks of any length, streamed, and mosaics with their pyramid."""
+"""Finished images to OME-TIFF: stacks of any length, streamed, and mosaics with an image pyramid."""
 
 from __future__ import annotations
 
@@ -21,10 +21,13 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
 
-CLASSIC_LIMIT: Final = 2 << 30
-"""Bytes; what is larger, or of unknown length, is written as BigTIFF."""
-SMALLEST_LEVEL: Final = 512
-TILE: Final = (256, 256)
+MAX_CLASSIC_BYTES: Final = 2 << 30
+"""Pixels of a classic TIFF; what is larger, or of unknown length, is written as BigTIFF. Half of what 32-bit offsets
+address: some readers take them as signed."""
+MAX_SMALLEST_LEVEL_PX: Final = 512
+"""Longer side of the smallest level of a pyramid. Chosen: viewers draw such an image at once."""
+TILE_PX: Final = (256, 256)
+"""Rows and columns of a tile; usual for OME-TIFF, and a multiple of 16 as TIFF demands."""
 
 
 def write_stack(
@@ -38,7 +41,7 @@ def write_stack(
     force: bool = False,
     axes: str = "TYX",
 ) -> int:
-    """Write equal images to an OME-TIFF, one after the other, holding one at a time.
+    """Write images of one shape and type to an OME-TIFF, one at a time in memory.
 
     Parameters
     ----------
@@ -55,7 +58,7 @@ def write_stack(
     calibration : Calibration, optional
         Kept in the file, without its arrays.
     force : bool
-        Whether an existing file may be replaced.
+        Replace an existing file instead of refusing it.
     axes : str
         Meaning of the axes: ``"TYX"`` or, for a scan of depths, ``"ZYX"``.
 
@@ -72,13 +75,13 @@ def write_stack(
     import tifffile
 
     with replacing(path, force=force) as beside:
-        planes = alike(images)
+        planes = contiguous_images(images)
         first = next(planes)
         if calibration is not None:
             um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
             frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
         length = len(images) if isinstance(images, Sized) else None
-        big = length is None or length * first.nbytes > CLASSIC_LIMIT
+        big = length is None or length * first.nbytes > MAX_CLASSIC_BYTES
         count = 0
         with tifffile.TiffWriter(beside, bigtiff=big) as writer:
             for image in chain([first], planes):
@@ -94,8 +97,13 @@ def write_stack(
     return count
 
 
-def alike(images: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-    """Go through the images of a stack, each in one piece of memory; there is at least one.
+def contiguous_images(images: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+    """Yield the images of a stack, (rows, cols), each contiguous in memory.
+
+    Parameters
+    ----------
+    images : iterable of numpy.ndarray
+        At least one.
 
     Raises
     ------
@@ -127,7 +135,7 @@ def write_mosaic(
     calibration: Calibration | None = None,
     force: bool = False,
 ) -> Path:
-    """Write a mosaic to a tiled OME-TIFF with a pyramid of halves, so that viewers open any size at once.
+    """Write a mosaic to a tiled OME-TIFF with a pyramid of halved levels, so that viewers open any size at once.
 
     Parameters
     ----------
@@ -142,7 +150,7 @@ def write_mosaic(
     calibration : Calibration, optional
         Kept in the file, without its arrays.
     force : bool
-        Whether an existing file may be replaced.
+        Replace an existing file instead of refusing it.
 
     Returns
     -------
@@ -162,21 +170,21 @@ def write_mosaic(
             raise InputError(f"the mosaic has shape {image.shape}", "a mosaic (rows, cols) is expected")
         if um_per_px is None and calibration is not None:
             um_per_px = calibration.um_per_px
-        words = ome.description(um_per_px=um_per_px, calibration=calibration, settings=metadata)
+        fields = ome.tifffile_metadata(um_per_px=um_per_px, calibration=calibration, settings=metadata)
         levels = pyramid(image)
-        with tifffile.TiffWriter(beside, bigtiff=image.nbytes > CLASSIC_LIMIT, ome=True) as writer:
+        with tifffile.TiffWriter(beside, bigtiff=image.nbytes > MAX_CLASSIC_BYTES, ome=True) as writer:
             for index, level in enumerate(levels):
                 writer.write(
-                    level, photometric="minisblack", tile=TILE, compression="zlib", software=ome.SOFTWARE,
+                    level, photometric="minisblack", tile=TILE_PX, compression="zlib", software=ome.SOFTWARE,
                     subifds=len(levels) - 1 if index == 0 else None,
                     subfiletype=None if index == 0 else 1,
-                    metadata={**words, "axes": "YX"} if index == 0 else None,
+                    metadata={**fields, "axes": "YX"} if index == 0 else None,
                 )  # fmt: skip
     return Path(path)
 
 
 def pyramid(image: NDArray[Any]) -> list[NDArray[Any]]:
-    """Halve an image, by means of 2 x 2 pixels, until it is small.
+    """Return an image and its halves (means of 2 x 2 pixels), until the longer side is at most 512 pixels.
 
     Parameters
     ----------
@@ -194,7 +202,7 @@ def pyramid(image: NDArray[Any]) -> list[NDArray[Any]]:
     [(1500, 1100), (750, 550), (375, 275)]
     """
     levels = [image]
-    while max(levels[-1].shape) > SMALLEST_LEVEL and min(levels[-1].shape) > 1:
+    while max(levels[-1].shape) > MAX_SMALLEST_LEVEL_PX and min(levels[-1].shape) > 1:
         last = levels[-1]
         rows, cols = last.shape[0] // 2, last.shape[1] // 2
         quads = last[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2).astype(np.float32)

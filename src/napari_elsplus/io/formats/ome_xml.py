@@ -1,4 +1,4 @@
-"""OME-XML: what a file says of its frames, and back again."""
+"""OME-XML: metadata of a stack to the XML of its file, and back."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
 SOFTWARE: Final = f"napari-elsplus {__version__}"
+"""Written as the creator of every file."""
 SETTINGS: Final = "napari-elsplus/settings"
+"""Namespace of the annotation that keeps settings as JSON."""
 _UM: Final = {"µm": 1.0, "μm": 1.0, "um": 1.0, "micron": 1.0, "nm": 1e-3, "mm": 1e3, "m": 1e6}
 _S: Final = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "μs": 1e-6, "us": 1e-6, "min": 60.0}
 
 
-def description(
+def tifffile_metadata(
     *,
     um_per_px: float | None = None,
     frame_period_s: float | None = None,
@@ -34,29 +36,43 @@ def description(
     calibration: Calibration | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Name what is known of a stack in the words of tifffile's OME metadata."""
-    words: dict[str, Any] = {"Description": SOFTWARE}
+    """Return the metadata of a stack under the keys of tifffile's OME metadata.
+
+    Parameters
+    ----------
+    um_per_px : float, optional
+        Pixel size.
+    frame_period_s : float, optional
+        Time from one frame to the next.
+    times_s : sequence of float, optional
+        Time of each frame.
+    calibration : Calibration, optional
+        Kept as an annotation, without its arrays.
+    settings : mapping, optional
+        Kept as an annotation, as JSON.
+    """
+    fields: dict[str, Any] = {"Description": SOFTWARE}
     if um_per_px is not None:
-        words |= {"PhysicalSizeX": um_per_px, "PhysicalSizeY": um_per_px}
-        words |= {"PhysicalSizeXUnit": "µm", "PhysicalSizeYUnit": "µm"}
+        fields |= {"PhysicalSizeX": um_per_px, "PhysicalSizeY": um_per_px}
+        fields |= {"PhysicalSizeXUnit": "µm", "PhysicalSizeYUnit": "µm"}
     if frame_period_s is not None:
-        words |= {"TimeIncrement": frame_period_s, "TimeIncrementUnit": "s"}
+        fields |= {"TimeIncrement": frame_period_s, "TimeIncrementUnit": "s"}
     if times_s is not None:
-        words["Plane"] = {"DeltaT": list(times_s), "DeltaTUnit": ["s"] * len(times_s)}
+        fields["Plane"] = {"DeltaT": list(times_s), "DeltaTUnit": ["s"] * len(times_s)}
     notes = []
     if calibration is not None:
         notes.append({"Namespace": FORMAT, "Value": format_calibration(calibration)})
     if settings:
         notes.append({"Namespace": SETTINGS, "Value": json.dumps(dict(settings), default=str)})
     if notes:
-        words["CommentAnnotation"] = notes
-    return words
+        fields["CommentAnnotation"] = notes
+    return fields
 
 
 def put_into_first_page(
     path: Path, shape: tuple[int, int, int], dtype: np.dtype[Any], axes: str = "TYX", **known: Any
 ) -> None:
-    """Give a finished TIFF of one page per frame its OME-XML, in place of the first page's description.
+    """Write the OME-XML of a finished TIFF of one page per frame over the first page's description.
 
     Parameters
     ----------
@@ -69,38 +85,38 @@ def put_into_first_page(
     axes : str
         ``"TYX"`` or ``"ZYX"``.
     **known
-        As :func:`description`.
+        As :func:`tifffile_metadata`.
     """
     import tifffile
 
     count, rows, cols = shape
     xml = tifffile.OmeXml(creator=SOFTWARE)
-    xml.addimage(dtype.name, shape, (count, 1, 1, rows, cols, 1), axes=axes, **description(**known))
+    xml.addimage(dtype.name, shape, (count, 1, 1, rows, cols, 1), axes=axes, **tifffile_metadata(**known))
     with tifffile.TiffFile(path, mode="r+") as file:
         file.pages.first.tags["ImageDescription"].overwrite(xml.tostring(declaration=True).encode(), erase=False)
 
 
 def parse(xml: str) -> dict[str, Any]:
-    """Read what an OME-XML says of its first image; what it says wrongly is left out."""
-    known: dict[str, Any] = {}
+    """Return the metadata of the first image of an OME-XML document; invalid values are left out."""
+    metadata: dict[str, Any] = {}
     try:
         root = ElementTree.fromstring(xml.encode())
     except ElementTree.ParseError:
-        return known
+        return metadata
     pixels = root.find("{*}Image/{*}Pixels")
     if pixels is None:
-        return known
+        return metadata
     scale = _UM.get(pixels.get("PhysicalSizeXUnit", "µm"))
     if scale and (size := positive(pixels.get("PhysicalSizeX"))):
-        known["um_per_px"] = size * scale
+        metadata["um_per_px"] = size * scale
     scale = _S.get(pixels.get("TimeIncrementUnit", "s"))
     if scale and (period := positive(pixels.get("TimeIncrement"))):
-        known["frame_period_s"] = period * scale
+        metadata["frame_period_s"] = period * scale
     times = [_delta_s(plane) for plane in pixels.iterfind("{*}Plane")]
     finite = [time for time in times if time is not None]
     if times and len(finite) == len(times) and all(a <= b for a, b in pairwise(finite)):
-        known["times_s"] = finite
-    return known | _annotations(root)
+        metadata["times_s"] = finite
+    return metadata | _annotations(root)
 
 
 def _delta_s(plane: ElementTree.Element) -> float | None:
@@ -112,17 +128,17 @@ def _delta_s(plane: ElementTree.Element) -> float | None:
 
 
 def _annotations(root: ElementTree.Element) -> dict[str, Any]:
-    known: dict[str, Any] = {}
+    metadata: dict[str, Any] = {}
     for note in root.iterfind("{*}StructuredAnnotations/{*}CommentAnnotation"):
         name = {FORMAT: "calibration", SETTINGS: "settings"}.get(note.get("Namespace", ""))
         text = note.findtext("{*}Value")
         if name is None or text is None:
             continue
         if name == "calibration":
-            known[name] = text
+            metadata[name] = text
             continue
         try:
-            known[name] = json.loads(text)
+            metadata[name] = json.loads(text)
         except (ValueError, RecursionError):
             continue
-    return known
+    return metadata

@@ -11,7 +11,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
-from napari_elsplus.io.formats.ome_tiff import alike
+from napari_elsplus.io.formats.ome_tiff import contiguous_images
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource, positive
@@ -37,18 +37,18 @@ class OmeZarr(FrameSource):
         import zarr
 
         node = zarr.open(path, mode="r")
-        known: dict[str, Any] = {}
+        metadata: dict[str, Any] = {}
         if isinstance(node, zarr.Group):
-            node, known = _full_resolution(path, node)
+            node, metadata = _full_resolution(path, node)
         if not isinstance(node, zarr.Array):
             raise InputError(f"{path.name} holds no array", "name an OME-Zarr image")
         leading = node.shape[:-2]
         if node.ndim < 2 or sum(size > 1 for size in leading) > 1:
             raise InputError(f"{path.name} has shape {node.shape}", "a stack of frames (T, rows, cols) is expected")
-        if node.ndim > 3 and node.shape[-4:-2][0] in (3, 4) and "c" in known.get("axes", "")[-4:-2]:
+        if node.ndim > 3 and node.shape[-4:-2][0] in (3, 4) and "c" in metadata.get("axes", "")[-4:-2]:
             raise InputError(f"{path.name} has {node.shape} pixels in colour", "save it as grey levels")
         count = int(np.prod(leading, dtype=np.int64))
-        super().__init__(path, (count, *node.shape[-2:]), np.dtype(node.dtype), known)
+        super().__init__(path, (count, *node.shape[-2:]), np.dtype(node.dtype), metadata)
         self._leading = leading
         self._array: Any = node
 
@@ -73,24 +73,24 @@ def _full_resolution(path: Path, group: Any) -> tuple[Any, dict[str, Any]]:
     for transform in transforms:
         if transform.get("type") == "scale" and len(transform["scale"]) == len(axes):
             scale = [a * b for a, b in zip(scale, transform["scale"], strict=True)]
-    known: dict[str, Any] = {"axes": "".join(axis["name"][:1] for axis in axes)}
+    metadata: dict[str, Any] = {"axes": "".join(axis["name"][:1] for axis in axes)}
     if isinstance(notes, dict):
-        known["settings"] = {name: value for name, value in notes.items() if name != "calibration"}
+        metadata["settings"] = {name: value for name, value in notes.items() if name != "calibration"}
         if "calibration" in notes:
-            known["calibration"] = json.dumps(notes["calibration"])
-    known |= _scales(axes, scale if transforms else ())
-    return group[level["path"]], known
+            metadata["calibration"] = json.dumps(notes["calibration"])
+    metadata |= _scales(axes, scale if transforms else ())
+    return group[level["path"]], metadata
 
 
 def _scales(axes: Sequence[Mapping[str, Any]], scale: Sequence[float]) -> dict[str, float]:
-    known: dict[str, float] = {}
+    metadata: dict[str, float] = {}
     for axis, step in zip(axes, scale, strict=False):
         unit = axis.get("unit", "")
         if axis["name"] == "x" and unit in _TO_UM and (size := positive(step)):
-            known["um_per_px"] = size * _TO_UM[unit]
+            metadata["um_per_px"] = size * _TO_UM[unit]
         if axis["name"] == "t" and unit in _TO_S and (period := positive(step)):
-            known["frame_period_s"] = period * _TO_S[unit]
-    return known
+            metadata["frame_period_s"] = period * _TO_S[unit]
+    return metadata
 
 
 def write_ome_zarr(
@@ -103,7 +103,7 @@ def write_ome_zarr(
     calibration: Calibration | None = None,
     force: bool = False,
 ) -> int:
-    """Write equal images to an OME-Zarr folder, one after the other, holding one at a time.
+    """Write images of one shape and type to an OME-Zarr folder, one at a time in memory.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def write_ome_zarr(
     calibration : Calibration, optional
         Kept in the attributes, without its arrays.
     force : bool
-        Whether an existing folder may be replaced.
+        Replace an existing folder instead of refusing it.
 
     Returns
     -------
@@ -145,7 +145,7 @@ def write_ome_zarr(
         um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
         frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
     with replacing(target, force=force) as beside:
-        planes = alike(images)
+        planes = contiguous_images(images)
         first = next(planes)
         group = zarr.open_group(beside, mode="w", zarr_format=3)
         array = group.create_array("0", shape=(0, *first.shape), chunks=(1, *first.shape), dtype=first.dtype)

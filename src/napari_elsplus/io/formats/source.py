@@ -1,4 +1,4 @@
-"""What every format of recording offers: frames at random, times, and what is known of them."""
+"""The interface of a format of recordings: random access to frames, their times, and metadata."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-LARGEST_FRAME: Final = 1 << 30
-"""Bytes; a header that asks for more is taken to be broken."""
+MAX_FRAME_BYTES: Final = 1 << 30
+"""Chosen: fifty times a frame of a 20-megapixel camera; a header that declares more is refused as damaged or forged."""
 
 
 class FrameSource(ABC):
@@ -31,9 +31,10 @@ class FrameSource(ABC):
     shape : tuple of int
         (T, rows, cols).
     dtype : numpy.dtype
-        uint8, uint16 or float; floats are handed out as float32.
+        uint8, uint16 or float; floats are returned as float32.
     metadata : dict, optional
-        What the file says: ``um_per_px``, ``frame_period_s``, ``times_s``, ``settings``, ``software``, ``calibration``.
+        What the file contains of ``um_per_px``, ``frame_period_s``, ``times_s`` (T values), ``settings`` (a dict),
+        ``software`` and ``calibration`` (JSON text).
 
     Raises
     ------
@@ -51,7 +52,7 @@ class FrameSource(ABC):
         if dtype.kind != "f" and dtype not in (np.uint8, np.uint16):
             raise InputError(f"{path.name} holds {dtype} pixels", "save it with 8 or 16 bits, unsigned, or as float")
         frame_bytes = shape[1] * shape[2] * dtype.itemsize
-        if frame_bytes > LARGEST_FRAME:
+        if frame_bytes > MAX_FRAME_BYTES:
             raise InputError(f"{path.name} declares frames of {shape[1]} x {shape[2]} pixels", "the file is damaged")
         self.path = path
         self.shape = shape
@@ -61,17 +62,23 @@ class FrameSource(ABC):
 
     @abstractmethod
     def frame(self, index: int) -> NDArray[Any]:
-        """Read one frame, (rows, cols), as the file holds it."""
+        """Return frame `index`, (rows, cols), as stored; called from any thread."""
 
     def block(self, indices: range) -> NDArray[Any]:
-        """Read several frames, (len(indices), rows, cols)."""
+        """Return the frames of a range of indices, (len(indices), rows, cols)."""
         out = np.empty((len(indices), *self.shape[1:]), self.dtype)
         for image, index in zip(out, indices, strict=True):
             image[:] = self.checked(index)
         return out
 
     def checked(self, index: int) -> NDArray[Any]:
-        """Read one frame and make sure that it is what the recording promised."""
+        """Return frame `index`, (rows, cols), in :attr:`dtype`.
+
+        Raises
+        ------
+        InputError
+            If it cannot be decoded, differs in shape from the others, or holds NaN or infinity.
+        """
         with decoding(self.path, f"frame {index}"):
             image = self.frame(index)
             if image.shape != self.shape[1:]:
@@ -86,7 +93,7 @@ class FrameSource(ABC):
             return np.asarray(image, self.dtype)
 
     def times_s(self) -> NDArray[np.float64] | None:
-        """Time of each frame, if the file knows it."""
+        """Return the time of each frame in seconds, (T,), or None if the file has none."""
         times = self.metadata.get("times_s")
         if times is not None and len(times) == self.shape[0]:
             return np.asarray(times, np.float64)
@@ -94,18 +101,25 @@ class FrameSource(ABC):
         return None if period is None else np.arange(self.shape[0], dtype=np.float64) * float(period)
 
     def frame_numbers(self) -> NDArray[np.int64]:
-        """Camera's number of each frame; gaps are dropped frames."""
+        """Return the camera's number of each frame, (T,); gaps are dropped frames."""
         return np.arange(self.shape[0], dtype=np.int64)
 
     def close(self) -> None:  # noqa: B027 - some formats hold nothing open
-        """Let go of the file."""
+        """Close the file."""
 
 
 @contextmanager
 def decoding(path: Path, what: str = "it") -> Iterator[None]:
-    """Turn whatever a decoder makes of a broken file into one line.
+    """Raise every error of a decoder as :class:`InputError`, in one line.
 
-    Decoders meet untrusted bytes and may raise anything at all, so this seam catches everything that is an error.
+    Decoders read untrusted bytes and may raise anything, so all exceptions are caught here.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        What is decoded.
+    what : str
+        Part of it, for the message.
     """
     try:
         yield

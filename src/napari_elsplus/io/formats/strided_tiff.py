@@ -1,7 +1,7 @@
-"""Our own recordings: BigTIFF, one uncompressed page per frame, every page of the same length.
+"""Recordings of this software: BigTIFF, one uncompressed page per frame, every page of the same length.
 
-Because the pages are alike, frame k lies at a known place: nothing but the first page is parsed, and frames, times and
-numbers are views into the mapped file. Pages are whole up to some point after a crash, which bisection finds.
+Frame k lies at a constant stride: only the first page is parsed; frames, times and numbers are views into the mapping.
+After a crash the pages are complete up to some page, which bisection finds.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     import tifffile
     from numpy.typing import NDArray
 
-MAPPED_AT_MOST: Final = 64 << 20
-"""Bytes of frames that may stay in memory."""
+MAX_MAPPED_BYTES: Final = 64 << 20
+"""Frames that may stay in memory. Chosen: some hundred frames; the system reads them again in microseconds."""
 _ENTRY: Final = 20  # bytes of a tag in BigTIFF
 _COUNT: Final = 8  # bytes of the number of tags
 
 
 class StridedTiff(FrameSource):
-    """Frames of one of our own recordings, as read-only views into the mapped file."""
+    """Frames of a recording of this software, as read-only views into the mapped file."""
 
     def __init__(self, path: Path, first: tifffile.TiffPage, size: int) -> None:
         rows, cols = first.shape
@@ -43,27 +43,27 @@ class StridedTiff(FrameSource):
         self._next = _COUNT + _ENTRY * self._word(self._ifd)
         self._frame_bytes = rows * cols * dtype.itemsize
         self._stride = self._page_length()
-        self._handed_out = 0
-        super().__init__(path, (self._whole_pages(size), rows, cols), dtype, _known(first))
-        self.metadata.pop("times_s", None)  # the pages know them
+        self._bytes_returned = 0
+        super().__init__(path, (self._whole_pages(size), rows, cols), dtype, _metadata(first))
+        self.metadata.pop("times_s", None)  # the pages have them
 
     def frame(self, index: int) -> NDArray[Any]:
-        """Read one frame, (rows, cols), as the file holds it."""
-        self._forget()
+        """Return frame `index`, (rows, cols), a view of the mapped file."""
+        self._release_pages()
         return self._frames()[index, :, :]
 
     def block(self, indices: range) -> NDArray[Any]:
-        """View several frames, (len(indices), rows, cols), in the mapped file."""
+        """Return the frames of a range of indices, (len(indices), rows, cols), a view of the mapped file."""
         view = self._frames()
         stop = indices.stop if indices.stop >= 0 else None
         return view[indices.start : stop : indices.step]
 
     def times_s(self) -> NDArray[np.float64]:
-        """Time of each frame, from its page."""
+        """Return the time of each frame in seconds, (T,), from its page."""
         return self._stamps()[:, 0].copy()
 
     def frame_numbers(self) -> NDArray[np.int64]:
-        """Camera's number of each frame, from its page."""
+        """Return the camera's number of each frame, (T,), from its page."""
         return self._stamps()[:, 1].astype(np.int64)
 
     def _frames(self) -> NDArray[Any]:
@@ -76,19 +76,19 @@ class StridedTiff(FrameSource):
         inner = np.empty(shape, dtype).strides if len(shape) == 1 else (shape[1] * dtype.itemsize, dtype.itemsize)
         return np.ndarray((self.shape[0], *shape), dtype, self._map, self._ifd + offset, (self._stride, *inner))
 
-    def _forget(self) -> None:
-        """Give mapped pages back now and then, so that scrolling through a long recording does not fill the memory."""
-        self._handed_out += self._frame_bytes
-        if self._handed_out > MAPPED_AT_MOST and hasattr(self._map, "madvise"):
-            self._map.madvise(mmap.MADV_DONTNEED)  # views stay valid: the system reads them anew
-            self._handed_out = 0
+    def _release_pages(self) -> None:
+        """Release mapped pages at intervals, so that scrolling through a long recording does not fill the memory."""
+        self._bytes_returned += self._frame_bytes
+        if self._bytes_returned > MAX_MAPPED_BYTES and hasattr(self._map, "madvise"):
+            self._map.madvise(mmap.MADV_DONTNEED)  # views stay valid: the system reads them again
+            self._bytes_returned = 0
 
     def _page_length(self) -> int:
         following = self._word(self._ifd + self._next)
         return following - self._ifd if following > self._ifd else self._head + self._frame_bytes
 
     def _whole_pages(self, size: int) -> int:
-        """Count the pages that are there in full; after a crash, what follows them is not."""
+        """Return the number of complete pages; after a crash, what follows them is incomplete."""
         low, high = 1, max((size - self._ifd - self._head - self._frame_bytes) // self._stride + 1, 1)
         while low < high:
             middle = (low + high + 1) // 2
@@ -103,8 +103,8 @@ class StridedTiff(FrameSource):
         return int.from_bytes(self._map[offset : offset + 8], "little")
 
     def close(self) -> None:
-        """Let go of the file."""
-        self._map = mmap.mmap(-1, 1)  # views that were handed out keep the old one alive
+        """Close the file."""
+        self._map = mmap.mmap(-1, 1)  # views that were returned keep the old one alive
 
 
 def is_strided(first: tifffile.TiffPage) -> bool:
@@ -125,6 +125,6 @@ def is_strided(first: tifffile.TiffPage) -> bool:
     )
 
 
-def _known(first: tifffile.TiffPage) -> dict[str, Any]:
-    known = ome.parse(first.description) if first.description.rstrip().endswith("OME>") else {}
-    return {"software": first.software} | known
+def _metadata(first: tifffile.TiffPage) -> dict[str, Any]:
+    metadata = ome.parse(first.description) if first.description.rstrip().endswith("OME>") else {}
+    return {"software": first.software} | metadata

@@ -140,19 +140,19 @@ def read_image(path: Path) -> NDArray[Any]:
 
 def _metadata(tiff: tifffile.TiffFile) -> dict[str, Any]:
     first = tiff.pages.first
-    known: dict[str, Any] = {"software": first.software} if first.software else {}
+    metadata: dict[str, Any] = {"software": first.software} if first.software else {}
     if tiff.is_ome and tiff.ome_metadata:
-        return known | ome.parse(tiff.ome_metadata)
-    words = tiff.imagej_metadata or {}
-    interval = words.get("finterval")
+        return metadata | ome.parse(tiff.ome_metadata)
+    imagej = tiff.imagej_metadata or {}
+    interval = imagej.get("finterval")
     if (period := positive(interval)) is not None:
-        known["frame_period_s"] = period
+        metadata["frame_period_s"] = period
     resolution = first.tags.get("XResolution")
-    if str(words.get("unit", "")).strip("\\").lower() in {"um", "micron", "µm", "u00b5m"} and resolution is not None:
+    if str(imagej.get("unit", "")).strip("\\").lower() in {"um", "micron", "µm", "u00b5m"} and resolution is not None:
         pixels, per = resolution.value
         if (size := positive(per / pixels if pixels else None)) is not None:
-            known["um_per_px"] = size
-    return known
+            metadata["um_per_px"] = size
+    return metadata
 
 
 @contextmanager

@@ -22,7 +22,7 @@ _VALUE: Final = 12
 
 
 class PageLayout:
-    """Where everything lies in a recording of frames of one shape and type.
+    """Offsets of a recording of frames of one shape and type.
 
     Parameters
     ----------
@@ -34,11 +34,11 @@ class PageLayout:
     Attributes
     ----------
     file_header : bytes
-        What the file begins with.
+        First bytes of the file, before the first page.
     stride : int
         Bytes from one page to the next.
     padding : bytes
-        What follows the pixels.
+        Bytes after the pixels of a page.
 
     Examples
     --------
@@ -64,11 +64,21 @@ class PageLayout:
         self.padding = bytes(self.stride - len(self._head) - frame_shape[0] * frame_shape[1] * dtype.itemsize)
 
     def start(self, index: int) -> int:
-        """Byte of the file at which a page begins."""
+        """Return the byte offset of page `index`."""
         return len(self.file_header) + index * self.stride
 
     def head(self, index: int, time_s: float, frame_number: int) -> bytes:
-        """Write what stands before the pixels of a page; no page follows it as yet."""
+        """Return the bytes before the pixels of a page; its link to the next page is 0.
+
+        Parameters
+        ----------
+        index : int
+            Of the page.
+        time_s : float
+            Time of the frame.
+        frame_number : int
+            The camera's number.
+        """
         head = bytearray(self._head)
         for place in self._offsets:
             (offset,) = struct.unpack_from("<Q", head, place)
@@ -78,7 +88,7 @@ class PageLayout:
         return bytes(head)
 
     def link(self, index: int) -> tuple[int, bytes]:
-        """Say where in the file to write which bytes, so that page `index` is found from the one before it."""
+        """Return the byte offset and the bytes by which the page before links to page `index`."""
         return self.start(index - 1) + self._pointer, struct.pack("<Q", self.start(index))
 
 
