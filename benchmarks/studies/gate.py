@@ -222,7 +222,9 @@ def _velocities(rig: SimulatedRig, path: Trajectory, frames: int, grid: Grid) ->
     """Velocity of the probe while each frame's disc is read, pixels of the grid per frame."""
     reach = 0.5 * grid.diameter / grid.shutter.line_periods_per_frame
     within = np.linspace(-reach, reach, 15)
-    periods = np.maximum(np.arange(frames)[:, None] + grid.shutter.middle + within, 0)
+    centre_row = grid.origin[0] + grid.binning * grid.centre[0] + (grid.binning - 1) / 2
+    middle = centre_row / (grid.binning * grid.shutter.line_periods_per_frame)
+    periods = np.maximum(np.arange(frames)[:, None] + middle + within, 0)
     times_s = np.asarray(periods.ravel() * rig.instrument.optics.frame_period_s, np.float64)
     places = path.positions_um(times_s).reshape(frames, len(within), 2) / (rig.um_per_px * grid.binning)
     slopes: NDArray[np.float64] = (within[:, None] * places).sum(axis=1) / (within**2).sum()

@@ -98,7 +98,6 @@ def test_rows_per_frame_are_counted_on_the_grid() -> None:
     content = calibration().content() | {"optics": {"rows_per_frame": 544.8}}
     grid = Grid.of(Calibration.parse(content))
     assert grid.shutter.line_periods_per_frame == pytest.approx(272.4)
-    assert grid.shutter.middle == pytest.approx(261.3 / 544.8)
     assert np.isinf(Grid.of(calibration()).shutter.line_periods_per_frame)
 
 

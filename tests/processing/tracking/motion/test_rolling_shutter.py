@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity, Warp
+from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.processing.tracking.front_end.grid import Grid
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
 
-SHUTTER = RollingShutter(300.0, 0.47)
+SHUTTER = RollingShutter(300.0)
 BEFORE, AFTER = Velocity(30.0, -12.0), Velocity(34.0, -7.0)
 
 
@@ -31,6 +33,28 @@ def test_both_velocities_come_back_from_the_four_parameters() -> None:
     found = SHUTTER.velocities(warp)
     np.testing.assert_allclose(found, (BEFORE, AFTER), atol=1e-9)
     np.testing.assert_allclose(SHUTTER.displacement(warp, AFTER), SHUTTER.step(BEFORE, AFTER), atol=1e-9)
+
+
+@pytest.mark.parametrize("periods_per_readout", [1.05, 2.0, 4.0, 24.0])
+def test_displacement_of_a_smooth_motion_is_the_mean_of_the_velocities_at_every_frame_rate(
+    periods_per_readout: float,
+) -> None:
+    """A probe that accelerates steadily while 280 rows are read, the camera idle in between."""
+    rows = 280.0 * periods_per_readout
+    bundle = {"confocal_centre": [140.0, 150.0], "residual_centre": [140.0, 450.0], "diameter_px": 280.0,
+              "residual_to_confocal": [[1, 0, 0], [0, 1, -300]]}  # fmt: skip
+    shutter = Grid.of(Calibration.parse({"bundle": bundle, "optics": {"rows_per_frame": rows}})).shutter
+    speed, gain = np.array([12.0, -7.0]), np.array([3.0, 2.0])  # pixels per frame period, and per period squared
+
+    def place(period: float | np.ndarray) -> np.ndarray:
+        return np.multiply.outer(period, speed) + 0.5 * np.multiply.outer(np.square(period), gain)
+
+    read = np.linspace(-140, 140, 281) / rows
+    before, after = (Velocity(*np.polyfit(read, place(k + read), 1)[0]) for k in (0, 1))
+    moved = place(1.0) - place(0.0)
+    np.testing.assert_allclose(shutter.step(before, after), moved, atol=1e-9)
+    found = shutter.velocities(shutter.warp(before, after, Displacement(*moved)))
+    np.testing.assert_allclose(found, (before, after), atol=1e-6)
 
 
 @pytest.mark.parametrize("frames_apart", [1, 2, 5])

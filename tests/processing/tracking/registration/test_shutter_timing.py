@@ -12,7 +12,7 @@ from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
 from recordings import record, smooth_path, texture
 
-TRUE = RollingShutter(272.4, 0.48)
+TRUE = RollingShutter(272.4)
 
 
 def links(velocities: np.ndarray, noise: float = 3e-4, seed: int = 0) -> list:
@@ -31,7 +31,7 @@ def links(velocities: np.ndarray, noise: float = 3e-4, seed: int = 0) -> list:
 def test_accelerations_tell_the_rows_per_frame_whatever_was_assumed(assumed: float) -> None:
     t = np.arange(80) * 0.12
     found = estimate_line_periods_per_frame(
-        links(np.stack([25 * np.sin(t), 20 * np.cos(1.3 * t)], 1)), RollingShutter(assumed, 0.48)
+        links(np.stack([25 * np.sin(t), 20 * np.cos(1.3 * t)], 1)), RollingShutter(assumed)
     )
     assert found is not None
     assert abs(found.rows - 272.4) < 4 * found.sigma

@@ -64,9 +64,7 @@ class Grid:
             (c - o - (binning - 1) / 2) / binning for c, o in zip(bundle.confocal_centre, origin, strict=True)
         )
         rows = calibration.optics.line_periods_per_frame if calibration.optics is not None else None
-        shutter = (
-            RollingShutter(np.inf) if rows is None else RollingShutter(rows / binning, bundle.confocal_centre[0] / rows)
-        )
+        shutter = RollingShutter(np.inf if rows is None else rows / binning)
         return cls(side, binning, (origin[0], origin[1]), (centre[0], centre[1]), bundle.diameter_px / binning, shutter)
 
     def spans(self, field: float = FIELD, level: int = 0) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

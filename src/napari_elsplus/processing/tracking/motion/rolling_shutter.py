@@ -50,8 +50,6 @@ class RollingShutter:
     line_periods_per_frame : float
         Rows of the grid per frame period, idle time included. Infinite for a global shutter, or where it is unknown:
         the warp between two frames is then a translation.
-    middle : float
-        Part of the frame period after which the bundle's middle row is read, 0 to 1.
 
     Examples
     --------
@@ -68,16 +66,17 @@ class RollingShutter:
     """
 
     line_periods_per_frame: float
-    middle: float = 0.5
 
     def __post_init__(self) -> None:
         if not self.line_periods_per_frame > 0:
             raise InputError(f"line_periods_per_frame is {self.line_periods_per_frame}", "it must be positive")
 
     def step(self, before: Velocity, after: Velocity) -> Displacement:
-        """Displacement between the middle rows of successive frames, each of which moves evenly."""
-        m = self.middle
-        return Displacement((1 - m) * before.row + m * after.row, (1 - m) * before.col + m * after.col)
+        """Displacement between the middle rows of successive frames: the mean of their velocities.
+
+        Each velocity is that at the middle row, so this holds for every steady acceleration, at any frame rate.
+        """
+        return Displacement((before.row + after.row) / 2, (before.col + after.col) / 2)
 
     def warp(self, before: Velocity, after: Velocity, displacement: Displacement) -> Warp:
         """Warp from one frame to another that are any number of frames apart."""
@@ -92,11 +91,11 @@ class RollingShutter:
 
         The four parameters are just enough, because the displacement is the mean of the velocities.
         """
-        r, m = self.line_periods_per_frame, self.middle
+        r = self.line_periods_per_frame
         if not isfinite(r):
             return (steady := Velocity(-warp.b, -warp.d)), steady
-        stretch = 1 / ((1 - m) * warp.a + m + warp.b / r)
-        col = -stretch * (warp.d + (1 - m) * warp.s * r)
+        stretch = 1 / ((warp.a + 1) / 2 + warp.b / r)
+        col = -stretch * (warp.d + warp.s * r / 2)
         return (
             Velocity(r * (warp.a * stretch - 1), warp.s * r + warp.a * col),
             Velocity(r * (stretch - 1), col),

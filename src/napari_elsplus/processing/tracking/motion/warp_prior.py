@@ -99,7 +99,7 @@ def warp_prior(
     if trust_px is None or not (isfinite(rows) and isfinite(trust_px)):
         return WarpPrior(expected, stiffness)
     faster = Velocity(after.row + 1, after.col + 1)
-    gone = Displacement(displacement.row + shutter.middle, displacement.col + shutter.middle)
+    gone = Displacement(displacement.row + 0.5, displacement.col + 0.5)
     other = shutter.warp(before, faster, gone)
     slopes = (other.a - expected.a) / (other.b - expected.b), (other.s - expected.s) / (other.d - expected.d)
     return WarpPrior(expected, stiffness, (2 * trust_px / rows) ** -2, slopes)
@@ -121,7 +121,7 @@ def velocity_sigma(information: NDArray[np.float64], shutter: RollingShutter) ->
         covariance = np.linalg.inv(information)
     except np.linalg.LinAlgError:
         return inf
-    part = (1 - shutter.middle) * shutter.line_periods_per_frame
+    part = shutter.line_periods_per_frame / 2
     axes = (covariance[k : k + 2, k : k + 2] for k in (0, 2))
     largest = max(part * part * c[0, 0] + 2 * part * c[0, 1] + c[1, 1] for c in axes)
     return float(np.sqrt(largest)) if largest >= 0 else inf

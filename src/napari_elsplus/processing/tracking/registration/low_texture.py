@@ -146,8 +146,7 @@ class LowTextureFallback:
         shutter = self._registrar.grid.shutter
         moved = shutter.displacement(link.warp, after)
         if trust_px is not None:  # the displacement is the mean of the velocities
-            part = shutter.middle
-            after = Velocity(*((d - (1 - part) * v) / part for d, v in zip(moved, before, strict=True)))
+            after = Velocity(*(2 * d - v for d, v in zip(moved, before, strict=True)))
         if isfinite(link.turn_sigma):
             earlier = self._registrar.turned(earlier, before, link.turn, link.zoom, scratch)
             before = AT_REST

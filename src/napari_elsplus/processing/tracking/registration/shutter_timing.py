@@ -59,7 +59,7 @@ def estimate_line_periods_per_frame(
         return None
     inverse, sigma = 1 / assumed.line_periods_per_frame, np.inf
     for _ in range(_ROUNDS):
-        shutter = RollingShutter(1 / inverse, assumed.middle)
+        shutter = RollingShutter(1 / inverse)
         gained, bent = _gains(warps, runs, shutter)
         weight = np.ones(len(gained))
         for _ in range(_ROUNDS):
