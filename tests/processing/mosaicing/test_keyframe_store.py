@@ -25,6 +25,16 @@ def test_grey_levels_come_back_within_a_thirty_second_and_exposed() -> None:
     assert np.abs(back - 1.25 * image).max() <= 1 / 32 + 1e-3
 
 
+@pytest.mark.parametrize(("level", "exposure"), [(1100.0, 2.0), (-1500.0, 1.5), (60_000.0, 1.0)])
+def test_bright_frames_keep_their_sign_and_their_level(level: float, exposure: float) -> None:
+    """Of cameras of more than eight bits, and of frames that exposure matching has brightened."""
+    image = np.array([[level, 0.0], [level / 2, 1.0]], np.float32)
+    store = KeyframeStore(DIAMETER, 5)
+    assert store.add(0, pose(0, 0), image, exposure=exposure)
+    back = store.frames[0].image(np.empty_like(image))
+    np.testing.assert_allclose(back, exposure * image, atol=max(1 / 32, abs(exposure * level) / 32767) + 1e-3)
+
+
 def test_what_is_passed_again_and_again_takes_no_more_room_and_the_newest_stay() -> None:
     store = KeyframeStore(DIAMETER, capacity=80)
     for frame in range(2000):

@@ -28,9 +28,9 @@ _TARGET_FILL: Final = 0.75
 """Fraction of the capacity that thinning leaves at most; chosen: the next thinning is then a while away."""
 _FIRST_THINNING: Final = 1000
 """Number of keyframes at which they are thinned for the first time; chosen: less are not worth the time."""
-_STEPS_PER_LEVEL: Final = 16
-"""Steps of the stored integers per grey level; derived: int16 then spans -2048 to 2047 grey levels, and white
-divided by a flat field of 0.2 is 1275."""
+_MIN_QUANTUM: Final = 1 / 16
+"""Smallest step of the stored integers, grey levels; chosen: far below the noise of an 8-bit camera."""
+_INT16_MAX: Final = 32767
 
 
 class Keyframe(NamedTuple):
@@ -43,16 +43,19 @@ class Keyframe(NamedTuple):
     pose : Pose
         As tracked, before any correction.
     packed : numpy.ndarray
-        (side, side) int16 sixteenths of a grey level: the rounding is far below an 8-bit camera's noise.
+        (side, side) int16, in steps of `quantum`.
+    quantum : float
+        Grey levels per step: a sixteenth, or as many as the brightest pixel needs to fit.
     """
 
     frame: int
     pose: Pose
     packed: NDArray[np.int16]
+    quantum: float = _MIN_QUANTUM
 
     def image(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
         """Write the frame's grey levels into `out`, (side, side) float32, and return it."""
-        return np.multiply(self.packed, np.float32(1 / _STEPS_PER_LEVEL), out=out)
+        return np.multiply(self.packed, np.float32(self.quantum), out=out)
 
 
 class KeyframeStore:
@@ -130,8 +133,10 @@ class KeyframeStore:
         if self.full or not (begins or always or self._travelled >= self.spacing * self._diameter_px):
             return False
         self._travelled = 0.0
-        steps = np.multiply(image, np.float32(_STEPS_PER_LEVEL * exposure))
-        self.frames.append(Keyframe(frame, pose, np.rint(steps, out=steps).astype(np.int16)))
+        peak = exposure * max(float(image.max()), -float(image.min()))
+        quantum = max(_MIN_QUANTUM, peak / _INT16_MAX)
+        steps = np.multiply(image, np.float32(exposure / quantum))
+        self.frames.append(Keyframe(frame, pose, np.rint(steps, out=steps).astype(np.int16), quantum))
         return True
 
     def recent(self, frame: int) -> Keyframe | None:

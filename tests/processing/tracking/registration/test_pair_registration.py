@@ -27,7 +27,7 @@ def pair(
         front_end.image(frame, view.image)
         views.append(registrar.prepare(view))
     shutter = front_end.grid.shutter
-    moved = shutter.step(Velocity(*before), Velocity(*after))
+    moved = Displacement(*(truth.positions[1] - truth.positions[0]) / front_end.grid.binning)
     return registrar, views[0], views[1], shutter.warp(Velocity(*before), Velocity(*after), moved), moved
 
 

@@ -119,13 +119,13 @@ def settle(poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, 
 def with_origins(
     poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, PairRegistration]], shutter: RollingShutter
 ) -> list[Pose]:
-    """Give the frames from which segments started the velocity, and the place, that their first link tells.
+    """Return the poses with velocity and place, from their first link, of the frames from which segments started.
 
     While frames came in nothing was known of them. One that is lost becomes the segment's first frame if another lost
     frame comes before it, so that segments stay apart.
     """
     result = list(poses)
-    for earlier, later, _, link in links:
+    for earlier, later, moved, link in links:
         first, after = result[earlier], result[later]
         begins = first.state is TrackingState.TRACKED and np.isnan(first.score)
         alone = earlier == 0 or result[earlier - 1].state is TrackingState.LOST
@@ -133,7 +133,8 @@ def with_origins(
             continue
         if begins or (first.state is TrackingState.LOST and alone):
             before, _ = shutter.velocities(link.warp)
-            result[earlier] = Pose(after.segment, 0.0, 0.0, before, np.nan, np.nan, TrackingState.TRACKED)
+            row, col = after.row - moved.row, after.col - moved.col
+            result[earlier] = Pose(after.segment, row, col, before, np.nan, np.nan, TrackingState.TRACKED)
     return result
 
 

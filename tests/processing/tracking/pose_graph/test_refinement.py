@@ -1,0 +1,23 @@
+from __future__ import annotations
+
+import numpy as np
+
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity
+from napari_elsplus.processing.tracking.pose_graph.refinement import with_origins
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
+
+SHUTTER = RollingShutter(300.0)
+STEADY = Velocity(12.0, -5.0)
+LOST = Pose(0, np.nan, np.nan, Velocity(np.nan, np.nan), np.nan, np.nan, TrackingState.LOST)
+
+
+def test_the_origin_of_a_later_segment_lies_its_displacement_before_the_next_frame() -> None:
+    """A segment begins at the frame after its origin, which itself had no place while frames came."""
+    moved = Displacement(*STEADY)
+    link = PairRegistration(SHUTTER.warp(STEADY, STEADY, moved), np.eye(4), 0.98, 0.9, 1.0)
+    first = Pose(1, 0.0, 0.0, STEADY, 0.98, 0.1, TrackingState.TRACKED)
+    poses = with_origins([LOST, LOST, first], [(1, 2, moved, link)], SHUTTER)
+    assert poses[1].state is TrackingState.TRACKED
+    np.testing.assert_allclose((poses[2].row - poses[1].row, poses[2].col - poses[1].col), moved)
+    np.testing.assert_allclose(poses[1].velocity, STEADY, atol=1e-9)
