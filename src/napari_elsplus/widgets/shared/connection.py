@@ -31,6 +31,7 @@ class Connection:
         self._users = 0
         self._lock = Lock()
         self._applied: tuple[Calibration | None, Path | None] = (None, None)
+        self._received: Calibration | None = None
         self.rig: str | None = None
         """Name of the connected rig."""
 
@@ -50,7 +51,11 @@ class Connection:
         """The active calibration: that of the connected rig if it has one, else the one applied last."""
         client = self.client
         active = client.calibration if client is not None else None
-        return active if active is not None else self._applied[0]
+        if active is not self._received:
+            self._received = active  # a copy from the engine's process: the panels go on sharing one object
+            if active is not None and active != self._applied[0]:
+                self._applied = active, None
+        return self._applied[0]
 
     @property
     def calibration_file(self) -> Path | None:
