@@ -44,6 +44,9 @@ def test_the_first_visit_works_as_written(tmp_path: Path, monkeypatch: pytest.Mo
             except SystemExit as exit_of_command:
                 left = exit_of_command.code or 0
             assert left == 0, line
+    (snippet,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    exec(compile(snippet, "README.md", "exec"), {})
+    assert (tmp_path / "track-again.csv").is_file()
     promised = {word for line in LINES for word in re.findall(r"-o (\S+)|--track (\S+)", line) for word in word if word}
     assert promised
     assert {name for name in promised if not (tmp_path / name).exists()} == set()

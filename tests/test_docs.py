@@ -1,0 +1,45 @@
+"""The documentation's pages: all in the navigation and the index, links lead somewhere, references can be imported."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import yaml
+
+pytestmark = pytest.mark.checkout
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+PAGES = sorted(path.name for path in DOCS.glob("*.md"))
+
+
+def navigation(entries: object) -> set[str]:
+    if isinstance(entries, str):
+        return {entries}
+    values = entries.values() if isinstance(entries, dict) else entries
+    return {page for value in values for page in navigation(value)}  # type: ignore[union-attr]
+
+
+def test_every_page_is_in_the_navigation_and_in_the_index() -> None:
+    nav = navigation(yaml.safe_load((DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8"))["nav"])
+    assert nav == set(PAGES)
+    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"\]\(([a-z-]+\.md)\)", index)) | {"index.md"} == set(PAGES)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_and_pictures_lead_somewhere(page: str) -> None:
+    targets = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", (DOCS / page).read_text(encoding="utf-8"))
+    assert [target for target in targets if "://" not in target and not (DOCS / target).exists()] == []
+
+
+@pytest.mark.parametrize("page", ["reference.md", "modules.md"])
+def test_references_can_be_imported(page: str) -> None:
+    for name in re.findall(r"^::: (\S+)", (DOCS / page).read_text(encoding="utf-8"), re.MULTILINE):
+        module, _, attribute = name.rpartition(".")
+        try:
+            import_module(name)
+        except ModuleNotFoundError:
+            assert hasattr(import_module(module), attribute), name
