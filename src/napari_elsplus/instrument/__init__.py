@@ -1,1 +1,1 @@
-"""What the instrument is, in numbers: optics, presets, and the record of its calibration."""
+"""Description of the instrument: optics, presets, and the record of its calibration."""

@@ -60,7 +60,7 @@ def test_cores_are_found_where_they_are(pitch_px: float) -> None:
 
 def test_an_image_without_cores_is_refused() -> None:
     smooth = gaussian_filter(np.random.default_rng(0).normal(100, 5, (SIDE, SIDE)), 4).astype(np.float32)
-    with pytest.raises(MeasurementError, match="no honeycomb"):
+    with pytest.raises(MeasurementError, match="no core pattern"):
         find_cores(smooth, INSIDE)
 
 

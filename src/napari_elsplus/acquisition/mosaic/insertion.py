@@ -207,7 +207,7 @@ class LiveInsertion:
         return [int(k) for k in np.flatnonzero(off)]
 
     def _reach(self, place: Pose) -> Rectangle:
-        return self._brush.extent_of(place.row, place.col, place.velocity, place.angle, place.scale)
+        return self._brush.extent_of(place)
 
     def _render_tile(self, where: TileKey, frames: Iterable[tuple[Keyframe, Pose]]) -> tuple[Tile, list[Rectangle]]:
         """Render a tile anew, beside the one that is displayed."""
@@ -222,7 +222,7 @@ class LiveInsertion:
         part = self._reach(place).intersection(tile_rectangle(*key))
         if place.segment != segment or 0 in part.shape:
             return []
-        self._brush.render_into(tile, key, image, place.row, place.col, place.velocity, place.angle, place.scale)
+        self._brush.render_into(tile, key, image, place)
         return [part]
 
     def _exchange(

@@ -126,7 +126,7 @@ def core_pitch_px(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> floa
     peak = int(prominence.argmax())
     if prominence[peak] < _MIN_PROMINENCE:
         raise MeasurementError(
-            f"no honeycomb stands out in the flat field (ring {prominence[peak]:.1f} times its surroundings)",
+            f"no core pattern found in the flat field (ring {prominence[peak]:.1f} times its surroundings)",
             "the cores are not resolved: use the core filter 'median' or 'none'",
         )
     around = slice(max(peak - 2, 0), peak + 3)

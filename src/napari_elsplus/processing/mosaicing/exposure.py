@@ -1,4 +1,4 @@
-"""Exposure compensation: frames are scaled to the brightness of what they overlap, against a flickering laser's seams.
+"""Exposure compensation: frames are scaled to the brightness of what they overlap, so that flicker leaves no seams.
 
 The gain is the ratio of the mean grey levels in the overlap. Noise biases a regression but not this ratio, so that
 brightness does not fade along a path of many frames.
@@ -45,7 +45,7 @@ class Overlap(NamedTuple):
 
 
 def exposure_gain(overlap: Overlap, frame_weight: float) -> float:
-    """Return the factor that brings a frame to the brightness of what it overlaps.
+    """Return the factor that scales a frame to the brightness of what it overlaps.
 
     Parameters
     ----------

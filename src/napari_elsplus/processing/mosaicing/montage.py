@@ -36,7 +36,7 @@ def montage(mosaics: list[Mosaic], gap_px: int = 16) -> NDArray[np.float32]:
     """
     images = sorted((mosaic.read()[0] for mosaic in mosaics), key=lambda image: -image.size)
     if not images:
-        raise InputError("no frame could be placed", "look at the frames: is the probe on the tissue?")
+        raise InputError("no frame could be placed", "check the frames: is the probe on the tissue?")
     height = sum(len(image) + gap_px for image in images) - gap_px
     canvas = np.zeros((height, max(image.shape[1] for image in images)), np.float32)
     top = 0

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.mosaicing.footprint import Arguments
     from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.motion.pose import Pose
 
 _RAMP: Final = 0.25
 """Fraction of the radius over which weights fall off towards the rim; chosen: wide enough to hide seams."""
@@ -44,17 +45,17 @@ class Insertion(StrEnum):
     DEAD_LEAF = "dead-leaf"
     """The newest frame covers the others, as in the paper, but its rim does not cover the inside of another."""
     FEATHERED = "feathered"
-    """Mean of all frames, weighted down towards their rims, each brought to the brightness of what it overlaps."""
+    """Mean of all frames, weighted down towards their rims, each scaled to the brightness of what it overlaps."""
 
 
-def rim_weights(grid: Grid, line_away: float = 0.0) -> NDArray[np.float32]:
+def rim_weights(grid: Grid, offset_px: float = 0.0) -> NDArray[np.float32]:
     """Weight of each pixel of a frame: 1 inside, falling off towards the rim.
 
     Parameters
     ----------
     grid : Grid
         The frames' grid.
-    line_away : float
+    offset_px : float
         Slit offset of the calibration in rows of the grid: distance from a point to the laser line while the point's
         residual is read. Where the line is then outside of the bundle nothing is subtracted, and the weight is low.
 
@@ -66,7 +67,7 @@ def rim_weights(grid: Grid, line_away: float = 0.0) -> NDArray[np.float32]:
     y, x = (np.arange(grid.side) - c for c in grid.centre)
     radius = 0.5 * FIELD * grid.diameter
     inwards = 1 - np.hypot(y[:, None], x) / radius
-    beyond = 1 - np.hypot(y[:, None] + line_away, x) / (0.5 * grid.diameter)
+    beyond = 1 - np.hypot(y[:, None] + offset_px, x) / (0.5 * grid.diameter)
     ramp = np.clip(np.minimum(inwards, beyond) / _RAMP, 0, 1)
     weights: NDArray[np.float32] = np.maximum(ramp * ramp * (3 - 2 * ramp), _RIM_WEIGHT).astype(np.float32)
     return weights
@@ -141,8 +142,8 @@ class Mosaic(TiledCanvas):
         Rectangle
             Part of the canvas that may have changed.
         """
-        touched = self.extent_of(row, col, velocity, angle, scale)
         image, footprint = self._placed(image, row, col, velocity, angle, scale)
+        touched = self._extent(row, col, *self._stretch_and_shear(velocity, angle, scale))
         blend = self.insertion is Insertion.FEATHERED
         with self._lock:
             if blend:
@@ -155,26 +156,11 @@ class Mosaic(TiledCanvas):
             self._mark_drawn(touched)
         return touched
 
-    def extent_of(
-        self, row: float, col: float, velocity: Velocity = STILL, angle: float = 0.0, scale: float = 1.0
-    ) -> Rectangle:
-        """Return the part of the canvas that :meth:`insert` changes at most, given the same arguments."""
-        stretch, shear = self._stretch_and_shear(velocity, angle, scale)
-        radius = 0.5 * FIELD * self.grid.diameter
-        down, across = radius * stretch, radius * (1 + abs(shear))
-        return Rectangle(floor(row - down), floor(col - across), ceil(row + down) + 1, ceil(col + across) + 1)
+    def extent_of(self, pose: Pose) -> Rectangle:
+        """Return the part of the canvas that a frame with a pose covers at most."""
+        return self._extent(pose.row, pose.col, *self._stretch_and_shear(pose.velocity, pose.angle, pose.scale))
 
-    def render_into(
-        self,
-        tile: Tile,
-        key: tuple[int, int],
-        image: NDArray[np.float32],
-        row: float,
-        col: float,
-        velocity: Velocity = STILL,
-        angle: float = 0.0,
-        scale: float = 1.0,
-    ) -> None:
+    def render_into(self, tile: Tile, key: tuple[int, int], image: NDArray[np.float32], pose: Pose) -> None:
         """Insert a frame into a tile beside the canvas, for re-rendering; its brightness is not adjusted.
 
         Parameters
@@ -183,10 +169,12 @@ class Mosaic(TiledCanvas):
             Modified in place.
         key : tuple of int
             Row and column of the tile on the canvas.
-        image, row, col, velocity, angle, scale
-            As in :meth:`insert`.
+        image : numpy.ndarray
+            (side, side) float32.
+        pose : Pose
+            Corrected pose of the frame.
         """
-        image, footprint = self._placed(image, row, col, velocity, angle, scale)
+        image, footprint = self._placed(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
         at = tile_rectangle(*key)
         insert_rows(*tile, at.top, at.left, image, footprint, self.insertion is Insertion.FEATHERED)
 
@@ -210,6 +198,12 @@ class Mosaic(TiledCanvas):
             if self.extent is not None:
                 changed = tile_rectangle(*key).intersection(self.extent)
                 self._dirty = changed if self._dirty is None else self._dirty.union(changed)
+
+    def _extent(self, row: float, col: float, stretch: float, shear: float) -> Rectangle:
+        """Return the rectangle around the disc of a frame that is used."""
+        radius = 0.5 * FIELD * self.grid.diameter
+        down, across = radius * stretch, radius * (1 + abs(shear))
+        return Rectangle(floor(row - down), floor(col - across), ceil(row + down) + 1, ceil(col + across) + 1)
 
     def _stretch_and_shear(self, velocity: Velocity, angle: float, scale: float) -> tuple[float, float]:
         """Return the stretch and shear that the kernels undo: none where :meth:`_placed` resamples the whole frame."""

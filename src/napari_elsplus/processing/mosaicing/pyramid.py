@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.processing.compiled import kernel
-from napari_elsplus.processing.mosaicing.tiles import TILE_PX, HeapTiles, Rectangle, TileStore, tile_rectangle
+from napari_elsplus.processing.mosaicing.tiles import (
+    TILE_PX,
+    HeapTiles,
+    Rectangle,
+    TileStore,
+    copy_tiles,
+    tile_rectangle,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,18 +64,7 @@ class Pyramid:
         image, weight : numpy.ndarray
             (rows, cols) float32 grey levels and weights; both 0 where nothing was drawn.
         """
-        if level == 0:
-            return self._canvas.read(part)
-        store = self._stores[level - 1]
-        image, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
-        existing = set(store.keys())
-        for key in part.tiles():
-            if key in existing:
-                at, tile = tile_rectangle(*key), store.tile(*key)
-                shared = part.intersection(at)
-                here, there = shared.slices(part), shared.slices(at)
-                image[here], weight[here] = tile.value[there], tile.weight[there]
-        return image, weight
+        return self._canvas.read(part) if level == 0 else copy_tiles(self._stores[level - 1], part)
 
     def _halve(self, level: int, part: Rectangle) -> None:
         """Compute a part of a level from the one below, tile by tile, so that memory for one tile suffices."""

@@ -185,17 +185,8 @@ class TiledCanvas:
         weight : numpy.ndarray
             (rows, cols) float32; the sum of weights where frames are blended, the weight of the frame on top where not.
         """
-        part = part or self.extent or Rectangle(0, 0, 0, 0)
-        image, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
         with self._lock:
-            existing = set(self._store.keys())
-            for key in part.tiles():
-                if key not in existing:
-                    continue
-                tile, at = self._store.tile(*key), tile_rectangle(*key)
-                shared = part.intersection(at)
-                here, there = shared.slices(part), shared.slices(at)
-                image[here], weight[here] = tile.value[there], tile.weight[there]
+            image, weight = copy_tiles(self._store, part or self.extent or Rectangle(0, 0, 0, 0))
         if self._blended:
             np.divide(image, weight, out=image, where=weight > 0)
         return image, weight
@@ -210,6 +201,32 @@ class TiledCanvas:
         """Extend the extent and the dirty rectangle by a part; the caller holds the lock."""
         self.extent = part if self.extent is None else self.extent.union(part)
         self._dirty = part if self._dirty is None else self._dirty.union(part)
+
+
+def copy_tiles(store: TileStore, part: Rectangle) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Copy a part of the canvas from the tiles of a store.
+
+    Parameters
+    ----------
+    store : TileStore
+        No tile is allocated in it.
+    part : Rectangle
+        Pixels of the canvas.
+
+    Returns
+    -------
+    value, weight : numpy.ndarray
+        (rows, cols) float32; 0 where there is no tile.
+    """
+    value, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
+    existing = set(store.keys())
+    for key in part.tiles():
+        if key in existing:
+            at, tile = tile_rectangle(*key), store.tile(*key)
+            shared = part.intersection(at)
+            here, there = shared.slices(part), shared.slices(at)
+            value[here], weight[here] = tile.value[there], tile.weight[there]
+    return value, weight
 
 
 def bounding_rectangle(parts: Iterable[Rectangle]) -> Rectangle | None:
