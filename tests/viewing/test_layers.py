@@ -82,7 +82,7 @@ def test_a_calibration_that_does_not_do_leaves_the_raw_layer_and_a_note(tmp_path
     assert list(by_name(opened)) == ["scan raw"]
     assert opened.layers[0][1]["visible"]
     assert len(opened.notes) == 1
-    assert "shown as raw frames only" in opened.notes[0]
+    assert "displayed as raw frames only" in opened.notes[0]
 
 
 def test_finished_images_are_not_taken_for_raw_frames(tmp_path):
