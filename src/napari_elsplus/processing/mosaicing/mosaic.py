@@ -110,6 +110,7 @@ class Mosaic(TiledCanvas):
         self._spans = grid.spans()
         self.exposure = 1.0
         self._upright = np.zeros((grid.side, grid.side), np.float32)
+        self._upright_weights = np.zeros_like(self._upright)
         self._exposed_image = np.zeros_like(self._upright)
         self._frame_weight = float(self._weights[lit_pixels(*self._spans)].sum()) / ROW_STEP
 
@@ -214,12 +215,17 @@ class Mosaic(TiledCanvas):
     def _placed(
         self, image: NDArray[np.float32], row: float, col: float, velocity: Velocity, angle: float, scale: float
     ) -> tuple[NDArray[np.float32], Arguments]:
-        """Return a frame, resampled upright if it is rotated or scaled, and its footprint."""
+        """Return a frame and its footprint; one that is rotated or scaled is resampled onto the canvas' own pixels."""
+        weights, centre = self._weights, self.grid.centre
         if angle != 0 or scale != 1:
             matrix = turned_by(angle, scale) @ unsheared(velocity, self.grid.shutter.line_periods_per_frame)
-            image = upright(image, self._upright, self.grid.centre, matrix)
+            onto = round(row - centre[0]) + centre[0], round(col - centre[1]) + centre[1]
+            shift = row - onto[0], col - onto[1]
+            image = upright(image, self._upright, centre, matrix, shift)
+            weights = upright(weights, self._upright_weights, centre, matrix, shift)
+            row, col = onto
         stretch, shear = self._stretch_and_shear(velocity, angle, scale)
-        footprint = Footprint(self._weights, *self._spans, *self.grid.centre, row, col, stretch, shear)
+        footprint = Footprint(weights, *self._spans, *centre, row, col, stretch, shear)
         return image, footprint.arguments
 
     def _exposure_gain(self, image: NDArray[np.float32], touched: Rectangle, footprint: Arguments) -> float:

@@ -86,12 +86,29 @@ def scale_of(form: Matrix) -> float:
 
 
 def upright(
-    image: NDArray[np.float32], out: NDArray[np.float32], centre: tuple[float, float], matrix: Matrix
+    image: NDArray[np.float32],
+    out: NDArray[np.float32],
+    centre: tuple[float, float],
+    matrix: Matrix,
+    shift: tuple[float, float] = (0.0, 0.0),
 ) -> NDArray[np.float32]:
-    """Move every point of an image to `matrix` times where it was, about the bundle's centre; beyond it lies zero."""
+    """Move every point of an image to `matrix` times where it was, about the bundle's centre; beyond it lies zero.
+
+    Parameters
+    ----------
+    image, out : numpy.ndarray
+        (n, n) float32; `out` is filled, by bilinear interpolation, and returned.
+    centre : tuple of float
+        Row and column of the bundle's centre.
+    matrix : numpy.ndarray
+        (2, 2), of (row, col).
+    shift : tuple of float
+        Rows and columns by which everything is moved besides, pixels.
+    """
     row, col = centre
     (rr, rc), (cr, cc) = matrix
-    forward = np.array([[cc, cr, col - cc * col - cr * row], [rc, rr, row - rc * col - rr * row]])
+    down, across = row + shift[0], col + shift[1]
+    forward = np.array([[cc, cr, across - cc * col - cr * row], [rc, rr, down - rc * col - rr * row]])
     size = (image.shape[1], image.shape[0])
     cv2.warpAffine(image, forward, size, dst=out, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     return out
