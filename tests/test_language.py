@@ -21,6 +21,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 PACKAGE = PROJECT / "src" / "napari_elsplus"
 RETIRED = [line for line in (PROJECT / "docs" / "retired-names.txt").read_text("utf-8").splitlines() if line[:1] != "#"]
 DOCUMENTED: tuple[str, ...] = (
+    "acquisition/calibrating",
     "cli/files",
     "diagnosis",
     "errors.py",
@@ -29,6 +30,7 @@ DOCUMENTED: tuple[str, ...] = (
     "io",
     "processing/analysis",
     "processing/compiled.py",
+    "processing/calibration",
     "processing/images",
     "processing/mosaicing",
     "viewing",
@@ -36,6 +38,7 @@ DOCUMENTED: tuple[str, ...] = (
     "widgets/live",
     "widgets/mosaic",
     "widgets/shared",
+    "widgets/calibration",
     "workflows",
 )
 """Folders of which every public function documents its parameters."""

@@ -1,8 +1,8 @@
-"""Volts to rows: the map that puts the laser line onto the camera's slit.
+"""The galvo map: the voltage that puts the laser line onto a row of the camera.
 
 The paper sweeps at least 400 voltages, takes the brightest pixel of each profile and fits a straight line (System
 Calibration, step ii). Rows are found to a fraction of a pixel here, frames without a visible line are left out, a
-robust fit throws out what is far from the line, and what is left of the residuals says how curved the galvo is.
+robust fit rejects outliers, and the residuals of a straight line measure how curved the galvo is.
 """
 
 from __future__ import annotations
@@ -25,22 +25,26 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 PAPER_VOLTAGES: Final = 400
-FEWEST_LINES: Final = 5
-SHORTEST_CHORD: Final = 0.7
-"""Of the longest line; nearer to the rim the line's halo is cut on one side and pulls the fit."""
-MOST_VOLTS, LEAST_VOLTS = 1e3, 1e-6
-"""What no galvo is driven with, and a sweep of less than which is none."""
+"""Least number of voltages in the paper's sweep."""
+MIN_LINES: Final = 5
+"""Chosen: a cubic has four parameters."""
+MIN_CHORD: Final = 0.7
+"""Of the longest line; chosen: nearer to the rim the line's halo is cut on one side, which biases the fit."""
+MAX_VOLTS, MIN_SWEEP_V = 1e3, 1e-6
+"""In volts; chosen: far beyond the drive of any galvo, and far below one step of its card."""
 OUTLIER_SIGMAS: Final = 5.0
+"""Robust standard deviations; chosen: a line of a good sweep exceeds them once in a million."""
 RUNS: Final = 20
-LINES_OF_TRUST: Final = 4
-"""How many lines each line's own uncertainty is worth, against what the lines leave over."""
+"""Clusters of neighbouring voltages; chosen: enough for a variance, each wider than a row of cores."""
+PRIOR_LINES: Final = 4
+"""Number of lines as which each line's own uncertainty is weighted against the residuals; chosen."""
 _NEIGHBOURS: Final = 4
-"""Runs of voltages that are taken together: rows of cores pull the line to and fro over many voltages."""
+"""Runs of voltages whose errors are correlated; chosen: rows of cores bias the line over many voltages."""
 
 
 @dataclass(frozen=True, slots=True)
 class GalvoMap:
-    """Volts that put the line onto a row, as a straight line with what it leaves over.
+    """Volts that put the line onto a row: a straight line and its residuals.
 
     Parameters
     ----------
@@ -49,21 +53,21 @@ class GalvoMap:
     volts_per_row_uncertainty, volts_at_row_zero_uncertainty : float
         One standard deviation of each.
     r_squared : float
-        Share of the rows' variance that the line explains.
+        Share of the rows' variance that the straight line explains.
     rms_rows : float
-        Scatter of the rows about the line.
+        Scatter of the rows about the straight line.
     curvature_rows : float
         Largest departure of the fitted cubic from the line over the swept rows.
     curved : bool
-        Whether that departure is more than chance and more than a tenth of a row.
+        True if that departure is significant and more than a tenth of a row.
     tilt_deg : float
         Median tilt of the line.
     column : float
-        Column of the left view at which rows are taken.
+        Column of the confocal view at which rows are taken.
     lines, dark, outliers : int
-        Frames fitted; without a visible line or with it cut short by the bundle's rim; thrown out by the robust fit.
+        Frames fitted; without a visible line or with it cut short by the bundle's rim; rejected by the robust fit.
     volts, rows, used : numpy.ndarray
-        Voltage and row of every frame that showed a line, shape (frames,), and whether it entered the fit.
+        Voltage and row of every frame with a line, shape (frames,), and True where it was fitted.
     """
 
     volts_per_row: float
@@ -84,17 +88,17 @@ class GalvoMap:
     used: NDArray[np.bool_]
 
     def row(self, volts: float) -> float:
-        """Row on which the line stands at a voltage."""
+        """Return the row on which the line stands at a voltage in volts."""
         return (volts - self.volts_at_row_zero) / self.volts_per_row
 
     def at_column(self, column: float) -> GalvoMap:
-        """Return the map with its rows taken at another column of the tilted line."""
+        """Return the map with rows taken at another column of the tilted line."""
         lower = float(np.tan(np.radians(self.tilt_deg))) * (column - self.column)
         at_zero = self.volts_at_row_zero - self.volts_per_row * lower
         return replace(self, volts_at_row_zero=at_zero, column=column, rows=self.rows + lower)
 
     def park_v(self, first_row: float, last_row: float) -> float:
-        """Voltage nearest to zero that stands the line on neither row nor between them."""
+        """Return the voltage nearest to zero that puts the line neither onto the first or last row nor between them."""
         ends = [self.volts_at_row_zero + self.volts_per_row * row for row in (first_row, last_row)]
         return 0.0 if not min(ends) < 0 < max(ends) else min(ends, key=abs)
 
@@ -140,7 +144,7 @@ def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: flo
     Raises
     ------
     InputError
-        If there are not as many voltages as frames, or one is not finite.
+        If the numbers of voltages and frames differ, or a voltage is not finite.
     MeasurementError
         If too few frames show a line, or the line does not move with the voltage.
     """
@@ -148,23 +152,23 @@ def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: flo
     if volts.ndim != 1 or len(volts) != len(lines):
         raise InputError(f"{volts.size} voltages for {len(lines)} frames", "give one voltage per frame")
     if not np.isfinite(volts).all():
-        raise InputError(f"voltage {int(np.argmin(np.isfinite(volts)))} is not finite", "mend the list of volts")
+        raise InputError(f"voltage {int(np.argmin(np.isfinite(volts)))} is not finite", "correct the list of volts")
     largest = float(np.abs(volts).max(initial=0.0))
-    if largest > MOST_VOLTS:
-        raise InputError(f"a voltage of the sweep is {largest:g} V", f"give volts, at most {MOST_VOLTS:g}")
+    if largest > MAX_VOLTS:
+        raise InputError(f"a voltage of the sweep is {largest:g} V", f"give volts, at most {MAX_VOLTS:g}")
     seen = [(v, line) for v, line in zip(volts, lines, strict=True) if line is not None]
     longest = max((line.columns[1] - line.columns[0] for _, line in seen), default=0)
-    whole = [(v, line) for v, line in seen if line.columns[1] - line.columns[0] >= SHORTEST_CHORD * longest]
-    if len(whole) < FEWEST_LINES:
+    whole = [(v, line) for v, line in seen if line.columns[1] - line.columns[0] >= MIN_CHORD * longest]
+    if len(whole) < MIN_LINES:
         raise MeasurementError(
-            f"a line is visible in {len(whole)} of {len(lines)} frames, {FEWEST_LINES} are needed",
+            f"a line is visible in {len(whole)} of {len(lines)} frames, {MIN_LINES} are needed",
             "is the laser on, and does the sweep cross the bundle?",
         )
     if column is None:
         column = float(np.median([line.column for _, line in whole]))
     v = np.array([voltage for voltage, _ in whole])
     rows = np.array([line.row_at(column) for _, line in whole])
-    if np.ptp(v) < LEAST_VOLTS:
+    if np.ptp(v) < MIN_SWEEP_V:
         raise InputError(f"all voltages are {v[0]:g}, to {np.ptp(v):g} V", "sweep a range of voltages")
     slope = float(stats.theilslopes(rows, v).slope)
     away = rows - slope * v
@@ -174,7 +178,7 @@ def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: flo
     travel = abs(slope) * float(np.ptp(v[used]))
     if used.mean() < 0.6 or travel < max(5.0, 20 * scatter):
         raise MeasurementError(
-            f"the line moves {travel:.1f} rows over the sweep, {100 * (1 - used.mean()):.0f} % of it out of step",
+            f"the line moves {travel:.1f} rows over the sweep, {100 * (1 - used.mean()):.0f} % of it not in step",
             "do the voltages belong to these frames, and does the galvo move?",
         )
     tilt_deg = float(np.median([line.tilt_deg for _, line in whole]))
@@ -190,23 +194,23 @@ def _fit(
     x = np.asarray((v - middle) / half, np.float64)
     jacobian = np.asarray(np.stack([np.ones_like(x), x], axis=1), np.float64)
     level, per_half = np.linalg.lstsq(jacobian, y, rcond=None)[0]
-    left = np.asarray(y - jacobian @ (level, per_half), np.float64)
+    residuals = np.asarray(y - jacobian @ (level, per_half), np.float64)
     runs = np.argsort(np.argsort(v)) * RUNS // len(v)
-    influence = overlapping_influence(jacobian, left, runs, RUNS, _NEIGHBOURS)
+    influence = overlapping_influence(jacobian, residuals, runs, RUNS, _NEIGHBOURS)
     volts_per_row = half / per_half
     # volts at row zero = middle - half * level / per_half, and its derivatives
     to_zero = np.array([-half / per_half, half * level / per_half**2])
-    # What a few lines leave over may be small by chance: their own uncertainties count as if they were some lines more.
+    # The residuals of a few lines may be small by chance: the lines' own uncertainties count as some lines more.
     alone = each_rows**2 * np.linalg.inv(jacobian.T @ jacobian)
-    covariance = (influence.T @ influence * (len(v) - 2) + alone * LINES_OF_TRUST) / (len(v) - 2 + LINES_OF_TRUST)
+    covariance = (influence.T @ influence * (len(v) - 2) + alone * PRIOR_LINES) / (len(v) - 2 + PRIOR_LINES)
     curvature, curved = _curvature(x, y, runs)
     return GalvoMap(
         volts_per_row=float(volts_per_row),
         volts_at_row_zero=float(middle - half * level / per_half),
         volts_per_row_uncertainty=float(np.sqrt(covariance[1, 1]) * abs(volts_per_row / per_half)),
         volts_at_row_zero_uncertainty=float(np.sqrt(to_zero @ covariance @ to_zero)),
-        r_squared=float(1 - np.square(left).sum() / np.square(y - y.mean()).sum()),
-        rms_rows=float(np.sqrt(np.mean(np.square(left)))),
+        r_squared=float(1 - np.square(residuals).sum() / np.square(y - y.mean()).sum()),
+        rms_rows=float(np.sqrt(np.mean(np.square(residuals)))),
         curvature_rows=curvature,
         curved=curved,
         tilt_deg=tilt_deg,
@@ -221,7 +225,7 @@ def _fit(
 
 
 def _curvature(x: Floats, y: Floats, runs: NDArray[np.intp]) -> tuple[float, bool]:
-    """Largest departure of a cubic from the straight line, and whether it is more than chance."""
+    """Return the largest departure of a cubic from the straight line, and True if it is significant."""
     cubic = np.asarray(np.polynomial.legendre.legvander(x, 3), np.float64)
     coefficients = np.linalg.lstsq(cubic, y, rcond=None)[0]
     bend = cubic[:, 2:] @ coefficients[2:]

@@ -1,8 +1,8 @@
-"""Where the laser line is in one view of the bundle.
+"""Location of the laser line in one view of the bundle.
 
 The paper takes profiles perpendicular to the line, removes the background by a threshold and fits a Gaussian (System
 Calibration, step i). Here the profiles of all columns are fitted together, with the line's tilt, so that the honeycomb
-of the cores averages out and its rest is part of the stated uncertainty.
+of the cores averages out and its remainder is part of the stated uncertainty.
 """
 
 from __future__ import annotations
@@ -24,16 +24,17 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
 
 RUNS: Final = 32
-"""Runs of columns that a line is divided into: its profiles, and the clusters of its uncertainty."""
-VISIBLE_SIGMAS: Final = 7.0
-WIDEST_FIT_ROWS: Final = 120
-"""Rows to either side that a fit may use."""
+"""Runs of columns of a line: its profiles, and the clusters of its uncertainty; chosen, each wider than a core."""
+MIN_SIGMAS: Final = 7.0
+"""Height of a line in standard deviations of the noise; chosen: noise alone stays below over thousands of rows."""
+MAX_REACH_ROWS: Final = 120
+"""To either side, that a fit may use; chosen: above the halo of a line at any magnification."""
 TAPER: Final = 1.5
-"""Standard deviation of the weights across the line, in those of the smoothed profile."""
-LEAST_SURE_ROWS: Final = 1.0
-"""A slit of three rows that is a row off loses a good part of the light."""
-WORST_MISFIT: Final = 0.04
-"""Weighted departure of the mean profile from a Gaussian, over its height. Lines stay below 0.008, dim ones too."""
+"""Standard deviation of the weights across the line, in those of the smoothed profile; chosen."""
+MAX_UNCERTAINTY_ROWS: Final = 1.0
+"""Chosen: a slit of three rows that is a row off loses a good part of the light."""
+MAX_MISFIT: Final = 0.04
+"""Weighted departure of the mean profile from a Gaussian, over its height; chosen: lines stay below 0.008."""
 _ROW, _SLOPE = 3, 4
 
 
@@ -62,7 +63,7 @@ class Line:
     profile_rows : numpy.ndarray
         Their rows, from the line's middle, shape (rows,).
     influence : numpy.ndarray
-        Shape (runs, 2): what each run of columns contributes to the error of row and slope.
+        Shape (runs, 2): contribution of each run of columns to the error of row and slope.
     """
 
     row: float
@@ -94,21 +95,21 @@ class Line:
         return np.asarray(self.level + self.ramp * self.profile_rows + self.amplitude * bell, np.float64)
 
     def row_at(self, column: float) -> float:
-        """Row of the line at a column."""
+        """Return the row of the line at a column."""
         return self.row + self.slope * (column - self.column)
 
     def influence_at(self, column: float) -> Floats:
-        """Return what each run of columns contributes to the error of :meth:`row_at`."""
+        """Return the contribution of each run of columns to the error of the row at a column, shape (runs,)."""
         total: Floats = self.influence[:, 0] + (column - self.column) * self.influence[:, 1]
         return total
 
     def uncertainty_rows(self, column: float | None = None) -> float:
-        """One standard deviation of the line's row at a column."""
+        """Return one standard deviation of the line's row at a column, by default its middle."""
         return float(np.linalg.norm(self.influence_at(self.column if column is None else column)))
 
 
 def locate_line(view: NDArray[np.generic], background: Image | None = None, near: Line | None = None) -> Line:
-    """Find the laser line in one view: threshold, Gaussian, tilt, uncertainty.
+    """Locate the laser line in one view: threshold, Gaussian, tilt, uncertainty.
 
     Parameters
     ----------
@@ -117,22 +118,22 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None, near
     background : numpy.ndarray, optional
         Mean frame of the dark tube for the same pixels.
     near : Line, optional
-        Where it was a moment ago. If it has moved by less than its width, the search for it is saved.
+        Line in the frame before. If it has moved by less than its width, it is not searched.
 
     Returns
     -------
     Line
-        The brightest line; fainter reflections of it are ignored.
+        The brightest line; its fainter reflections are ignored.
 
     Raises
     ------
     MeasurementError
-        If no line stands out of the noise, or what does is too wide for one.
+        If no line stands out of the noise, or the brightest streak is too wide for one.
 
     Notes
     -----
     The profiles are smoothed with the line's own width before the Gaussian is fitted. That costs little precision and
-    keeps the rows of cores, which are about as far apart as the line is wide, from pulling the fit. A slope of the
+    keeps the rows of cores, which are about as far apart as the line is wide, from biasing the fit. A slope of the
     background is fitted too: near the bundle's rim the line's halo is cut on one side. A reflection within three widths
     merges with the line and moves it; it does so in both views alike, so that their offset stays true.
 
@@ -149,7 +150,7 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None, near
         streak = brightest_streak(image)
         first, band = _band_around(image, streak)
         line = _fit(band, streak._replace(row=streak.row - first))
-        # A whole row in the middle: what interpolation skews left and right of it then cancels.
+        # Centred on a whole row: interpolation then skews both sides alike.
         line = _fit(band, Streak(round(line.row), line.column, line.slope, line.width_rows))
         line = replace(line, row=line.row + first)
     if line.width_rows > len(image) / 8:
@@ -161,7 +162,7 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None, near
 
 
 def _still_near(image: Image, near: Line) -> Line | None:
-    """Fit the line where it was; None if it is no more within its width of there."""
+    """Fit the line near its last position; return None if it has moved by more than its width."""
     streak = Streak(round(near.row), near.column, near.slope, near.width_rows)
     first, band = _band_around(image, streak)
     try:
@@ -173,15 +174,15 @@ def _still_near(image: Image, near: Line) -> Line | None:
 
 
 def _band_around(image: Image, streak: Streak) -> tuple[int, Image]:
-    """First row, and the rows that a fit may need, without hot pixels."""
-    reach = WIDEST_FIT_ROWS + int(np.ceil(abs(streak.slope) * image.shape[1] / 2))
+    """Return the first row, and the rows that a fit may need, without hot pixels."""
+    reach = MAX_REACH_ROWS + int(np.ceil(abs(streak.slope) * image.shape[1] / 2))
     first = max(int(streak.row) - reach, 0)
     return first, without_hot_pixels(image[first : int(streak.row) + reach + 1])
 
 
 def _fit(image: Image, streak: Streak) -> Line:
     """Fit one tilted Gaussian line, by Gauss-Newton, to the profiles around a streak."""
-    width = min(streak.width_rows, WIDEST_FIT_ROWS / 9)
+    width = min(streak.width_rows, MAX_REACH_ROWS / 9)
     reach = int(np.ceil(4.5 * width)) + 2
     patch, inside, spread = _along(image, streak, reach + int(np.ceil(3 * width)))
     first, stop = _lit_columns(_brightness(patch, width))
@@ -189,7 +190,7 @@ def _fit(image: Image, streak: Streak) -> Line:
     edges = np.linspace(first + inset, stop - inset, RUNS + 1).astype(int)
     if stop - first - 2 * inset < RUNS or inside[:, first:stop].mean() < 0.6:
         raise MeasurementError(
-            f"no laser line: what is brightest spans {stop - first} columns", "is the laser on, and on the bundle?"
+            f"no laser line: the brightest streak spans {stop - first} columns", "is the laser on, and on the bundle?"
         )
     profiles = np.add.reduceat(patch, edges, axis=1)[:, :-1] / np.diff(edges)
     seen = np.logical_and.reduceat(inside, edges, axis=1)[:, :-1]
@@ -204,7 +205,7 @@ def _fit(image: Image, streak: Streak) -> Line:
     amplitude, level, log_width, shift, turn, ramp = (float(value) for value in parameters)
     fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2 - spread, 0.1)))
     misfit = _misfit(data, seen, parameters, u, x)
-    # In dim light a part of the line may be all that is seen: what counts is how sure it is in the middle of the view.
+    # In dim light only a part of the line may be visible: its uncertainty in the middle of the view counts.
     across = influence[:, _ROW] + ((image.shape[1] - 1) / 2 - middle) * influence[:, _SLOPE]
     _must_be_a_line(amplitude, np.linalg.norm([influence[:, 0], across], axis=1), shift, reach, misfit)
     return Line(
@@ -223,9 +224,9 @@ def _fit(image: Image, streak: Streak) -> Line:
 
 
 def _along(image: Image, streak: Streak, reach: int) -> tuple[Floats, NDArray[np.bool_], float]:
-    """Profiles of all columns, each shifted so that the streak lies in their middle: (2 reach + 1, cols).
+    """Return profiles of all columns, each shifted so that the streak lies in their middle: (2 reach + 1, cols).
 
-    The shift interpolates linearly; by how much that adds to the profile's variance comes last.
+    The shift interpolates linearly; the variance that this adds to the profile is returned last.
     """
     rows, cols = image.shape
     where = streak.row + streak.slope * (np.arange(cols) - streak.column)
@@ -242,7 +243,7 @@ def _along(image: Image, streak: Streak, reach: int) -> tuple[Floats, NDArray[np
 
 
 def _brightness(patch: Floats, width: float) -> Floats:
-    """Light of the line in each column, above the column's own background."""
+    """Return the light of the line in each column, above the column's own background."""
     u = np.arange(len(patch)) - (len(patch) - 1) / 2
     bell = np.exp(-(u**2) / (2 * width**2))
     weights = bell - bell.mean()
@@ -250,7 +251,7 @@ def _brightness(patch: Floats, width: float) -> Floats:
 
 
 def _lit_columns(brightness: Floats) -> tuple[int, int]:
-    """Longest run of columns in which the line shines, at half its usual brightness."""
+    """Return the longest run of columns in which the line has half its usual brightness."""
     smooth = ndimage.uniform_filter1d(brightness, max(3, len(brightness) // RUNS), mode="nearest")
     lit = np.r_[False, smooth > 0.5 * np.percentile(smooth, 85), False].astype(np.int8)
     starts, stops = np.flatnonzero(np.diff(lit) == 1), np.flatnonzero(np.diff(lit) == -1)
@@ -259,7 +260,7 @@ def _lit_columns(brightness: Floats) -> tuple[int, int]:
 
 
 def _gauss_newton(data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], width: float) -> tuple[Floats, Floats]:
-    """Amplitude, level, log width, row, slope and the level's slope, and the runs' influences on them."""
+    """Fit amplitude, level, log width, row, slope and the level's slope; return them and the runs' influences."""
     level = float(np.percentile(data, 25))
     start = (float(np.percentile(data, 95)) - level, level, np.log(np.sqrt(2) * width), 0.0, 0.0, 0.0)
     parameters = np.array(start)
@@ -278,46 +279,46 @@ def _gauss_newton(data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], wid
 
 
 def _model(parameters: Floats, u: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Model, its derivatives, and weights that fade out away from the line.
+    """Return the model, its derivatives, and weights that decrease away from the line.
 
-    Without the fading the halo, which is no straight slope, would pull a line that is not in the middle of a row.
+    With equal weights the halo, which is no straight slope, would bias a line that is not in the middle of a row.
     """
     amplitude, level, log_width, shift, turn, ramp = parameters
     z = (u - shift - turn * x) / np.exp(log_width)
     bell = np.exp(-0.5 * z * z)
-    pull = amplitude * bell * z / np.exp(log_width)
-    jacobian = np.stack([bell, np.ones_like(bell), amplitude * bell * z * z, pull, pull * x, u], axis=1)
+    per_row = amplitude * bell * z / np.exp(log_width)
+    jacobian = np.stack([bell, np.ones_like(bell), amplitude * bell * z * z, per_row, per_row * x, u], axis=1)
     taper = np.exp(-0.5 * (z / TAPER) ** 2)
     return amplitude * bell + level + ramp * u, jacobian, taper
 
 
 def _misfit(data: Floats, seen: NDArray[np.bool_], parameters: Floats, u: Floats, x: Floats) -> float:
-    """Largest departure of the mean profile from the fit, weighted as in the fit, over the amplitude."""
-    left = np.zeros(data.shape)
+    """Return the largest departure of the mean profile from the fit, weighted as in the fit, over the amplitude."""
+    residual = np.zeros(data.shape)
     model, _, taper = _model(parameters, u, x)
-    left[seen] = (data[seen] - model) * taper
+    residual[seen] = (data[seen] - model) * taper
     count = np.count_nonzero(seen, axis=1)
-    profile = left.sum(axis=1)[count > 0] / count[count > 0]
+    profile = residual.sum(axis=1)[count > 0] / count[count > 0]
     return float(np.abs(profile).max() / max(abs(float(parameters[0])), 1e-12))
 
 
 def _must_be_a_line(amplitude: float, spread: Floats, shift: float, reach: int, misfit: float) -> None:
     noise, spread_rows = spread
     sigmas = amplitude / max(noise, 1e-12)
-    if not sigmas > VISIBLE_SIGMAS:
+    if not sigmas > MIN_SIGMAS:
         raise MeasurementError(
             f"no laser line: the brightest streak stands {sigmas:.1f} standard deviations out of the noise, "
-            f"{VISIBLE_SIGMAS:g} are needed",
+            f"{MIN_SIGMAS:g} are needed",
             "is the laser on, and on the bundle?",
         )
     if abs(shift) > reach:
-        raise MeasurementError(f"no laser line: the fit wandered off by {shift:.0f} rows", "is the laser on?")
-    if spread_rows > LEAST_SURE_ROWS:
+        raise MeasurementError(f"no laser line: the fit diverged by {shift:.0f} rows", "is the laser on?")
+    if spread_rows > MAX_UNCERTAINTY_ROWS:
         raise MeasurementError(
-            f"no laser line: what may be one is so dim that it is known to {spread_rows:.1f} rows only",
+            f"no laser line: the brightest streak is so dim that its uncertainty is {spread_rows:.1f} rows",
             "give more light, or more frames",
         )
-    if misfit > WORST_MISFIT:
+    if misfit > MAX_MISFIT:
         raise MeasurementError(
             f"no laser line: the brightest streak departs from a Gaussian by {100 * misfit:.0f} % of its height",
             "is other light on?",

@@ -1,7 +1,7 @@
-"""The brightest straight streak in one view: a first guess of the laser line, to about a row.
+"""Search for the brightest straight streak in one view: an initial estimate of the laser line, to about a row.
 
-A Hough transform for nearly level lines: brightness is compressed so that every part of the line has its say and no
-hot spot has more, then summed along each slope.
+A Hough transform for nearly level lines: brightness is compressed, so that every part of the line counts and no hot
+spot dominates, then summed along each slope.
 """
 
 from __future__ import annotations
@@ -21,11 +21,14 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]
 
-SMALLEST_VIEW: Final = (16, 48)
-STEEPEST_SLOPE: Final = 0.07
-"""Rows per column: 4 degrees."""
+MIN_VIEW: Final = (16, 48)
+"""Rows and columns; chosen: a line with its background, and three columns for each block."""
+MAX_SLOPE: Final = 0.07
+"""Rows per column; chosen: 4 degrees, twice what alignment by eye leaves."""
 _BLOCKS: Final = 16
+"""Of columns; chosen: over one of them a line of that slope stays within a few rows."""
 _REACH: Final = 12
+"""Rows to either side for the width; chosen: twice the widest streak that is expected."""
 _NEIGHBOURS: Final = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 
 
@@ -39,7 +42,7 @@ class Streak(NamedTuple):
 
 
 def without_hot_pixels(image: Image) -> Image:
-    """Replace pixels that outshine all their neighbours by far; cores, which spread, are left alone.
+    """Replace pixels that are far brighter than all their neighbours; cores, which are wider, are kept.
 
     Parameters
     ----------
@@ -49,7 +52,7 @@ def without_hot_pixels(image: Image) -> Image:
     Returns
     -------
     numpy.ndarray
-        The image itself if there is none.
+        The image itself if it has none.
     """
     around = cv2.dilate(image, _NEIGHBOURS)
     floor = float(np.median(image[::7, ::7]))
@@ -58,7 +61,7 @@ def without_hot_pixels(image: Image) -> Image:
 
 
 def brightest_streak(image: Image) -> Streak:
-    """Find the straight, nearly level streak that collects the most light.
+    """Find the straight, nearly level streak with the most light.
 
     Parameters
     ----------
@@ -68,10 +71,10 @@ def brightest_streak(image: Image) -> Streak:
     Raises
     ------
     MeasurementError
-        If the view is too small or all alike.
+        If the view is too small or uniform.
     """
     rows, cols = image.shape
-    if rows < SMALLEST_VIEW[0] or cols < SMALLEST_VIEW[1]:
+    if rows < MIN_VIEW[0] or cols < MIN_VIEW[1]:
         raise MeasurementError(f"no laser line: the view has {rows} x {cols} pixels", "a line needs at least 16 x 48")
     edges = np.linspace(0, cols, _BLOCKS + 1).astype(int)
     profiles = np.add.reduceat(image, edges[:-1], axis=1, dtype=np.float64) / np.diff(edges)
@@ -81,8 +84,8 @@ def brightest_streak(image: Image) -> Streak:
         raise MeasurementError(f"no laser line: all pixels are {float(image.flat[0]):g}", "is the laser on?")
     evidence = np.log1p(np.clip(ndimage.gaussian_filter1d(profiles, 1.0, axis=0) / noise, 0, None))
     middles = (edges[:-1] + edges[1:] - 1) / 2 - (cols - 1) / 2
-    count = int(STEEPEST_SLOPE * cols / 2.5)
-    slopes = np.linspace(-STEEPEST_SLOPE, STEEPEST_SLOPE, 2 * count + 1)
+    count = int(MAX_SLOPE * cols / 2.5)
+    slopes = np.linspace(-MAX_SLOPE, MAX_SLOPE, 2 * count + 1)
     shifts = np.rint(slopes[:, None] * middles).astype(np.int64)
     sheared = np.zeros((len(slopes), rows))
     _add_along(np.ascontiguousarray(evidence.T), shifts, sheared)

@@ -40,7 +40,7 @@ def with_uncertainty(value: float, uncertainty: float) -> str:
 
 
 def summarize_offset(offset: SlitOffset, draft: Draft, setup: Setup) -> StepSummary:
-    """Summarize a slit offset: rows and micrometres, tilt and what it costs at the rim."""
+    """Summarize a slit offset: rows and micrometres, tilt, rows at the rim; see :class:`CalibrationStep`."""
     scale, slit_rows = draft.um_per_px or setup.um_per_px, setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
     line, headline, warnings = offset.confocal, f"{with_uncertainty(offset.rows, offset.uncertainty_rows)} rows", []
     radius_px = (BUNDLE_UM / scale if scale else line.columns[1] - line.columns[0]) / 2
@@ -56,7 +56,7 @@ def summarize_offset(offset: SlitOffset, draft: Draft, setup: Setup) -> StepSumm
 
 
 def summarize_galvo(galvo: GalvoMap, _draft: Draft, _setup: Setup) -> StepSummary:
-    """Summarize a galvo map: its slope and intercept, the fit, the frames that were left out."""
+    """Summarize a galvo map: slope and intercept, fit, frames left out; see :class:`CalibrationStep`."""
     frames, warnings = len(galvo.volts) + galvo.dark, []
     lines = [
         f"{with_uncertainty(1e3 * galvo.volts_at_row_zero, 1e3 * galvo.volts_at_row_zero_uncertainty)} mV at row 0, "
@@ -73,7 +73,7 @@ def summarize_galvo(galvo: GalvoMap, _draft: Draft, _setup: Setup) -> StepSummar
 
 
 def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary:
-    """Summarize a bundle pair: centres, alignment and gain, how well the views cancel, its slit offset."""
+    """Summarize a bundle pair: centres, alignment, gain, alignment error, offset; see :class:`CalibrationStep`."""
     known, alignment, warnings = draft.calibration, pair.alignment, []
     evidence = ", ".join(f"{name} {extra:+.0f}" for name, extra in alignment.evidence.items())
     lines = [
@@ -105,7 +105,7 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
 
 
 def summarize_lag(lag: ScanLag, _draft: Draft, setup: Setup) -> StepSummary:
-    """Summarize a scan lag: microseconds and rows."""
+    """Summarize a scan lag: microseconds and rows; see :class:`CalibrationStep`."""
     lines = []
     if setup.line_period_s is not None:
         rows = with_uncertainty(lag.lag_s / setup.line_period_s, lag.uncertainty_s / setup.line_period_s)
@@ -114,13 +114,13 @@ def summarize_lag(lag: ScanLag, _draft: Draft, setup: Setup) -> StepSummary:
 
 
 def summarize_background(background: Background, _draft: Draft, _setup: Setup) -> StepSummary:
-    """Summarize a background: its mean level and drift."""
+    """Summarize a background: its mean level and drift; see :class:`CalibrationStep`."""
     lines = [f"{background.frames} frames, drift {100 * background.drift:.2f} %, less than 1 % saturated"]
     return StepSummary(f"{float(background.mean.mean()):.2f} grey levels", lines)
 
 
 def summarize_flat_field(flat: NDArray[np.float32], _draft: Draft, _setup: Setup) -> StepSummary:
-    """Summarize a flat field: its unevenness."""
+    """Summarize a flat field: its unevenness; see :class:`CalibrationStep`."""
     at = np.arange(len(flat)) - (len(flat) - 1) / 2
     inside = np.hypot(at[:, None], at) < 0.45 * len(flat)
     unevenness = 100 * float(flat[inside].std())

@@ -1,4 +1,4 @@
-"""Two views of the same cores, matched to a hundredth of a pixel.
+"""Matching of the cores of two views to a hundredth of a pixel.
 
 Centres and diameters of the discs give shift and scale, a search over angles the rotation, a correlation the right
 one among the lattice's near matches, and Newton steps on the pixels the rest, in the manner of Lucas & Kanade (1981;
@@ -26,16 +26,22 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]
 
-STEEPEST_TURN_DEG: Final = 2.0
-INNER: Final = 0.9
+MAX_ROTATION_DEG: Final = 2.0
+"""Between the views; chosen: four times the rotation of the rigs that are drawn at random for the benchmark."""
+COMPARED_DISC: Final = 0.9
+"""Of the diameter; as the paper's alignment error."""
 TILES: Final = 8
+"""Across the disc, the clusters of the uncertainty; chosen: each is wider than several cores."""
 SEARCHED_POINTS: Final = 5_000
+"""Pixels compared in the search; chosen: enough to rank shifts, a tenth of the disc's."""
 SHIFT_STEP_PX: Final = 0.75
+"""Chosen: a quarter of a core's spacing."""
 SHIFT_STEPS: Final = 4
+"""To either side; derived: they cover the spacing of cores."""
 
 
 class AlignmentModel(StrEnum):
-    """How the right view may differ from the left, from the simplest."""
+    """Motion models from the confocal to the residual view, from the simplest."""
 
     SHIFT = "shift"
     SIMILARITY = "similarity"
@@ -62,12 +68,12 @@ class AlignmentModel(StrEnum):
 
     @property
     def identity(self) -> Floats:
-        """Parameters of the affine model that move nothing."""
+        """Parameters of the affine model for the identity."""
         return np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 
     @property
     def constraints(self) -> Floats:
-        """What must vanish in the affine parameters, less the identity, if this model holds: (constraints, 6)."""
+        """Combinations of affine parameters, less the identity, that vanish in this model: (constraints, 6)."""
         match self:
             case AlignmentModel.SHIFT:
                 return np.eye(6)[2:]
@@ -77,7 +83,7 @@ class AlignmentModel(StrEnum):
                 return np.zeros((0, 6))
 
     def nearest(self, matrix: Floats) -> Floats:
-        """Return the matrix of this model that is nearest to one, 2 x 2."""
+        """Return the matrix of this model that is nearest to a matrix, both 2 x 2."""
         match self:
             case AlignmentModel.SHIFT:
                 return np.eye(2)
@@ -88,7 +94,7 @@ class AlignmentModel(StrEnum):
                 return matrix
 
     def displacements(self, rows: Floats, cols: Floats) -> Floats:
-        """Displacement (row, col) of points per parameter: shape (parameters, 2, points)."""
+        """Return the displacement (row, col) of points at rows and cols."""
         points = np.stack([rows, cols, np.ones_like(rows)])
         return np.asarray(self.matrices @ points, np.float64)
 
@@ -100,9 +106,9 @@ class CoreFit:
     Parameters
     ----------
     motion : numpy.ndarray
-        Maps a point (row, col, 1) about the left centre to (row, col) about the right centre, shape (2, 3).
+        Maps (row, col, 1) about the confocal centre to (row, col) about the residual centre, shape (2, 3).
     influence : numpy.ndarray
-        What each tile of the disc contributes to the errors of the model's parameters, shape (tiles, parameters).
+        Contribution of each tile of the disc to the errors of the model's parameters, shape (tiles, parameters).
     correlation : float
         Between the aligned contrasts.
     uncertainty_px : float
@@ -121,13 +127,13 @@ class CoreFit:
 
 
 class CoreMatcher:
-    """The cores of both views on one grid about the left centre.
+    """The cores of both views on one grid about the confocal centre.
 
     Parameters
     ----------
     frame : numpy.ndarray
         Frame (rows, cols), float32, of the bundle lit from its far end.
-    left, right : Disc
+    confocal, residual : Disc
         The two discs in it.
 
     Attributes
@@ -135,24 +141,24 @@ class CoreMatcher:
     side : int
         Rows and columns of the grid.
     inside : numpy.ndarray
-        (side, side) bool: the pixels that are compared, those of the 90 % disc that the frame holds in both views.
+        (side, side) bool: the pixels that are compared, those of the 90 % disc that the frame contains in both views.
     rows, cols : numpy.ndarray
-        Their positions about the left centre, shape (points,).
+        Their positions about the confocal centre, shape (points,).
     """
 
-    def __init__(self, frame: Image, left: Disc, right: Disc) -> None:
-        radius = left.diameter_px / 2
+    def __init__(self, frame: Image, confocal: Disc, residual: Disc) -> None:
+        radius = confocal.diameter_px / 2
         self.side = 2 * int(np.ceil(radius)) + 5
         rows, cols = np.mgrid[: self.side, : self.side] - (self.side - 1) / 2.0
-        self.inside = np.hypot(rows, cols) < INNER * radius
-        for disc in (left, right):
+        self.inside = np.hypot(rows, cols) < COMPARED_DISC * radius
+        for disc in (confocal, residual):
             for at, centre, size in zip((rows, cols), disc.centre, frame.shape, strict=True):
                 self.inside &= (centre + at >= 3) & (centre + at < size - 3)
         self.rows, self.cols = rows[self.inside], cols[self.inside]
-        self._right_centre = right.centre
-        self._scale = right.diameter_px / left.diameter_px
+        self._residual_centre = residual.centre
+        self._scale = residual.diameter_px / confocal.diameter_px
         self._contrast = _contrast(frame, radius)
-        self._confocal = resampled(self._contrast, self.grid_to_frame(left.centre, np.eye(2, 3)), self.side)
+        self._confocal = resampled(self._contrast, self.grid_to_frame(confocal.centre, np.eye(2, 3)), self.side)
 
     @property
     def points(self) -> int:
@@ -160,16 +166,16 @@ class CoreMatcher:
         return len(self.rows)
 
     def grid_to_frame(self, centre: tuple[float, float], motion: Floats) -> Floats:
-        """Map from the grid's (row, col, 1) to the frame, for a motion about a centre."""
+        """Return the map from the grid's (row, col, 1) to the frame, for a motion about a centre, shape (2, 3)."""
         moved = np.array(motion, np.float64)
         moved[:, 2] += np.array(centre) - moved[:, :2] @ np.full(2, (self.side - 1) / 2)
         return moved
 
     def start(self) -> Floats:
-        """Motion to within half a core: scale from the diameters, then the angle and shift that correlate best.
+        """Estimate the motion to within half a core: scale from the diameters, angle and shift by correlation.
 
-        The angle is what the discs' rims do not tell; the shift makes up for a rim that is a core off, where the
-        lattices nearly match too.
+        The discs' rims do not determine the angle; the shift corrects a rim that is a core off, where the lattices
+        nearly match too.
         """
         motion = np.array([[self._scale, 0.0, 0.0], [0.0, self._scale, 0.0]])
         some = slice(None, None, -(-self.points // SEARCHED_POINTS))
@@ -179,10 +185,10 @@ class CoreMatcher:
         shifts = SHIFT_STEP_PX * np.arange(-SHIFT_STEPS, SHIFT_STEPS + 1)
         down, across = (grid.ravel() for grid in np.meshgrid(shifts, shifts, indexing="ij"))
         step = 0.5 / float(np.hypot(rows, cols).max())
-        count = int(np.radians(STEEPEST_TURN_DEG) / step)
+        count = int(np.radians(MAX_ROTATION_DEG) / step)
         best, found = -1.0, motion
         for turned in (_rotated(motion, k * step) for k in range(-count, count + 1)):
-            row, col = turned @ np.stack([rows, cols, np.ones_like(rows)]) + np.array(self._right_centre)[:, None]
+            row, col = turned @ np.stack([rows, cols, np.ones_like(rows)]) + np.array(self._residual_centre)[:, None]
             at_row, at_col = (at.astype(np.float32) for at in (row + down[:, None], col + across[:, None]))
             values = cv2.remap(self._contrast, at_col, at_row, cv2.INTER_LINEAR)
             scores = (values @ target) / len(target) / np.maximum(values.std(axis=1), 1e-9)
@@ -193,10 +199,24 @@ class CoreMatcher:
         return found
 
     def fit(self, start: Floats, model: AlignmentModel) -> CoreFit:
-        """Fit a model by Newton steps from a motion that is right to within a core.
+        """Fit a model by Newton steps.
 
-        Of what least squares would sum, only products of the one view with the other are kept. Products of a view with
-        itself vanish on the signal, but not on its noise, which would turn and stretch the fit in dim light.
+        Parameters
+        ----------
+        start : numpy.ndarray
+            Motion that is correct to within a core, shape (2, 3).
+        model : AlignmentModel
+            Motion model.
+
+        Raises
+        ------
+        MeasurementError
+            If the steps diverge.
+
+        Notes
+        -----
+        Of the sums of least squares, only products of the one view with the other are kept. Products of a view with
+        itself vanish on the signal, but not on its noise, which would rotate and stretch the fit in dim light.
         """
         motion = start.copy()
         motion[:, :2] = model.nearest(motion[:, :2])
@@ -215,7 +235,7 @@ class CoreMatcher:
             moved_px = float(np.abs(np.tensordot(step, moves, 1)).max())
             if moved_px > self.side / 4:
                 raise MeasurementError(
-                    f"the two views do not show the same cores: laid onto one another they slip by {moved_px:.0f} px",
+                    f"the two views do not show the same cores: their alignment diverges by {moved_px:.0f} px",
                     "is the bundle lit from its far end, and in focus in both views?",
                 )
             if moved_px < 1e-3:
@@ -230,12 +250,12 @@ class CoreMatcher:
         )
 
     def _slopes(self, image: Image, moves: Floats) -> Floats:
-        """Return how the image changes with each parameter, shape (points, parameters)."""
+        """Return the derivative of the image by each parameter, shape (points, parameters)."""
         down, across = (np.asarray(np.gradient(image, axis=axis))[self.inside] for axis in (0, 1))
         return np.asarray((moves[:, 0] * down + moves[:, 1] * across).T, np.float64)
 
     def _sample(self, motion: Floats) -> Image:
-        return resampled(self._contrast, self.grid_to_frame(self._right_centre, motion), self.side)
+        return resampled(self._contrast, self.grid_to_frame(self._residual_centre, motion), self.side)
 
     def _at_rim(self, influence: Floats, model: AlignmentModel) -> float:
         rim = float(np.hypot(self.rows, self.cols).max())
@@ -245,7 +265,7 @@ class CoreMatcher:
 
 
 def tiles(rows: Floats, cols: Floats) -> tuple[NDArray[np.intp], int]:
-    """Return the square tile in which each point of a disc lies, and the number of tiles."""
+    """Return the square tile of each point of a disc, at rows and cols about its centre, and the number of tiles."""
     reach = 1.001 * max(float(np.abs(rows).max()), float(np.abs(cols).max()))
     down, across = (((at / reach + 1) * TILES / 2).astype(np.intp) for at in (rows, cols))
     return down * TILES + across, TILES**2
@@ -257,7 +277,7 @@ def _rotated(motion: Floats, angle: float) -> Floats:
 
 
 def _contrast(frame: Image, radius: float) -> Image:
-    """Contrast of the cores: light over its local mean, so that neither gain nor uneven light matters."""
+    """Return the contrast of the cores: light over its local mean, independent of gain and uneven light."""
     fine = cv2.GaussianBlur(frame, (0, 0), 0.6)
     mean = cv2.GaussianBlur(frame, (0, 0), max(4.0, radius / 12))
     dark = float(np.percentile(mean, 1))

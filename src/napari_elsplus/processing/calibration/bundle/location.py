@@ -1,8 +1,8 @@
-"""Where the bundle's two images are: binary threshold, centres, diameter.
+"""Location of the bundle's two images: binary threshold, centres, diameter.
 
 The paper thresholds a frame lit from the far end and takes the row and the column with the most pixels above the
-threshold (System Calibration, step iii). That is the start here; then the disc's edge is followed around at half
-level and a circle is fitted to it, which sees neither a structured target nor an edge that the sensor cuts.
+threshold (System Calibration, step iii). That is the initial estimate here; then the disc's edge is followed around at
+half level and a circle is fitted to it, which is robust against a structured target and an edge that the sensor cuts.
 """
 
 from __future__ import annotations
@@ -25,8 +25,11 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
 
 COARSE_ROWS: Final = 160
-SMALLEST_DISC: Final = 0.15
-MOST_UNEQUAL: Final = 0.1
+"""Size of the reduced image; chosen: cores are averaged, the disc is still located to a percent."""
+MIN_DISC: Final = 0.15
+"""Of all lit pixels, in each half of the frame; chosen: a good view has about half of them."""
+MAX_DIAMETER_DIFFERENCE: Final = 0.1
+"""Relative, between the views; chosen: optics differ by less than a percent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +47,7 @@ class Disc:
     diameter_uncertainty_px : float
         One standard deviation of the diameter.
     threshold : float
-        Grey level of the binary threshold that found it.
+        Grey level of the binary threshold.
     edge_seen : float
         Share of the circumference on which the edge was found.
     """
@@ -58,7 +61,7 @@ class Disc:
 
 
 def locate_bundle(image: NDArray[np.generic]) -> Disc:
-    """Find the one bundle in an image.
+    """Locate the one bundle in an image.
 
     Parameters
     ----------
@@ -72,7 +75,7 @@ def locate_bundle(image: NDArray[np.generic]) -> Disc:
     Raises
     ------
     MeasurementError
-        If nothing in the image is a lit disc.
+        If the image contains no lit disc.
 
     Examples
     --------
@@ -88,7 +91,7 @@ def locate_bundle(image: NDArray[np.generic]) -> Disc:
 
 
 def locate_pair(image: NDArray[np.generic]) -> tuple[Disc, Disc]:
-    """Find the two images of the bundle that lie side by side.
+    """Locate the two images of the bundle that lie side by side.
 
     Parameters
     ----------
@@ -98,12 +101,12 @@ def locate_pair(image: NDArray[np.generic]) -> tuple[Disc, Disc]:
     Returns
     -------
     tuple of Disc
-        Left (confocal) and right (residual).
+        In the confocal view, which lies on the left, and in the residual view.
 
     Raises
     ------
     MeasurementError
-        If there are not two discs of like size.
+        If there are not two discs of similar size.
     """
     frame = np.asarray(image, np.float32)
     small, scale = _reduced(frame)
@@ -111,19 +114,19 @@ def locate_pair(image: NDArray[np.generic]) -> tuple[Disc, Disc]:
     mask = _without_specks(small > threshold)
     split = _dark_column(mask, threshold)
     halves = (mask[:, :split], mask[:, split:])
-    lit = [half.sum() > SMALLEST_DISC * mask.sum() for half in halves]
+    lit = [half.sum() > MIN_DISC * mask.sum() for half in halves]
     if not all(lit):
         raise _not_two(sum(lit), threshold)
     column = round(split * scale)
-    left = _disc(frame[:, :column], halves[0], scale, threshold, 0)
-    right = _disc(frame[:, column:], halves[1], scale, threshold, column)
-    unequal = abs(left.diameter_px / right.diameter_px - 1)
-    if unequal > MOST_UNEQUAL:
+    confocal = _disc(frame[:, :column], halves[0], scale, threshold, 0)
+    residual = _disc(frame[:, column:], halves[1], scale, threshold, column)
+    unequal = abs(confocal.diameter_px / residual.diameter_px - 1)
+    if unequal > MAX_DIAMETER_DIFFERENCE:
         raise MeasurementError(
-            f"the two bundle images have diameters {left.diameter_px:.0f} and {right.diameter_px:.0f} px",
+            f"the two bundle images have diameters {confocal.diameter_px:.0f} and {residual.diameter_px:.0f} px",
             "is one of them dark, cut off or blocked?",
         )
-    return left, right
+    return confocal, residual
 
 
 def _not_two(found: int, threshold: float) -> MeasurementError:
@@ -133,7 +136,7 @@ def _not_two(found: int, threshold: float) -> MeasurementError:
 
 
 def _reduced(frame: Image) -> tuple[Image, float]:
-    """Honeycomb and hot pixels averaged away: the image at about 160 rows, and the factor back."""
+    """Return the image reduced to about 160 rows, without honeycomb and hot pixels, and the factor."""
     if min(frame.shape) < 32:
         raise MeasurementError(f"the image has {frame.shape[0]} x {frame.shape[1]} pixels", "a bundle needs 32 x 32")
     scale = max(1.0, min(frame.shape) / COARSE_ROWS)
@@ -143,7 +146,7 @@ def _reduced(frame: Image) -> tuple[Image, float]:
 
 
 def _threshold(small: Image) -> float:
-    """Binary threshold between darkness and the dimmest lit parts."""
+    """Return the binary threshold between darkness and the dimmest lit parts."""
     low, high = np.percentile(small, [1, 99])
     if not high - low > 1e-6 * max(abs(float(high)), 1e-6):
         raise MeasurementError(f"no bundle: all pixels are {float(high):.3g}", "is the probe lit from the far end?")
@@ -159,7 +162,7 @@ def _without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _dark_column(mask: NDArray[np.bool_], threshold: float) -> int:
-    """Column between the two images: the middle of the darkest gap in the middle of the frame."""
+    """Return the column between the two images: the middle of the darkest gap near the middle of the frame."""
     counts = mask.sum(axis=0)
     if not counts.any():
         raise _not_two(0, threshold)
@@ -174,7 +177,7 @@ def _dark_column(mask: NDArray[np.bool_], threshold: float) -> int:
 
 
 def _disc(frame: Image, mask: NDArray[np.bool_], scale: float, threshold: float, first_column: int) -> Disc:
-    """Rows and columns with the most pixels, then the outline, then the half-level edge at full resolution."""
+    """Locate a disc by its rows and columns with the most pixels, its outline, and its half-level edge."""
     mask = _without_specks(mask)
     if not mask.any():
         raise MeasurementError(f"no bundle (threshold {threshold:.3g})", "is the probe lit from the far end?")
@@ -194,12 +197,12 @@ def _disc(frame: Image, mask: NDArray[np.bool_], scale: float, threshold: float,
 
 
 def _most_pixels(counts: NDArray[np.int_]) -> float:
-    """Middle of the rows (columns) that have nearly the most pixels above the threshold."""
+    """Return the middle of the rows (columns) with nearly the most pixels above the threshold."""
     return float(np.flatnonzero(counts >= 0.98 * counts.max()).mean())
 
 
 def _outline_circle(mask: NDArray[np.bool_], start: tuple[float, float, float]) -> Floats:
-    """Circle through the outermost lit pixels: those of the mask that lie on its convex hull."""
+    """Fit a circle to the outermost lit pixels: those of the mask that lie on its convex hull."""
     hull = cv2.convexHull(np.argwhere(mask).astype(np.int32))[:, 0].astype(np.float64)
     edge = np.array(mask.shape) - 1
     free = ((hull > 0) & (hull < edge)).all(axis=1)

@@ -1,11 +1,11 @@
-"""The rim of a lit disc, followed around at half level, and the circle through it.
+"""Circle through the rim of a lit disc, followed around at half level.
 
-Parts of a rim that a dark target hides show an edge too far inside, never too far outside. The circle is therefore
-fitted to the points that agree with each other best, not to the middle of all.
+Where a dark target covers the rim, its edge appears too far inside, never too far outside. The circle is therefore
+fitted to the largest consistent set of points, not to the middle of all.
 
 A rim is a ragged row of cores: where the circle happens to cut the lattice between two rows of it, the half level lies
-inside. The outermost cores tell the circle's centre more surely than the middle of them all does; its diameter is by
-definition that at half level.
+inside. The outermost cores determine the circle's centre with less uncertainty than the middle of all; its diameter
+is by definition that at half level.
 """
 
 from __future__ import annotations
@@ -26,20 +26,21 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
 
 ARCS: Final = 36
-"""Arcs that the rim is divided into: the clusters of the circle's uncertainty."""
-UNSURE: Final = 0.05
-"""Share of the rim's roughness by which its half level may be off on all arcs alike: what arcs cannot tell."""
-AGREEING: Final = 0.4
-"""Share of the rim's points that must see the true rim."""
-HALF: Final = 0.5
-FOOT: Final = 0.2
-"""Level at which the outermost cores end."""
-OUTWARD: Final = 0.98
-"""Weight of a point beyond the circle through the outermost; one inside it has what is left of 1."""
+"""Clusters of the circle's uncertainty; chosen: each arc is wider than several cores."""
+COMMON_ERROR: Final = 0.05
+"""Of the rim's roughness: the error of its half level that all arcs share; chosen."""
+MIN_CONSISTENT: Final = 0.4
+"""Share of the points that must lie on the true rim; chosen: structured targets cover up to half of it."""
+HALF_LEVEL: Final = 0.5
+"""By the definition of the diameter."""
+FOOT_LEVEL: Final = 0.2
+"""At which the outermost cores end; chosen, above noise and stray light."""
+EXPECTILE: Final = 0.98
+"""Weight of a point outside the circle, against 0.02 inside; chosen: the circle passes the outermost cores."""
 
 
 def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
-    """Fit a circle to the half level of a lit disc, starting from one that is right to a few percent.
+    """Fit a circle to the half level of a lit disc, starting from one that is correct to a few percent.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
     smooth = cv2.GaussianBlur(even, (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
     uncertainty, seen = np.zeros(3), 0.0
     for reach in (0.25, 0.1, 0.1):
-        points, arcs, rays = _edge(smooth, circle, reach, HALF)
+        points, arcs, rays = _edge(smooth, circle, reach, HALF_LEVEL)
         if len(points) < max(ARCS, rays // 6):
             raise MeasurementError(
                 f"no bundle: a rim is seen on {100 * len(points) / rays:.0f} % of a circle",
@@ -74,17 +75,27 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
             )
         circle, uncertainty, used = _fit_circle(points, arcs, circle)
         if not 0.5 < 2 * circle[2] / min(frame.shape) < 2 * max(frame.shape) / min(frame.shape):
-            raise MeasurementError("no bundle: what is lit is no disc", "is the probe lit from the far end?")
+            raise MeasurementError("no bundle: the lit area is no disc", "is the probe lit from the far end?")
         seen = used / rays
     fine = cv2.GaussianBlur(even, (0, 0), max(0.6, float(circle[2]) / 300))
-    centre, of_centre = _through_outermost(*_edge(fine, circle, 0.06, FOOT)[:2], circle)
+    centre, of_centre = _through_outermost(*_edge(fine, circle, 0.06, FOOT_LEVEL)[:2], circle)
     if of_centre.max() < uncertainty[:2].max():
         circle[:2], uncertainty[:2] = centre, of_centre
     return circle, uncertainty, seen
 
 
 def circle_through(points: Floats, start: Floats, scale_px: float) -> Floats:
-    """Fit a circle (row, column, radius) to points (n, 2), far ones counting little."""
+    """Fit a circle (row, column, radius) to points by a Cauchy loss.
+
+    Parameters
+    ----------
+    points : numpy.ndarray
+        Row and column of each, shape (n, 2).
+    start : numpy.ndarray
+        Initial row, column and radius.
+    scale_px : float
+        Distance beyond which a point counts little.
+    """
 
     def misses(circle: Floats) -> Floats:
         away: Floats = np.hypot(points[:, 0] - circle[0], points[:, 1] - circle[1]) - circle[2]
@@ -95,7 +106,7 @@ def circle_through(points: Floats, start: Floats, scale_px: float) -> Floats:
 
 
 def _evenly_lit(frame: Image, circle: Floats) -> Image:
-    """Light over a quadratic that is fitted to it inside the disc, so that half level means the same all around."""
+    """Divide the light by a quadratic that is fitted to it inside the disc: half level is then the same all around."""
     row, column, radius = circle
     rows, cols = ((np.arange(size) - at) / radius for size, at in zip(frame.shape, (row, column), strict=True))
     step = max(1, int(radius / 60))
@@ -117,7 +128,7 @@ def _quadratic(y: Floats, x: Floats) -> Floats:
 
 
 def _edge(smooth: Image, circle: Floats, reach: float, level: float) -> tuple[Floats, NDArray[np.intp], int]:
-    """Points where the light has fallen to a level, on rays from the centre; rays that see no edge are left out."""
+    """Return the points where the light has fallen to a level, on those rays from the centre that cross an edge."""
     row, column, radius = circle
     rays = int(np.clip(2 * np.pi * radius, 4 * ARCS, 1440))
     angles = 2 * np.pi * (np.arange(rays) + 0.5) / rays
@@ -148,33 +159,33 @@ def _edge(smooth: Image, circle: Floats, reach: float, level: float) -> tuple[Fl
 
 
 def _fit_circle(points: Floats, arcs: NDArray[np.intp], start: Floats) -> tuple[Floats, Floats, int]:
-    """Circle through the points that agree, its uncertainty, and how many they are."""
+    """Fit a circle to the consistent points; return it, its uncertainty, and their number."""
     circle = start
     for _ in range(6):
         away = points - circle[:2]
         distance = np.hypot(*away.T)
         miss = distance - circle[2]
-        middle, scatter = _where_most_agree(miss)
+        middle, scatter = _shortest_stretch(miss)
         good = np.abs(miss - middle) < max(3.5 * scatter, 0.5)
         jacobian = np.c_[away / distance[:, None], np.ones(len(away))][good]
         step = np.linalg.lstsq(jacobian, miss[good], rcond=None)[0]
         circle = circle + step
         if np.abs(step).max() < 1e-3:
             break
-    left = miss[good] - jacobian @ step
-    by_arcs = np.linalg.norm(clustered_influence(jacobian, left, arcs[good], ARCS), axis=0)
-    return circle, np.hypot(by_arcs, UNSURE * left.std()), int(good.sum())
+    remainder = miss[good] - jacobian @ step
+    by_arcs = np.linalg.norm(clustered_influence(jacobian, remainder, arcs[good], ARCS), axis=0)
+    return circle, np.hypot(by_arcs, COMMON_ERROR * remainder.std()), int(good.sum())
 
 
 def _through_outermost(points: Floats, arcs: NDArray[np.intp], start: Floats) -> tuple[Floats, Floats]:
-    """Centre of the circle through the outermost points, and its uncertainty: least asymmetric squares, an expectile.
+    """Fit the centre of the circle through the outermost points, an expectile by least asymmetric squares.
 
     Newey & Powell 1987, https://doi.org/10.2307/1911031.
     """
     if len(points) < ARCS:
         return start[:2], np.full(2, np.inf)
     miss = np.hypot(*(points - start[:2]).T) - start[2]
-    middle, scatter = _where_most_agree(miss)
+    middle, scatter = _shortest_stretch(miss)
     good = np.abs(miss - middle) < max(3.5 * scatter, 0.5)
     points, arcs, circle = points[good], arcs[good], start
     for _ in range(50):
@@ -182,7 +193,7 @@ def _through_outermost(points: Floats, arcs: NDArray[np.intp], start: Floats) ->
         distance = np.hypot(*away.T)
         miss = distance - circle[2]
         jacobian = np.c_[away / distance[:, None], np.ones(len(away))]
-        weighted = jacobian * np.where(miss > 0, OUTWARD, 1 - OUTWARD)[:, None]
+        weighted = jacobian * np.where(miss > 0, EXPECTILE, 1 - EXPECTILE)[:, None]
         step = np.linalg.lstsq(weighted.T @ jacobian, weighted.T @ miss, rcond=None)[0]
         circle = circle + step
         if np.abs(step).max() < 1e-3:
@@ -191,10 +202,10 @@ def _through_outermost(points: Floats, arcs: NDArray[np.intp], start: Floats) ->
     return circle[:2], np.linalg.norm(influence[:, :2], axis=0)
 
 
-def _where_most_agree(miss: Floats) -> tuple[float, float]:
-    """Middle of the shortest stretch that holds so many of the values, and the scatter of what lies beyond it."""
+def _shortest_stretch(miss: Floats) -> tuple[float, float]:
+    """Return the middle of the shortest stretch that contains that share of the values, and the scatter beyond it."""
     ordered = np.sort(miss)
-    count = int(AGREEING * len(ordered))
+    count = int(MIN_CONSISTENT * len(ordered))
     widths = ordered[count:] - ordered[:-count]
     first = int(np.argmin(widths))
     middle = float((ordered[first] + ordered[first + count]) / 2)
