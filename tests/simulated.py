@@ -42,5 +42,5 @@ def followed(path: Trajectory, name: str, frames: int, *, finish: bool = True) -
         pipeline.track(raw[k], k)
     if finish:
         pipeline.finish(RawPairs(raw, "els"))
-    times = (np.arange(frames) + INSTRUMENT.left_centre[0] / optics.line_periods_per_frame) * optics.frame_period_s
+    times = (np.arange(frames) + INSTRUMENT.confocal_centre[0] / optics.line_periods_per_frame) * optics.frame_period_s
     return Followed(pipeline, times, path.positions_um(times) / optics.um_per_px)

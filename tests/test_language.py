@@ -33,6 +33,7 @@ DOCUMENTED: tuple[str, ...] = (
     "processing/calibration",
     "processing/images",
     "processing/mosaicing",
+    "simulation",
     "viewing",
     "widgets/analysis",
     "widgets/live",

@@ -58,7 +58,7 @@ def test_the_calibration_set_gives_the_calibration_of_the_instrument_it_was_made
     instrument = Instrument.of("240hz")
     assert found.offset.rows == pytest.approx(instrument.offset_rows, abs=0.05)
     assert found.galvo.volts_per_row == pytest.approx(instrument.volts_per_row, rel=2e-3)
-    assert found.bundle.confocal_centre == pytest.approx(instrument.left_centre, abs=0.2)
+    assert found.bundle.confocal_centre == pytest.approx(instrument.confocal_centre, abs=0.2)
 
 
 def test_the_axial_scan_knows_its_depths_and_falls_faster_in_els():

@@ -92,7 +92,7 @@ class Crop:
         side = sectioner.side
         self.inside = sectioner.inside
         self.views = []
-        for centre in (rig.instrument.left_centre, rig.instrument.right_centre):
+        for centre in (rig.instrument.confocal_centre, rig.instrument.residual_centre):
             top, left = (round(c - (side - 1) / 2) for c in centre)
             self.views.append(np.s_[top : top + side, left : left + side])
         assert rig.calibration.background is not None

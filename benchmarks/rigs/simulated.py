@@ -52,7 +52,7 @@ class SimulatedRig:
     def periods_at_middle(self, frames: int) -> NDArray[np.float64]:
         """When the bundle's middle row is read in each frame, (T,), in frame periods."""
         line_periods_per_frame = self.instrument.optics.line_periods_per_frame
-        return np.arange(frames, dtype=np.float64) + self.instrument.left_centre[0] / line_periods_per_frame
+        return np.arange(frames, dtype=np.float64) + self.instrument.confocal_centre[0] / line_periods_per_frame
 
     def positions_px(self, path: Trajectory, frames: int) -> NDArray[np.float64]:
         """Where the probe was, in camera pixels (T, 2), when the bundle's middle row was read."""

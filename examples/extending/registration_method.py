@@ -61,7 +61,9 @@ def main(frames: int = 24, speed_um_s: float = 1500.0) -> float:
     for index in range(frames):
         pipeline.add(renderer.render(index), index)
     optics = instrument.optics
-    times_s = (np.arange(frames) + instrument.left_centre[0] / optics.line_periods_per_frame) * optics.frame_period_s
+    times_s = (
+        np.arange(frames) + instrument.confocal_centre[0] / optics.line_periods_per_frame
+    ) * optics.frame_period_s
     true_px = path.positions_um(times_s) / optics.um_per_px
     found_px = np.array([(row.row_px, row.col_px) for row in pipeline.rows])
     return float(np.abs(found_px - (true_px - true_px[0])).max())

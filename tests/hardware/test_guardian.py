@@ -62,7 +62,7 @@ def test_the_mirror_is_parked_however_the_driving_process_dies(how) -> None:
     place = json.loads(driver.stdout.readline())
     driver.stdout.close()
     instrument = Instrument.of(PRESET.name)
-    top = instrument.left_centre[0] - instrument.diameter_px / 2
+    top = instrument.confocal_centre[0] - instrument.diameter_px / 2
 
     def clearances_um() -> set[float]:
         """Where the line stands above the bundle, some milliseconds long."""

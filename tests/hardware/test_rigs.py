@@ -49,7 +49,7 @@ def test_the_simulated_rig_is_first_and_keeps_the_protocols() -> None:
 def test_it_parks_the_line_clear_of_the_bundle_by_a_halos_width(preset) -> None:
     with open_rig(simulation=Simulation(scene=empty(), real_time=False)) as rig:
         instrument = rig.bench.optics.instrument(preset)
-        top = instrument.left_centre[0] - instrument.diameter_px / 2
+        top = instrument.confocal_centre[0] - instrument.diameter_px / 2
         assert (top - rig.bench.optics.line_row_now(preset)) * preset.optics.um_per_px >= 100 - 1e-6
 
 

@@ -11,7 +11,7 @@ from brute_force import core_values
 from napari_elsplus.instrument.optics import Optics, Preset
 from napari_elsplus.simulation.model.axial_response import LineModel
 from napari_elsplus.simulation.model.bundle import Bundle
-from napari_elsplus.simulation.model.instrument import Instrument, RightView
+from napari_elsplus.simulation.model.instrument import Instrument, ResidualView
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.pictures import ImageTexture
 from napari_elsplus.simulation.specimen.scenes import Plane, Scene
@@ -23,7 +23,7 @@ SMALL = Instrument(
     offset_rows=-8,
     bundle=Bundle(diameter_um=150.0, jitter=0.0),
     line=LineModel(core_um=4.0, halo_share=0.6, halo_um=12.0, spread=0.236, gap_um=0.0),
-    right=RightView(gain=1.0, rotation_deg=0.0, scale=1.0),
+    residual_view=ResidualView(gain=1.0, rotation_deg=0.0, scale=1.0),
     line_tilt_deg=0.0,
     autofluorescence=0.0,
 )

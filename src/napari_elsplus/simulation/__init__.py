@@ -1,1 +1,1 @@
-"""The instrument's optics as a model: scene to raw camera frames; no device."""
+"""Model of the instrument: raw camera frames of a specimen from optics, scan and camera noise; no device."""

@@ -1,4 +1,4 @@
-"""How far a calibration, an image or a track is from what the simulated instrument really was."""
+"""Errors of a calibration, an image or a track against the ground truth of the simulation."""
 
 from __future__ import annotations
 
@@ -22,16 +22,15 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.model.instrument import Instrument
 
 SMOOTHING_PX: Final = 1.5
-"""Sigma of the Gaussian under which images are compared: it hides the cores, not the structure."""
-
+"""Sigma, px, of the Gaussian applied before images are compared; chosen: it removes the cores, not the structure."""
 
 WRONG_PX: Final = 3.0
-"""A link this far off, in camera pixels, puts the frame in the wrong place."""
+"""Error of a displacement, camera px, beyond which a registration counts as wrong; chosen, about a core pitch."""
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationErrors:
-    """Measured minus true.
+    """Errors of a calibration: measured minus true.
 
     Attributes
     ----------
@@ -44,9 +43,9 @@ class CalibrationErrors:
     centre_px : float
         Distance between the confocal centres.
     pair_alignment_px : float
-        Largest misplacement of the residual image at the bundle's centre and four points of its rim.
+        Largest error of the view alignment at the bundle's centre and four points of its rim.
     residual_gain_percent : float
-        Gain of the right view.
+        Gain of the residual view.
     """
 
     offset_rows: float
@@ -58,7 +57,7 @@ class CalibrationErrors:
 
 
 def calibration_errors(calibration: Calibration, instrument: Instrument) -> CalibrationErrors:
-    """Compare a calibration with the instrument that it was measured on.
+    """Return the errors of a calibration against the true instrument.
 
     Raises
     ------
@@ -71,26 +70,26 @@ def calibration_errors(calibration: Calibration, instrument: Instrument) -> Cali
     assert galvo is not None
     assert bundle is not None
     rim = instrument.diameter_px / 2 * np.array([(0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)])
-    places = np.column_stack([instrument.right_centre + rim, np.ones(len(rim))])
+    places = np.column_stack([instrument.residual_centre + rim, np.ones(len(rim))])
     misplaced = places @ np.subtract(bundle.residual_to_confocal, residual_to_confocal(instrument)).T
     intercept_v = galvo.volts_at_row_zero - instrument.volts_at_row_zero
     return CalibrationErrors(
         offset_rows=offset.rows - instrument.offset_rows,
         galvo_slope_percent=100 * (galvo.volts_per_row / instrument.volts_per_row - 1),
         galvo_intercept_rows=intercept_v / instrument.volts_per_row,
-        centre_px=float(np.hypot(*np.subtract(bundle.confocal_centre, instrument.left_centre))),
+        centre_px=float(np.hypot(*np.subtract(bundle.confocal_centre, instrument.confocal_centre))),
         pair_alignment_px=float(np.hypot(*misplaced.T).max()),
-        residual_gain_percent=100 * (bundle.residual_gain / instrument.right.gain - 1),
+        residual_gain_percent=100 * (bundle.residual_gain / instrument.residual_view.gain - 1),
     )
 
 
 def unexplained(seen: NDArray[np.floating], expected: NDArray[np.floating]) -> float:
-    """Tell which part of what is seen the truth does not explain, whatever their brightness.
+    """Return the fraction of the seen contrast that the expected image does not explain, whatever gain and offset.
 
     Parameters
     ----------
     seen, expected : numpy.ndarray
-        (n,) pixels of an image, and of what would be seen if nothing were lost.
+        (n,) pixels of an image, and of the ideal image.
 
     Returns
     -------
@@ -111,7 +110,7 @@ def unexplained(seen: NDArray[np.floating], expected: NDArray[np.floating]) -> f
 def correlation_with_focal_plane(
     raw: NDArray[np.generic], in_focus: NDArray[np.generic], calibration: Calibration, mode: Mode
 ) -> float:
-    """Correlate an image with the confocal view of nothing but what is in focus.
+    """Return the correlation of an image with the confocal view of the focal plane alone.
 
     Parameters
     ----------
@@ -138,7 +137,7 @@ def correlation_with_focal_plane(
 
 @dataclass(frozen=True, slots=True)
 class TrackErrors:
-    """How far a track is from the path.
+    """Errors of a track against the true path.
 
     Attributes
     ----------
@@ -147,7 +146,7 @@ class TrackErrors:
     median_pair_error_px : float
         Error of the displacement between successive tracked frames of a segment.
     wrong_links : int
-        Those that are more than 3 px off and yet called tracked.
+        Displacements between tracked frames that are more than 3 px off.
     end_error_percent_of_path : float
         Sum over the segments of the error from first to last frame, over the path within them.
     path_px : float
@@ -164,14 +163,14 @@ class TrackErrors:
 
 
 def track_errors(rows: Sequence[TrackPoint], true_px: NDArray[np.float64]) -> TrackErrors:
-    """Compare a track with the path that was simulated.
+    """Return the errors of a track, its rows, against the true path.
 
     Parameters
     ----------
     rows : sequence of TrackPoint
         One for each frame.
     true_px : numpy.ndarray
-        (T, 2): where the probe was, row and column in camera pixels, when the bundle's middle row was read.
+        (T, 2) true positions, row and column in camera pixels, when the middle row of the bundle was read.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A scan of depths through raw frames: a stained plate moves away from the probe, as the paper measures sectioning."""
+"""Axial scan in raw frames: a stained plate at increasing distance, the paper's measurement of sectioning."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CONTACT_DN = 100.0
-"""Mean grey level of the plate in contact, to which the light is set: single cores then stay below saturation."""
+"""Mean grey level of the plate in contact, at which single cores stay below 255; chosen."""
 
 
 def scan_depths_um() -> NDArray[np.float64]:
-    """Depths of a scan: 2 um apart near the focus, where ELS+ falls, 10 um apart where only LS is left."""
+    """Return the depths of a scan, (137,) um: steps of 2 um to 120 um, where ELS+ falls, then 5 and 10 um to 700 um."""
     return np.concatenate([np.arange(0, 120, 2), np.arange(120, 300, 5), np.arange(300, 701, 10)]).astype(np.float64)
 
 
 def lit_for_plate(instrument: Instrument) -> Instrument:
-    """Return the instrument with its light set for a plate in contact."""
+    """Return the instrument with `light_dn` set so that a plate in contact has the mean grey level `CONTACT_DN`."""
     line, optics = instrument.line, instrument.optics
     reference = line_response(0.0, 0.0, optics.um(REFERENCE_SLIT_ROWS), line)
     contact = line_response(line.gap_um, 0.0, instrument.slit_um, line)
@@ -36,14 +36,14 @@ def lit_for_plate(instrument: Instrument) -> Instrument:
 
 
 class AxialScan:
-    """Raw frames of a stained plate, one at each depth, rendered when they are asked for.
+    """Sequence of raw frames of a stained plate, one at each depth, rendered on access.
 
     Parameters
     ----------
     instrument : Instrument
-        The instrument; the gap of its line model is added to every depth.
+        The instrument; the gap of its line model is added to each depth.
     depths_um : numpy.ndarray
-        Distance of the plate from where it touches.
+        (n,) distances of the plate from contact, um.
     seed : int
         Seed of the camera's noise.
 
@@ -62,7 +62,7 @@ class AxialScan:
         return len(self.depths_um)
 
     def __getitem__(self, index: int) -> NDArray[np.uint8]:
-        """Render the frame at a depth (rows, cols)."""
+        """Return the frame (rows, cols), uint8, at the depth of this index."""
         index = range(len(self))[index]
         scene = plate(float(self.depths_um[index]) + self.instrument.line.gap_um)
         return Renderer(self.instrument, scene, seed=self._seed).render(index)

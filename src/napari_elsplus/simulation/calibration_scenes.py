@@ -1,4 +1,4 @@
-"""What a microscopist records to calibrate the rig: a standing line, a sweep, distal light, the dark tube."""
+"""Simulated calibration recordings: standing line, galvo sweep, transmission, background in a dark tube."""
 
 from __future__ import annotations
 
@@ -18,22 +18,26 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.model.instrument import Instrument
 
 LINE_FRAMES: Final = 5
+"""Frames of the standing line; chosen."""
 SWEEP_STEPS: Final = 400
+"""Voltages of a galvo sweep; chosen, about one for each row of the bundle."""
 TRANSMISSION_FRAMES: Final = 5
+"""Frames of the bundle lit from its distal end; chosen."""
 BACKGROUND_FRAMES: Final = 50
-LASER_TURNED_UP: Final = 25.0
-"""The standing line is seen by the bundle's own weak fluorescence, so the laser is turned up for it."""
+"""Frames that are averaged to the background; chosen, their mean has a seventh of a frame's noise."""
+LINE_LIGHT_FACTOR: Final = 25.0
+"""Factor on the light for a standing line, seen by the bundle's weak autofluorescence alone; chosen."""
 
 
 def standing_line(instrument: Instrument, volts: NDArray[np.float64], *, seed: int = 0) -> Iterator[NDArray[np.uint8]]:
-    """Frames of a laser line that stands still, one frame at each voltage.
+    """Yield frames of a standing laser line, one frame at each voltage.
 
     Parameters
     ----------
     instrument : Instrument
-        The instrument; its galvo map says where a voltage puts the line.
+        The instrument, with its galvo map.
     volts : numpy.ndarray
-        One voltage per frame.
+        (n,) galvo voltages, one per frame.
     seed : int
         Seed of the camera's noise.
 
@@ -48,44 +52,84 @@ def standing_line(instrument: Instrument, volts: NDArray[np.float64], *, seed: i
 
 
 def line_renderer(instrument: Instrument, *, seed: int = 0) -> Renderer:
-    """Return a renderer of frames in which nothing but the line is seen, for frames in any order."""
-    bright = replace(instrument, light_dn=instrument.light_dn * LASER_TURNED_UP)
+    """Return a renderer of a standing line in a dark tube.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The simulated instrument.
+    seed : int
+        Seed of the camera's noise.
+    """
+    bright = replace(instrument, light_dn=instrument.light_dn * LINE_LIGHT_FACTOR)
     return Renderer(bright, empty(), seed=seed)
 
 
 def held_rows(instrument: Instrument, volt: float) -> NDArray[np.float64]:
-    """Row of the line, for :meth:`Renderer.render`, while a voltage holds it still."""
+    """Return the line position (rows,) for :meth:`Renderer.render` at a constant voltage.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The simulated instrument.
+    volt : float
+        Galvo voltage, V.
+    """
     row = (volt - instrument.volts_at_row_zero) / instrument.volts_per_row
     return np.full(instrument.frame_shape[0], row)
 
 
 def line_volts(instrument: Instrument) -> NDArray[np.float64]:
-    """Voltages that leave the line where it is needed for measuring the slit offset: near the bundle's middle."""
-    row = instrument.left_centre[0] + 3.3
+    """Return the voltages (5,), V, of the standing line near the middle of an instrument's bundle."""
+    row = instrument.confocal_centre[0] + 3.3
     return np.full(LINE_FRAMES, instrument.volts_at_row_zero + instrument.volts_per_row * row)
 
 
 def sweep_volts(instrument: Instrument) -> NDArray[np.float64]:
-    """Voltages of a slow sweep over the bundle, from outside to outside."""
+    """Return the voltages (400,), V, of a sweep across an instrument's bundle, from rim to rim and a tenth beyond."""
     reach = 0.6 * instrument.diameter_px
-    rows = instrument.left_centre[0] + np.linspace(-reach, reach, SWEEP_STEPS)
+    rows = instrument.confocal_centre[0] + np.linspace(-reach, reach, SWEEP_STEPS)
     return np.asarray(instrument.volts_at_row_zero + instrument.volts_per_row * rows)
 
 
 def transmission(instrument: Instrument, *, seed: int = 0) -> Iterator[NDArray[np.uint8]]:
-    """Frames of the bundle lit evenly from its far end."""
+    """Yield frames of the bundle evenly lit from its distal end.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The simulated instrument.
+    seed : int
+        Seed of the camera's noise.
+    """
     renderer = Renderer(instrument, distal_light(), seed=seed)
     return (renderer.render(k) for k in range(TRANSMISSION_FRAMES))
 
 
 def dark_tube(instrument: Instrument, *, seed: int = 0) -> Iterator[NDArray[np.uint8]]:
-    """Frames of the probe in a dark tube, the laser on and scanning."""
+    """Yield frames of the probe in a dark tube, the laser on and scanning.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The simulated instrument.
+    seed : int
+        Seed of the camera's noise.
+    """
     renderer = Renderer(instrument, empty(), seed=seed)
     return (renderer.render(k) for k in range(BACKGROUND_FRAMES))
 
 
 def background(instrument: Instrument, *, seed: int = 0) -> NDArray[np.float32]:
-    """Mean of the dark tube's frames (rows, cols), as the paper subtracts it."""
+    """Return the background: mean of the frames in a dark tube, (rows, cols) float32.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The simulated instrument.
+    seed : int
+        Seed of the camera's noise.
+    """
     total = np.zeros(instrument.frame_shape, np.uint32)
     for frame in dark_tube(instrument, seed=seed):
         total += frame

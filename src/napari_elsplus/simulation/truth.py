@@ -1,4 +1,4 @@
-"""What is known of a simulated recording: its calibration, its geometry, where the probe was."""
+"""Ground truth of a simulated recording: calibration, geometry, positions of the probe."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
 PARK_CLEARANCE_UM = 100.0
-"""Distance between the parked line and the lit bundle: a halo's width."""
+"""Distance between the parked line and the rim of the bundle, um: 2.6 standard deviations of the halo (38.3 um)."""
 
 
 def residual_to_confocal(instrument: Instrument) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Affine map (row, col, 1) in the residual image -> (row, col) in the confocal image."""
-    back = np.linalg.inv(instrument.right.matrix)
-    shift = np.array(instrument.left_centre) - back @ instrument.right_centre
+    """Return an instrument's affine map from (row, col, 1) in the residual view to (row, col) in the confocal view."""
+    back = np.linalg.inv(instrument.residual_view.matrix)
+    shift = np.array(instrument.confocal_centre) - back @ instrument.residual_centre
     first, second = ((float(a), float(b), float(c)) for (a, b), c in zip(back, shift, strict=True))
     return first, second
 
 
 def park_volts(instrument: Instrument) -> float:
-    """Voltage at which the line clears the lit bundle on its upper side."""
+    """Return the voltage, V, at which an instrument's line is parked above the bundle."""
     clear = instrument.diameter_px / 2 + instrument.optics.rows(PARK_CLEARANCE_UM)
-    return instrument.volts_at_row_zero + instrument.volts_per_row * (instrument.left_centre[0] - clear)
+    return instrument.volts_at_row_zero + instrument.volts_per_row * (instrument.confocal_centre[0] - clear)
 
 
 def true_calibration(instrument: Instrument, background: NDArray[np.float32] | None = None) -> Calibration:
-    """Calibration that a perfect measurement of the instrument would give.
+    """Return the true calibration of an instrument, with zero uncertainties.
 
     Parameters
     ----------
     instrument : Instrument
-        What was simulated.
+        The simulated instrument.
     background : numpy.ndarray, optional
-        Mean frame of the dark tube (rows, cols).
+        (rows, cols) mean frame in a dark tube; without it the calibration has no background.
 
     Examples
     --------
@@ -75,11 +75,11 @@ def true_calibration(instrument: Instrument, background: NDArray[np.float32] | N
             park_v=park_volts(instrument),
         ),
         bundle=BundleSection(
-            confocal_centre=instrument.left_centre,
-            residual_centre=instrument.right_centre,
+            confocal_centre=instrument.confocal_centre,
+            residual_centre=instrument.residual_centre,
             diameter_px=instrument.diameter_px,
             residual_to_confocal=residual_to_confocal(instrument),
-            residual_gain=instrument.right.gain,
+            residual_gain=instrument.residual_view.gain,
             residual_gain_uncertainty=0.0,
         ),
         optics=OpticsSection(
@@ -92,20 +92,20 @@ def true_calibration(instrument: Instrument, background: NDArray[np.float32] | N
 
 
 def geometry(instrument: Instrument) -> dict[str, Any]:
-    """Numbers of the instrument under short names, ready for JSON.
+    """Return the geometry of an instrument for the truth files, ready for JSON.
 
-    ``diameter_px`` is that of the circle of core centres; ``right_to_bundle`` takes a vector from the right image's
-    centre to the left image's scale and orientation.
+    ``diameter_px`` is that of the circle of core centres; ``right_to_bundle`` maps a vector from the residual view's
+    centre to scale and orientation of the confocal view.
     """
     return {
-        "left": list(instrument.left_centre),
-        "right": list(instrument.right_centre),
+        "left": list(instrument.confocal_centre),
+        "right": list(instrument.residual_centre),
         "diameter_px": instrument.diameter_px,
         "offset_rows": instrument.offset_rows,
         "slit_rows": instrument.slit_rows,
         "tilt": float(np.tan(np.deg2rad(instrument.line_tilt_deg))),
-        "gain": instrument.right.gain,
-        "right_to_bundle": np.linalg.inv(instrument.right.matrix).tolist(),
+        "gain": instrument.residual_view.gain,
+        "right_to_bundle": np.linalg.inv(instrument.residual_view.matrix).tolist(),
         "volt_per_row": instrument.volts_per_row,
         "volt_0": instrument.volts_at_row_zero,
         "um_per_px": instrument.optics.um_per_px,
@@ -115,10 +115,19 @@ def geometry(instrument: Instrument) -> dict[str, Any]:
 
 
 def motion(instrument: Instrument, trajectory: Trajectory, frames: int) -> dict[str, Any]:
-    """Positions of the probe in camera pixels (row, col), ready for JSON.
+    """Return the positions of the probe (row, col) in camera pixels for the truth files, ready for JSON.
 
     ``positions``: at the start of each frame and at the end of the last; ``positions_mid``: when the middle row of the
-    confocal bundle is read, the moment to which a track's positions belong.
+    confocal view is read, the time to which a track's positions refer.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The simulated instrument.
+    trajectory : Trajectory
+        Path of the probe.
+    frames : int
+        Number of frames.
     """
     optics = instrument.optics
 
@@ -129,5 +138,5 @@ def motion(instrument: Instrument, trajectory: Trajectory, frames: int) -> dict[
         return found
 
     starts = np.arange(frames + 1, dtype=np.float64)
-    middle = instrument.left_centre[0] / optics.line_periods_per_frame
+    middle = instrument.confocal_centre[0] / optics.line_periods_per_frame
     return {"frames": frames, "positions": at(starts), "positions_mid": at(starts[:-1] + middle)}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response, drop_offs
-from napari_elsplus.simulation.model.clipped_response import FARTHEST_UM, clipped_drop_offs, clipped_response
+from napari_elsplus.simulation.model.clipped_response import MAX_DEPTH_UM, clipped_drop_offs, clipped_response
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import plate
@@ -56,11 +56,11 @@ def test_it_is_what_the_cores_in_the_middle_receive() -> None:
         confocal, residual = received(depth_um)
         expected = clipped_response(instrument, depth_um)
         assert confocal / contact == pytest.approx(expected.ls, rel=2e-3)
-        assert residual / instrument.right.gain / contact == pytest.approx(expected.residual, rel=2e-3)
+        assert residual / instrument.residual_view.gain / contact == pytest.approx(expected.residual, rel=2e-3)
 
 
 def test_a_distance_beyond_reach_is_not_invented() -> None:
     slow = replace(LINE_MODELS["a"], spread=0.1)
     ls, els = clipped_drop_offs(upright(29.0, line=slow))
     assert np.isnan(ls.drop_10db_um)
-    assert els.drop_10db_um < FARTHEST_UM
+    assert els.drop_10db_um < MAX_DEPTH_UM

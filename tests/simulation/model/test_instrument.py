@@ -10,7 +10,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.model.bundle import Bundle
-from napari_elsplus.simulation.model.instrument import Instrument, RightView
+from napari_elsplus.simulation.model.instrument import Instrument, ResidualView
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import distal_light, scene
 from napari_elsplus.simulation.specimen.trajectories import Straight
@@ -66,8 +66,8 @@ def test_bundle_has_its_pitch_transmission_and_size() -> None:
 @pytest.mark.parametrize("offset_um", [-29.0, 40.0])
 def test_true_calibration_cancels_the_views_of_distal_light(offset_um: float) -> None:
     """Gain, rotation, scale and centres in the truth are those that were drawn."""
-    right = RightView(gain=0.9, rotation_deg=0.3, scale=1.005)
-    instrument = replace(Instrument.of("120hz", offset_um=offset_um), right=right, black_dn=0.0)
+    right = ResidualView(gain=0.9, rotation_deg=0.3, scale=1.005)
+    instrument = replace(Instrument.of("120hz", offset_um=offset_um), residual_view=right, black_dn=0.0)
     sectioner = Sectioner(true_calibration(instrument), instrument.frame_shape)
     ls, residual = sectioner_split(sectioner, Renderer(instrument, distal_light(), noise=False).render(0))
     assert np.abs(ls - residual).mean() < 0.06 * ls.mean()
@@ -81,7 +81,7 @@ def sectioner_split(sectioner: Sectioner, raw: np.ndarray) -> tuple[np.ndarray, 
 
 @pytest.mark.parametrize("row", [200.0, 300.5])
 def test_a_voltage_puts_the_line_onto_its_row_in_both_images(row: float) -> None:
-    instrument = replace(Instrument.of("240hz"), line_tilt_deg=0.0, right=RightView(1.0, 0.0, 1.0))
+    instrument = replace(Instrument.of("240hz"), line_tilt_deg=0.0, residual_view=ResidualView(1.0, 0.0, 1.0))
     volts = np.full(1, instrument.volts_at_row_zero + instrument.volts_per_row * row)
     (frame,) = calibration_scenes.standing_line(instrument, volts)
     signal = frame.astype(float) - 4
@@ -126,7 +126,7 @@ def test_positions_are_camera_pixels_when_the_middle_row_is_read() -> None:
     told = motion(instrument, path, 3)
     per_frame_px = 10 / instrument.optics.um_per_px
     assert np.array(told["positions"])[:, 0] == pytest.approx(per_frame_px * np.arange(4))
-    late = instrument.left_centre[0] / instrument.optics.line_periods_per_frame
+    late = instrument.confocal_centre[0] / instrument.optics.line_periods_per_frame
     assert np.array(told["positions_mid"])[:, 0] == pytest.approx(per_frame_px * (np.arange(3) + late))
 
 

@@ -50,7 +50,7 @@ def test_leaving_a_finite_scene_is_said_with_the_frame() -> None:
     small = picture(np.eye(1000), um_per_px=1.0)
     renderer = Renderer(Instrument.of("240hz"), small, Straight(20_000, direction_deg=0))
     renderer.render(0)
-    with pytest.raises(InputError, match=r"frame 4 looks \d+ um beyond the edge of the scene of 999 x 999 um"):
+    with pytest.raises(InputError, match=r"frame 4 is \d+ um beyond the edge of the scene of 999 x 999 um"):
         renderer.render(4)
 
 
@@ -73,7 +73,7 @@ def test_a_turned_probe_sees_the_scene_turned() -> None:
     # up the rows of the turned probe runs along the scene's columns
     other = picture(np.ascontiguousarray(image.T[:, ::-1]), 2.0)
     upright = Renderer(instrument, other, Still(), noise=False).in_focus().render(0)
-    centre = [round(c) for c in instrument.left_centre]
+    centre = [round(c) for c in instrument.confocal_centre]
     here = np.s_[centre[0] - 150 : centre[0] + 150, centre[1] - 150 : centre[1] + 150]
     smooth = [cv2.GaussianBlur(frame[here].astype(float), (0, 0), 3.0).ravel() for frame in (turned, upright)]
     assert np.corrcoef(*smooth)[0, 1] > 0.99

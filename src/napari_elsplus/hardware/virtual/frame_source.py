@@ -73,7 +73,7 @@ class FrameSource:
         self._is_kept = np.zeros(rounds, bool)
         self._rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
         self._before = self._kept_for = np.full_like(self._rows, np.inf)
-        centres = instrument.left_centre[0], instrument.right_centre[0]
+        centres = instrument.confocal_centre[0], instrument.residual_centre[0]
         reach = instrument.diameter_px / 2 + EDGE_ROWS
         self._dark = (self._rows < min(centres) - reach) | (self._rows > max(centres) + reach)
 

@@ -1,8 +1,8 @@
-"""Axial response in closed form: what confocal, residual and ELS+ see of a thin fluorescent plane at a distance.
+"""Axial response in closed form: confocal, residual and ELS+ signal of a thin fluorescent plane at a distance.
 
 Across the laser line the light at the bundle's face is a core and a halo (cross-talk and leaky modes of the bundle).
 Out of focus it spreads as a Gaussian whose width grows linearly, split equally between excitation and collection. The
-signal is the mean of the spread line over the slit. Everything is an error function, so the model costs nothing.
+signal is the mean of the spread line over the slit: error functions.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ another state of the rig; the two are never mixed."""
 
 
 def gaussian_over_slit(offset_um: ArrayLike, slit_um: ArrayLike, sigma_um: ArrayLike) -> Curve:
-    """Mean of a unit-area Gaussian over a slit, per micrometre.
+    """Return the mean of a unit-area Gaussian over a slit, per micrometre.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def gaussian_over_slit(offset_um: ArrayLike, slit_um: ArrayLike, sigma_um: Array
 
 
 def line_response(depth_um: ArrayLike, offset_um: ArrayLike, slit_um: ArrayLike, line: LineModel) -> Curve:
-    """Signal of a uniform thin plane, per micrometre of slit, for a line that stands off the slit by an offset.
+    """Return the signal of a uniform thin plane, per micrometre of slit, for a line at an offset from the slit.
 
     Parameters
     ----------
@@ -111,9 +111,14 @@ def line_response(depth_um: ArrayLike, offset_um: ArrayLike, slit_um: ArrayLike,
     offset_um : array_like
         Distance of the line from the middle of the slit.
     slit_um : array_like
-        Slit width.
+        Slit width, um.
     line : LineModel
-        The line.
+        Model of the laser line.
+
+    Returns
+    -------
+    numpy.ndarray
+        Of the broadcast shape.
     """
     spread = line.spread * np.asarray(depth_um, np.float64)
     return np.asarray(
@@ -132,7 +137,7 @@ class Response(NamedTuple):
 def axial_response(
     depth_um: ArrayLike, *, offset_um: ArrayLike, slit_um: ArrayLike = 2.9, line: LineModel = LINE_MODELS["a"]
 ) -> Response:
-    """Confocal, residual and ELS+ signal of a stained plate against its distance.
+    """Return confocal, residual and ELS+ signal of a stained plate against its distance.
 
     Parameters
     ----------
@@ -181,8 +186,19 @@ def drop_offs(
 ) -> DropOffs:
     """Solve the model for the 3 dB and 10 dB drop-off distances of ELS+, or of LS where no offset is given.
 
-    There is no rim here, which takes a twentieth from the LS 10 dB distance of a bundle of 620 um:
-    :func:`napari_elsplus.simulation.model.clipped_response.clipped_drop_offs` has it.
+    The rim of the bundle is neglected, which reduces the LS 10 dB distance of a bundle of 620 um by 5 %:
+    :func:`napari_elsplus.simulation.model.clipped_response.clipped_drop_offs` includes it.
+
+    Parameters
+    ----------
+    offset_um : float or None
+        Slit offset at the bundle; None for LS.
+    slit_um : float
+        Slit width at the bundle.
+    line : LineModel
+        Model of the laser line.
+    far_um : float
+        Upper limit of the search.
 
     Raises
     ------
@@ -208,7 +224,16 @@ def drop_offs(
 
 
 def signal_kept(*, offset_um: float, slit_um: float = 2.9, line: LineModel = LINE_MODELS["a"]) -> float:
-    """In-focus signal of ELS+ relative to LS, in contact with the plate.
+    """Return the in-focus signal of ELS+ relative to LS, for a plate in contact.
+
+    Parameters
+    ----------
+    offset_um : float
+        Slit offset at the bundle.
+    slit_um : float
+        Slit width at the bundle.
+    line : LineModel
+        Model of the laser line.
 
     Examples
     --------

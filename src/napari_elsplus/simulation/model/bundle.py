@@ -1,4 +1,4 @@
-"""The fibre bundle: where its cores are and how much light each passes."""
+"""Fibre bundle: positions and transmission of its cores."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Bundle:
     core_sigma : float
         Standard deviation of a core's mode (and of its spot on the camera), as a share of the pitch.
     seed : int
-        Which bundle: it stays the same for every recording made with it.
+        Seed of positions and transmission.
 
     Raises
     ------
@@ -67,7 +67,7 @@ class Bundle:
         return self.diameter_um / 2
 
     def cores(self) -> Cores:
-        """Grow the cores, ordered by row.
+        """Return the cores, ordered by row: a hexagonal lattice with jitter.
 
         Examples
         --------

@@ -1,8 +1,7 @@
-"""Axial response of a whole bundle: the closed form, less what the bundle's rim takes away.
+"""Axial response of a bundle of finite diameter: the closed form times the vignetting by the rim.
 
-Far from focus the light that belongs to the middle of the bundle has spread beyond its rim: the paper's square of
-240 um misses a part of it, and so does any measurement on a bundle. The closed form alone, which has no rim, states the
-LS 10 dB distance too large by a twentieth.
+Far from focus, light of the central square of 240 um has spread beyond the rim and is lost, in the paper's measurement
+as in any on a bundle. The closed form alone, which has no rim, overestimates the LS 10 dB distance by 5 %.
 """
 
 from __future__ import annotations
@@ -27,23 +26,23 @@ if TYPE_CHECKING:
     Curve = NDArray[np.float64]
     Signal = Callable[[Curve], Curve]
 
-FARTHEST_UM: Final = 800.0
-"""Depth to which the rim's share is worked out."""
-_NODES_UM: Final = np.r_[0.0, np.geomspace(10.0, 1.1 * FARTHEST_UM, 13)]
-"""Depths at which it is; between them it is interpolated, as it hardly changes."""
+MAX_DEPTH_UM: Final = 800.0
+"""Largest depth, um, at which vignetting is computed: beyond the last depth of the paper's scans, 700 um."""
+_NODES_UM: Final = np.r_[0.0, np.geomspace(10.0, 1.1 * MAX_DEPTH_UM, 13)]
+"""Depths, um, at which vignetting is computed; it varies slowly and is interpolated between them."""
 
 
 def clipped_response(instrument: Instrument, depth_um: ArrayLike) -> Response:
-    """Confocal, residual and ELS+ signal of a stained plate in the central square, against its distance.
+    """Return confocal, residual and ELS+ signal of a stained plate in the central square, against its distance.
 
-    What an instrument without noise, cores and pixels would measure.
+    Noise, cores and pixels are neglected.
 
     Parameters
     ----------
     instrument : Instrument
         Line, slit, offset, tilt and bundle; the line's gap is added to the depth.
     depth_um : array_like
-        Distance of the plate from where it touches, 0 to `FARTHEST_UM`.
+        Distance of the plate from where it touches, 0 to `MAX_DEPTH_UM`.
 
     Returns
     -------
@@ -66,7 +65,7 @@ def clipped_response(instrument: Instrument, depth_um: ArrayLike) -> Response:
 
 
 def clipped_drop_offs(instrument: Instrument) -> tuple[DropOffs, DropOffs]:
-    """3 dB and 10 dB distances of LS and of ELS+ in the central square; NaN beyond `FARTHEST_UM`.
+    """Return an instrument's 3 dB and 10 dB distances of LS and of ELS+ in the central square; NaN beyond 800 um.
 
     Examples
     --------
@@ -86,13 +85,13 @@ def _drop_offs(signal: Signal) -> DropOffs:
         def above(depth_um: float) -> float:
             return float(signal(np.array([depth_um]))[0]) / contact - share
 
-        return float(brentq(above, 0.0, FARTHEST_UM)) if above(FARTHEST_UM) < 0 else float("nan")
+        return float(brentq(above, 0.0, MAX_DEPTH_UM)) if above(MAX_DEPTH_UM) < 0 else float("nan")
 
     return DropOffs(distance(LEVEL_3DB), distance(LEVEL_10DB))
 
 
 def _signal(instrument: Instrument, offset_um: float) -> Signal:
-    """Mean signal of the central square, by depth (depths,), for a line that stands off the slit by an offset."""
+    """Return the mean signal of the central square as a function of depth, for a line at an offset from the slit."""
     line, slit_um = instrument.line, instrument.slit_um
     rim = edge(instrument.bundle.radius_um, line, slit_um)
     inside = np.abs(rim.grid_um) <= SQUARE_UM / 2

@@ -1,4 +1,4 @@
-"""The instrument as a record: optics, slit, two views of one bundle, light and noise, and the galvo's map."""
+"""Parameters of the simulated instrument: optics, slit, views of the bundle, light, noise, galvo map."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineMode
 from napari_elsplus.simulation.model.bundle import Bundle
 
 REFERENCE_SLIT_ROWS: Final = 3
-"""``Instrument.light_dn`` is told for a slit of so many rows; a wider one is exposed for longer and gathers more."""
+"""Slit width, rows, at which `Instrument.light_dn` holds: the paper's 2.9 um; a wider slit gathers more."""
 _VOLTS_PER_SENSOR_PX: Final = 0.00126
+"""Galvo map of the paper, V per sensor row."""
 _VOLTS_AT_SENSOR_ROW_0: Final = -0.459
+"""Galvo map of the paper, V at sensor row 0."""
 _MAGNIFICATION: Final = 3.778
+"""Magnification of the paper's 120 Hz preset, for which its galvo map holds: 3.63 um pixels, 0.9608 um per row."""
 
 
 @dataclass(frozen=True, slots=True)
-class RightView:
-    """How the residual view differs from the confocal one: brightness, rotation, scale."""
+class ResidualView:
+    """Gain, rotation and scale of the residual view relative to the confocal view."""
 
     gain: float = 0.95
     rotation_deg: float = 0.15
@@ -32,11 +35,11 @@ class RightView:
         for name, low, high in (("gain", 0.5, 2.0), ("rotation_deg", -10.0, 10.0), ("scale", 0.9, 1.1)):
             value = getattr(self, name)
             if not low <= value <= high:
-                raise InputError(f"the right view's {name} is {value}", f"give {low:g} to {high:g}")
+                raise InputError(f"the residual view's {name} is {value}", f"give {low:g} to {high:g}")
 
     @property
     def matrix(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Vector (row, col) from the left bundle's centre -> the same core's vector from the right bundle's centre."""
+        """(2, 2) matrix from a core's vector (row, col) about the confocal centre to that about the residual centre."""
         angle = np.deg2rad(self.rotation_deg)
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         return np.asarray(self.scale * turn)
@@ -44,7 +47,7 @@ class RightView:
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """Everything that shapes a raw frame, except the scene and the scan.
+    """Parameters that determine a raw frame, except scene, motion and scan.
 
     Parameters
     ----------
@@ -53,12 +56,12 @@ class Instrument:
     slit_rows : float
         Exposure in line periods: the rolling slit's width.
     offset_rows : float
-        Row of a standing line in the right image minus its row in the left one; negative: the residual stands higher.
+        Row of a standing line in the right image minus its row in the left one; negative: the residual lies higher.
     bundle : Bundle
         The fibre bundle.
     line : LineModel
         The laser line and its spread.
-    right : RightView
+    residual_view : ResidualView
         The residual view's gain, rotation and scale.
     line_tilt_deg : float
         Tilt of the line against the camera's rows, positive: its right end is lower.
@@ -69,7 +72,7 @@ class Instrument:
     autofluorescence : float
         Brightness of the bundle itself.
     volts_per_row, volts_at_row_zero : float
-        The voltage that holds the line on a row of the left image.
+        Galvo map: voltage at which the line lies on a row of the confocal view.
 
     Raises
     ------
@@ -80,7 +83,7 @@ class Instrument:
     Examples
     --------
     >>> instrument = Instrument.of("240hz", offset_um=-29)
-    >>> round(instrument.offset_rows, 2), [round(x, 1) for x in instrument.left_centre]
+    >>> round(instrument.offset_rows, 2), [round(x, 1) for x in instrument.confocal_centre]
     (-21.75, [273.1, 332.3])
     >>> Instrument.of("240hz", offset_um=700)
     Traceback (most recent call last):
@@ -93,7 +96,7 @@ class Instrument:
     offset_rows: float = -30.0
     bundle: Bundle = field(default_factory=Bundle)
     line: LineModel = LINE_MODELS["a"]
-    right: RightView = field(default_factory=RightView)
+    residual_view: ResidualView = field(default_factory=ResidualView)
     line_tilt_deg: float = 0.2
     light_dn: float = 80.0
     electrons_per_dn: float = 40.0
@@ -115,7 +118,7 @@ class Instrument:
                 "make it smaller",
             )
         rows, cols = self.preset.frame_shape
-        tall, wide = self.diameter_px + abs(self.offset_rows), self.diameter_px * max(1.0, self.right.scale)
+        tall, wide = self.diameter_px + abs(self.offset_rows), self.diameter_px * max(1.0, self.residual_view.scale)
         if tall > rows or 2 * wide > cols:
             raise InputError(
                 f"two bundle images of {self.diameter_px:.0f} px, {self.offset_rows:.0f} rows apart, "
@@ -136,7 +139,7 @@ class Instrument:
             if not isfinite(getattr(self, name)):
                 raise InputError(f"{name} is {getattr(self, name)}", "it must be a number")
         if self.volts_per_row == 0:
-            raise InputError("volts_per_row is 0", "then the mirror cannot move the line")
+            raise InputError("volts_per_row is 0", "then the galvo cannot move the line")
 
     @classmethod
     def of(
@@ -148,7 +151,7 @@ class Instrument:
         rate_hz: float | None = None,
         **changes: Any,
     ) -> Instrument:
-        """Set the instrument up as one of the camera's presets, slit and offset given in micrometres at the bundle.
+        """Return an instrument with one of the camera's presets, slit and offset in micrometres at the bundle.
 
         Parameters
         ----------
@@ -157,7 +160,7 @@ class Instrument:
         slit_um : float, optional
             Slit width, rounded to whole rows; three rows by default.
         offset_um : float
-            Signed slit offset; the mirror sets it, so it need not be whole rows.
+            Signed slit offset; set by the galvo, so that it need not be whole rows.
         rate_hz : float, optional
             A lower frame rate at the same line period.
         **changes
@@ -170,7 +173,7 @@ class Instrument:
             chosen = replace(chosen, optics=_slowed(chosen, rate_hz))
         optics = chosen.optics
         slit_rows = REFERENCE_SLIT_ROWS if slit_um is None else max(1, round(optics.rows(slit_um)))
-        # The mirror does not know the objective: on the sensor's middle row the paper's map holds in every preset.
+        # The galvo map is independent of the objective on the middle row of the sensor.
         middle = SENSOR_SHAPE[0] / 2
         volts_middle = _VOLTS_AT_SENSOR_ROW_0 + _VOLTS_PER_SENSOR_PX * middle
         volts_per_row = _VOLTS_PER_SENSOR_PX * optics.um_per_px / (PIXEL_PITCH_UM / _MAGNIFICATION)
@@ -204,23 +207,23 @@ class Instrument:
 
     @property
     def diameter_px(self) -> float:
-        """Diameter of the circle of core centres in the left image."""
+        """Diameter of the circle of core centres in the confocal view, px."""
         return self.optics.rows(self.bundle.diameter_um)
 
     @property
-    def left_centre(self) -> tuple[float, float]:
-        """Row and column of the confocal image's centre: the pair is centred on the frame, off the pixel grid."""
+    def confocal_centre(self) -> tuple[float, float]:
+        """Row and column of the centre of the confocal view: the two are centred on the frame, off the pixel grid."""
         rows, cols = self.frame_shape
         return (rows - 1) / 2 - self.offset_rows / 2 + 0.7, cols / 4 + 0.3
 
     @property
-    def right_centre(self) -> tuple[float, float]:
-        """Row and column of the residual image's centre."""
-        rows, cols = self.left_centre
+    def residual_centre(self) -> tuple[float, float]:
+        """Row and column of the centre of the residual view."""
+        rows, cols = self.confocal_centre
         return rows + self.offset_rows, cols + self.frame_shape[1] / 2 - 0.85
 
     def with_gain_db(self, gain_db: float) -> Instrument:
-        """Return the instrument with the camera's gain raised: more grey levels, fewer electrons in each."""
+        """Return the instrument with the camera's gain raised: more grey levels, fewer electrons per level."""
         factor = 10 ** (gain_db / 20)
         return replace(self, light_dn=self.light_dn * factor, electrons_per_dn=self.electrons_per_dn / factor)
 

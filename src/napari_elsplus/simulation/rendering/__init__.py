@@ -1,1 +1,1 @@
-"""Raw camera frames of a specimen seen through the model instrument."""
+"""Raw camera frames of a specimen, from the model of the instrument."""

@@ -1,7 +1,8 @@
-"""Scene to raw camera frames: cores, rolling shutter, two views, noise, eight bits.
+"""Render raw camera frames of a scene: cores, rolling shutter, two views, noise, eight bits.
 
-Every core samples the scene at the time its own row is read, in each view; what it receives there depends on where the
-laser line stood (:mod:`scan`). Cores are then spread over pixels and the camera's noise is added (:mod:`sensor`).
+Each core samples the scene at the time at which its camera row is read, in each view; the light that it receives
+depends on the position of the laser line (:mod:`scan`). Cores are then spread over pixels and noise is added
+(:mod:`sensor`).
 """
 
 from __future__ import annotations
@@ -28,24 +29,24 @@ if TYPE_CHECKING:
     Frame = NDArray[np.uint8]
 
 SAME_LINE_ROWS = 0.02
-"""Line positions that differ by less are the same scan: a fiftieth of a row changes no core by a grey level."""
+"""Difference of line positions, rows, below which the scan is not recomputed: no core changes by a grey level."""
 
 
 class Renderer:
-    """Raw frames of a scene, as the instrument would record them.
+    """Renders raw frames of a scene, as the instrument would record them.
 
     Parameters
     ----------
     instrument : Instrument
         Optics, bundle, camera.
     scene : Scene
-        What lies before the probe.
+        The specimen.
     trajectory : Trajectory
-        How the probe moves.
+        Motion of the probe; at rest by default.
     seed : int
         Seed of the camera's noise; the same seed and frame index give the same frame.
     noise : bool
-        Whether the camera is noisy.
+        False for frames without shot and read noise.
 
     Examples
     --------
@@ -55,7 +56,7 @@ class Renderer:
     >>> frame = np.empty(renderer.frame_shape, np.uint8)
     >>> frame is renderer.render(0, frame)
     True
-    >>> stalled = np.full(renderer.frame_shape[0], 250.0)  # the mirror rests: one bright line in each image
+    >>> stalled = np.full(renderer.frame_shape[0], 250.0)  # the galvo rests: one bright line in each view
     >>> frame = renderer.render(0, line_rows=stalled)
     >>> int(frame[250].mean()) > 5 * int(frame[450].mean())
     True
@@ -88,18 +89,17 @@ class Renderer:
     def render(
         self, frame_index: int, out: Frame | None = None, *, line_rows: NDArray[np.float64] | None = None
     ) -> Frame:
-        """Fill a frame.
+        """Render a frame.
 
         Parameters
         ----------
         frame_index : int
             Frame k spans the frame periods k to k + 1; its row r is read at k + r / line_periods_per_frame.
         out : numpy.ndarray, optional
-            (rows, cols) uint8, C-contiguous; made anew if not given.
+            (rows, cols) uint8, C-contiguous; allocated if not given.
         line_rows : numpy.ndarray, optional
-            Row of the left image on which the laser line really stood in the middle of each camera row's exposure,
-            shape (rows,); NaN where the laser was off. An ideal scan is ``numpy.arange(rows)``, and so is None. A
-            standing line is the same number in every row.
+            (rows,) row of the confocal view on which the laser line lies in the middle of each camera row's exposure;
+            NaN where the laser is off. None is the ideal scan, ``numpy.arange(rows)``; a standing line is a constant.
 
         Returns
         -------
@@ -128,12 +128,12 @@ class Renderer:
         return out
 
     def core_values(self, frame_index: int, *, line_rows: NDArray[np.float64] | None = None) -> NDArray[np.float32]:
-        """Work out what each core shows in the left and right view, before pixels, background and noise.
+        """Return the grey level of each core in confocal and residual view, before pixels, background and noise.
 
         Parameters
         ----------
         frame_index, line_rows
-            See :meth:`render`.
+            As of :meth:`render`.
 
         Returns
         -------
@@ -157,11 +157,11 @@ class Renderer:
         return self._values
 
     def row_positions_um(self, frame_index: int) -> NDArray[np.float64]:
-        """Position of the probe over the scene when each camera row of a frame is read, (rows, 2) row and column."""
+        """Return the position of the probe, (rows, 2) um, when each camera row of a frame (by its index) is read."""
         return np.ascontiguousarray(self.trajectory.positions_um(self._row_times_s(frame_index)))
 
     def row_turns(self, frame_index: int) -> NDArray[np.float64] | None:
-        """Cosine and sine of the probe's angle when each camera row is read, (rows, 2); None if it does not turn."""
+        """Return cosine and sine of the probe's angle, (rows, 2), by a frame's index; None if it does not rotate."""
         if not isinstance(self.trajectory, TurningTrajectory):
             return None
         angle = self.trajectory.angles_rad(self._row_times_s(frame_index))
@@ -175,18 +175,18 @@ class Renderer:
     def in_focus(self) -> Renderer:
         """Return a renderer of the same views without out-of-focus light, background and noise.
 
-        Its confocal view is what perfect sectioning would give back, times the share of the signal that is kept.
+        Its confocal view is the result of perfect sectioning, times the fraction of the signal that is kept.
         """
         bare = replace(self.instrument, autofluorescence=0.0, black_dn=0.0)
         return Renderer(bare, self.scene.in_focus(), self.trajectory, noise=False)
 
     def refuse_path(self, frames: int) -> None:
-        """Make sure, before the first frame is made, that the probe stays on the scene.
+        """Raise if the probe leaves the scene within a number of frames.
 
         Raises
         ------
         InputError
-            Naming the first frame that looks beyond a finite scene, or that a recorded path does not reach.
+            Naming the first frame that reaches beyond a finite scene, or lies outside a recorded path.
         """
         for frame_index in range(frames):
             self._refuse_outside(frame_index, self.row_positions_um(frame_index))
@@ -198,7 +198,7 @@ class Renderer:
         self._shifts_um = list(zip(shifts_um.min((0, 2)).tolist(), shifts_um.max((0, 2)).tolist(), strict=True))
 
     def _follow_line(self, line_rows: NDArray[np.float64] | None) -> None:
-        """Work out anew what the cores receive, if the line moves otherwise than in the last frame."""
+        """Recompute the light on the cores if the line positions differ from those of the last frame."""
         rows = np.arange(self.frame_shape[0], dtype=np.float64)
         if line_rows is not None:
             if line_rows.shape != rows.shape:
@@ -228,7 +228,7 @@ class Renderer:
         if beyond > 0:
             tall, wide = bounds[2] - bounds[0], bounds[3] - bounds[1]
             raise InputError(
-                f"frame {frame_index} looks {beyond:.0f} um beyond the edge of the scene of {tall:.0f} x {wide:.0f} um",
+                f"frame {frame_index} is {beyond:.0f} um beyond the edge of the scene of {tall:.0f} x {wide:.0f} um",
                 "give a larger scene or a shorter path",
             )
 
@@ -247,10 +247,22 @@ def place_cores(
     positions_um: NDArray[np.float64],
     turns: NDArray[np.float64] | None,
 ) -> None:
-    """Where each core looks in the scene when its own camera row is read, and which way the bundle's rows then go down.
+    """Compute the scene position of each core when its camera row is read, and the direction of the bundle's rows.
 
-    Both (2, cores), row and column. `turns` (rows, 2) are cosine and sine of the probe's angle; where it does not turn,
-    `turns` and `down` are None, and a kernel without them is compiled.
+    Parameters
+    ----------
+    places : numpy.ndarray
+        (2, cores) output: row and column, um.
+    down : numpy.ndarray or None
+        (2, cores) output: unit vector along which the bundle's row increases; None without rotation.
+    camera_rows : numpy.ndarray
+        (cores,) camera row of each core.
+    rows_um, cols_um : numpy.ndarray
+        (cores,) position of each core about the centre of the bundle.
+    positions_um : numpy.ndarray
+        (rows, 2) position of the probe at each camera row.
+    turns : numpy.ndarray or None
+        (rows, 2) cosine and sine of the probe's angle; None without rotation.
     """
     last = len(positions_um) - 2
     for n in range(len(camera_rows)):
@@ -277,7 +289,23 @@ def gather(
     shift_um: NDArray[np.float32],
     scale: NDArray[np.float32],
 ) -> None:
-    """Add to each core what it sees in a layer, shifted down the bundle's rows: bilinear; the window wraps around."""
+    """Add the brightness of a layer to each core, bilinear.
+
+    Parameters
+    ----------
+    values : numpy.ndarray
+        (cores,) grey levels, added to.
+    window : numpy.ndarray
+        (n, n) samples of the layer, n a power of two; indices wrap around.
+    per_um : float
+        Samples per um.
+    places, down : numpy.ndarray
+        See :func:`place_cores`.
+    shift_um : numpy.ndarray
+        (cores,) shift along the bundle's rows.
+    scale : numpy.ndarray
+        (cores,) factor on the brightness.
+    """
     mask = window.shape[0] - 1
     for n in range(len(values)):
         y, x = places[0, n], places[1, n]

@@ -1,4 +1,4 @@
-"""Frames made beforehand and played in a circle, for machines too busy to render as fast as the camera runs."""
+"""Loop of pre-rendered frames, for machines too slow to render at the frame rate."""
 
 from __future__ import annotations
 
@@ -16,26 +16,25 @@ if TYPE_CHECKING:
 
 
 class FrameLoop:
-    """A fall-back for a renderer: the same calls, answered from memory.
+    """Loop of pre-rendered frames with the interface of `Renderer`.
 
-    The ring holds the frames 0 to n - 1 for one instrument and one way in which the line moves; frame k is answered
-    with frame k modulo n, so the probe jumps back where the circle closes unless its path does too. A line that moves
-    otherwise invalidates it, and it renders until it is filled again. Slit, offset and region belong to the instrument:
-    another instrument needs another renderer, and so another ring.
+    Frame k is frame k modulo n of the loop, so that the probe jumps where the loop closes unless its path does too.
+    With other line positions than those it was rendered for, the loop is invalid and frames are rendered, until
+    :meth:`refill`. Slit, offset and region belong to the instrument: another instrument needs another loop.
 
     Parameters
     ----------
     renderer : Renderer
-        Whose frames to hold.
+        Renders the frames.
     frames : int
-        How many: a quarter of a second at 240 Hz takes 60 frames or 42 MB.
+        Length of the loop; 60 frames, a quarter of a second at 240 Hz, take 42 MB.
     line_rows : numpy.ndarray, optional
-        How the line moves; see :meth:`Renderer.render`.
+        (rows,) line positions; see :meth:`Renderer.render`.
 
     Raises
     ------
     InputError
-        If there is no frame to hold.
+        If the loop has no frame.
 
     Examples
     --------
@@ -56,11 +55,11 @@ class FrameLoop:
 
     @property
     def name(self) -> str:
-        """What a report calls it, so that nobody takes it for live rendering."""
+        """Name for reports, which distinguishes it from live rendering."""
         return f"ring of {len(self._frames)} pre-rendered frames"
 
     def refill(self, line_rows: NDArray[np.float64] | None = None) -> None:
-        """Render the ring's frames for a line that moves so."""
+        """Render the frames of the loop for other line positions, `line_rows` as of :meth:`Renderer.render`."""
         rows = np.arange(self.frame_shape[0], dtype=np.float64)
         self._line_rows = rows if line_rows is None else line_rows.copy()
         self.valid = True
@@ -70,7 +69,7 @@ class FrameLoop:
     def render(
         self, frame_index: int, out: Frame | None = None, *, line_rows: NDArray[np.float64] | None = None
     ) -> Frame:
-        """Fill a frame from the ring or, if the line moves otherwise than it did for the ring, by rendering."""
+        """Copy a frame from the loop, or render it if the loop is invalid; arguments of :meth:`Renderer.render`."""
         rows = np.arange(self.frame_shape[0], dtype=np.float64) if line_rows is None else line_rows
         self.valid = self.valid and np.allclose(rows, self._line_rows, rtol=0, atol=SAME_LINE_ROWS, equal_nan=True)
         if not self.valid:

@@ -1,9 +1,9 @@
-"""What each core of each view receives, given where the laser line stood while the core's row was exposed.
+"""Light on each core of each view, from the position of the laser line while the core's row is exposed.
 
 A Gaussian line times a Gaussian collection is a Gaussian: for each plane, the core and the halo of the line give one
 blurred image each, sampled at a shifted row and scaled. Slit offset, line tilt, a wrong ramp and a line that flies back
-change shift and scale only, so an ideal and a faulty scan cost the same. Shifts and scales are kept until the line
-moves otherwise than before.
+change shift and scale only, so that an ideal and a faulty scan cost the same. Shifts and scales are kept while the line
+positions do not change.
 """
 
 from __future__ import annotations
@@ -28,9 +28,11 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.specimen.scenes import Plane, Scene
 
 _FAR_UM = 1e6
+"""Lag, rows, that stands for a laser that is off: the line is beyond any bundle."""
 _NEGLIGIBLE = 1e-5
+"""Fraction of the in-focus light below which no row shift is computed."""
 _ALIKE = 0.25
-"""Two blurs closer than this, in standard deviations, are drawn as one: deep planes, where the spread rules."""
+"""Difference of two blurs, in standard deviations, below which they are rendered as one: deep planes; chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ class Term:
 
 
 class CoreLight(NamedTuple):
-    """What the cores of one view receive: a steady part, and for each term a scale and a row shift.
+    """Light on the cores of one view: a steady part, and for each term a scale and a row shift.
 
     ``steady`` (cores,), ``scale`` and ``shift_um`` (terms, cores): grey levels, and micrometres along the rows.
     """
@@ -62,14 +64,14 @@ class _Product(NamedTuple):
 
 
 class Scan:
-    """Line positions to what the cores receive of a scene.
+    """Computes the light on the cores from line positions.
 
     Parameters
     ----------
     instrument : Instrument
         The optics.
     scene : Scene
-        What lies before the probe.
+        The specimen.
     cores : Cores
         The bundle's cores.
     """
@@ -82,15 +84,14 @@ class Scan:
         self.terms = tuple(term for plane in scene.planes for term in self._terms_of(plane))
 
     def light(self, view: BundleView, line_rows: NDArray[np.float64] | None) -> CoreLight:
-        """Work out what the cores of a view receive.
+        """Return the light on the cores of a view.
 
         Parameters
         ----------
         view : BundleView
             The view.
         line_rows : numpy.ndarray or None
-            Row of the left image on which the line stood in the middle of each camera row's exposure, shape (rows,);
-            NaN where the laser was off. None: each row saw the line where it should.
+            (rows,) line positions; see :meth:`Renderer.render`.
         """
         instrument = self._instrument
         cores = len(self._cores.rows_um)
@@ -160,7 +161,7 @@ class Scan:
         smear_um: NDArray[np.float64],
         grid_offset_um: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Take a uniform plane of brightness 1 through core and halo of the line: (2, cores)."""
+        """Return the light of a uniform plane of brightness 1 by core and halo of the line, (2, cores)."""
         line, optics = self._instrument.line, self._instrument.optics
         reference = float(line_response(0.0, 0.0, optics.um(REFERENCE_SLIT_ROWS), line))
         vignette = self._edge.vignette(grid_offset_um, depth_um).reshape(2, -1)
@@ -176,7 +177,7 @@ class Scan:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Line minus core (um) and smear over the exposure (um) for each core; line minus core on the grid's rows."""
         instrument = self._instrument
-        um, left_row = instrument.optics.um_per_px, instrument.left_centre[0]
+        um, left_row = instrument.optics.um_per_px, instrument.confocal_centre[0]
         rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
         lag = np.zeros_like(rows) if line_rows is None else line_rows - rows
         speed = np.ones_like(rows) if line_rows is None else np.abs(np.gradient(line_rows))

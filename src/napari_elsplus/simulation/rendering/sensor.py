@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.model.bundle import Bundle
 
 SPOTS_PER_PIXEL = 3
-"""Neighbouring cores that light a pixel; the fourth lies more than a pitch away, 3.8 standard deviations of a spot."""
+"""Cores that light a pixel; the fourth nearest lies more than a pitch away, 3.8 standard deviations of a spot."""
 _REACH_PITCHES = 1.0
+"""Distance from the outermost cores, in core pitches, to which pixels are lit."""
 
 
 class Spots(NamedTuple):
-    """Which cores light which pixels of one view.
+    """Cores that light each pixel of one view.
 
     ``cores`` and ``weights`` are (pixels, 3), the pixels row after row; row r has the pixels ``first[r]`` to
     ``first[r + 1] - 1``, which begin at column ``column[r]``.
@@ -40,18 +41,18 @@ def spread_spots(
     bundle: Bundle,
     um_per_px: float,
 ) -> Spots:
-    """Find the cores that light each pixel of a view.
+    """Return the cores that light each pixel of a view.
 
     Parameters
     ----------
     rows_px, cols_px : numpy.ndarray
-        Where the cores' centres lie on the camera.
+        (cores,) position of the cores on the sensor.
     frame_shape : tuple of int
         Rows and columns of the frame.
     bundle : Bundle
-        For the spots' size.
+        Its pitch and core size determine the spots.
     um_per_px : float
-        Scale.
+        Micrometres per pixel.
 
     Returns
     -------
@@ -97,10 +98,27 @@ def expose(
     read_noise_e: float,
     key: int,
 ) -> None:
-    """Fill a frame: core values (grey levels) spread over pixels, black level, noise, 8 bit.
+    """Write a frame: grey levels of the cores spread over pixels, black level, noise, 8 bit.
 
     Noise is a sum of four bytes of a hash of pixel and key: Gaussian within +-3.4 standard deviations, the same for the
-    same key, and free of state, so that rows could be made in any order.
+    same key, and without state.
+
+    Parameters
+    ----------
+    out : numpy.ndarray
+        (rows, cols) output.
+    left_first, left_column, left_cores, left_weights : numpy.ndarray
+        Fields of the confocal view's `Spots`.
+    left_values : numpy.ndarray
+        (cores,) grey levels, times the scale of the spots.
+    right_first, right_column, right_cores, right_weights, right_values : numpy.ndarray
+        The same of the residual view.
+    row_signal : numpy.ndarray
+        (cols,) scratch.
+    black_dn, electrons_per_dn, read_noise_e : float
+        Black level, grey levels; gain, electrons per grey level; read noise, electrons.
+    key : int
+        64-bit key of the noise.
     """
     rows, cols = out.shape
     shot = np.float32(1 / electrons_per_dn)

@@ -1,4 +1,4 @@
-"""The bundle as the camera sees it: its cores' places in both views, and the pixels that they light."""
+"""Views of the bundle on the sensor: positions of the cores, and the pixels that they light."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.simulation.model.bundle import Bundle, Cores
-    from napari_elsplus.simulation.model.instrument import Instrument, RightView
+    from napari_elsplus.simulation.model.instrument import Instrument, ResidualView
 
 
 class BundleView(NamedTuple):
-    """One image of the bundle: its gain, its centre's row, its cores' places (px), the pixels that they light."""
+    """One view of the bundle: gain, row of its centre, positions of the cores (px), pixels that they light."""
 
     gain: float
     centre_row: float
@@ -27,7 +27,7 @@ class BundleView(NamedTuple):
 
 
 class BundleViews(NamedTuple):
-    """The bundle's cores, and its left (confocal) and right (residual) view."""
+    """The bundle's cores, and its confocal (left) and residual (right) view."""
 
     cores: Cores
     left: BundleView
@@ -35,12 +35,12 @@ class BundleViews(NamedTuple):
 
 
 def views(instrument: Instrument) -> BundleViews:
-    """Lay the bundle out on the camera; the same instrument's layout is kept, as it takes some tenths of a second."""
+    """Return the views of an instrument's bundle; cached, as computing them takes some tenths of a second."""
     return _views(
         instrument.bundle,
-        instrument.right,
-        instrument.left_centre,
-        instrument.right_centre,
+        instrument.residual_view,
+        instrument.confocal_centre,
+        instrument.residual_centre,
         instrument.frame_shape,
         instrument.optics.um_per_px,
     )
@@ -49,9 +49,9 @@ def views(instrument: Instrument) -> BundleViews:
 @lru_cache(maxsize=4)
 def _views(
     bundle: Bundle,
-    right: RightView,
-    left_centre: tuple[float, float],
-    right_centre: tuple[float, float],
+    residual_view: ResidualView,
+    confocal_centre: tuple[float, float],
+    residual_centre: tuple[float, float],
     frame_shape: tuple[int, int],
     um_per_px: float,
 ) -> BundleViews:
@@ -62,4 +62,8 @@ def _views(
         rows, cols = places + np.array(centre)[:, None]
         return BundleView(gain, centre[0], rows, cols, spread_spots(rows, cols, frame_shape, bundle, um_per_px))
 
-    return BundleViews(cores, view(1.0, left_centre, cores_px), view(right.gain, right_centre, right.matrix @ cores_px))
+    return BundleViews(
+        cores,
+        view(1.0, confocal_centre, cores_px),
+        view(residual_view.gain, residual_centre, residual_view.matrix @ cores_px),
+    )

@@ -1,1 +1,1 @@
-"""What is looked at, and how the probe moves over it."""
+"""Specimens, and the motion of the probe over them."""

@@ -1,4 +1,4 @@
-"""Blurred planes, made block by block where the probe looks, kept in a window that rolls along with it."""
+"""Blurred planes of tissue, computed block by block around the probe, in a window that moves with it."""
 
 from __future__ import annotations
 
@@ -17,10 +17,13 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.specimen.textures import Texture
 
 BLOCK: Final = 64
+"""Side of a block, samples; chosen."""
 SAMPLES_PER_SIGMA: Final = 2.0
+"""Samples per standard deviation of the blur: enough for bilinear sampling; chosen."""
 BLOCKS_AHEAD: Final = 4
-"""Blocks that are made ahead of the probe in each frame, so that crossing a border costs no more than other frames."""
-_KEPT_BLOCKS: Final = 2048
+"""Blocks computed ahead of the probe in each frame, so that all frames cost about the same; chosen."""
+_MAX_BLOCKS: Final = 2048
+"""Blocks in the cache, 32 MB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,20 +35,20 @@ class Blur:
 
 
 class Layer:
-    """A blurred plane on a regular grid, of which a window around the probe is held.
+    """A blurred plane on a regular grid, of which a window around the probe is in memory.
 
-    Sample (i, j) lies at ``(i, j) * step_um`` in the scene and is kept at ``window[i & mask, j & mask]``: moving on
-    overwrites what was left behind, and memory stays the same however far the probe goes. Blocks that were left are
-    kept for a while (at most 32 MB), so that a probe that comes back need not wait.
+    Sample (i, j) lies at ``(i, j) * step_um`` in the scene and is stored at ``window[i & mask, j & mask]``: samples
+    behind the probe are overwritten, and memory is independent of the path. The most recent blocks (at most 32 MB) are
+    cached for a probe that returns.
 
     Parameters
     ----------
     texture : Texture
-        What to blur.
+        Brightness of the plane.
     blur : Blur
-        By how much.
+        Standard deviations of the blur.
     reach_um : float
-        Half the width of what one frame looks at.
+        Half the width of the region that one frame shows.
     """
 
     def __init__(self, texture: Texture, blur: Blur, reach_um: float) -> None:
@@ -59,13 +62,13 @@ class Layer:
         self.size = 1 << int(np.ceil(np.log2(needed)))
         self.window: NDArray[np.float32] = np.zeros((self.size, self.size), np.float32)
         per_side = self.size // BLOCK
-        self._held = np.full((per_side, per_side, 2), np.iinfo(np.int64).min)  # which block is in which slot
+        self._held = np.full((per_side, per_side, 2), np.iinfo(np.int64).min)  # block in each slot
         self._ahead: list[tuple[int, int]] = []
         self._covered: list[range] = []
         self._kept: OrderedDict[tuple[int, int], NDArray[np.float32]] = OrderedDict()
 
     def cover(self, top_um: float, left_um: float, bottom_um: float, right_um: float) -> None:
-        """Make sure that a region of the scene is in the window.
+        """Compute the window for a region of the scene: its top, left, bottom and right edge, um.
 
         Raises
         ------
@@ -123,7 +126,7 @@ class Layer:
         inside = (slice(margin, margin + BLOCK) for margin in margins)
         block: NDArray[np.float32] = blurred[tuple(inside)].copy()
         self._kept[i, j] = block
-        if len(self._kept) > _KEPT_BLOCKS:
+        if len(self._kept) > _MAX_BLOCKS:
             self._kept.popitem(last=False)
         return block
 

@@ -1,4 +1,4 @@
-"""Textures that are given: targets of bars, and any image."""
+"""Textures from given data: bar targets, and images."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Bars:
     bounds_um: None = None
 
     def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
-        """Share of each grid cell that is clear."""
+        """Return the clear fraction of each cell of a grid with these rows and columns, um."""
         out = np.zeros((len(rows_um), len(cols_um)), np.float32)
         for top, left, bottom, right in self.bars_um:
             down, across = _covered(rows_um, top, bottom), _covered(cols_um, left, right)
@@ -35,7 +35,7 @@ class Bars:
 
 
 def usaf_1951(groups: tuple[int, ...] = (4, 5, 6, 7)) -> Bars:
-    """USAF 1951 target: three horizontal and three vertical bars of 2**(group + (element - 1) / 6) pairs/mm."""
+    """Return a USAF 1951 target of these groups: three bars each way of 2**(group + (element - 1) / 6) pairs/mm."""
     bars: list[tuple[float, float, float, float]] = []
     top = -240.0
     for group in groups:
@@ -57,7 +57,7 @@ def usaf_1951(groups: tuple[int, ...] = (4, 5, 6, 7)) -> Bars:
 
 
 class ImageTexture:
-    """A picture as a plane; the middle of the picture is the scene's origin.
+    """An image as a plane; its middle is the origin of the scene.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class ImageTexture:
         self._shrunk: dict[int, Picture] = {1: self._picture}
 
     def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
-        """Brightness on an even grid, bilinear; beyond its edge the picture is mirrored."""
+        """Return the brightness on a regular grid of rows and columns, um, bilinear; mirrored beyond the edge."""
         factor = max(1, int(step_um(rows_um) / (2 * self._um_per_px)))
         if factor not in self._shrunk:
             shape = [max(1, n // factor) for n in self._picture.shape]

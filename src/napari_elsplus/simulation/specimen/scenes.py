@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """A thin plane of tissue.
+    """Thin plane of tissue.
 
     Parameters
     ----------
     texture : Texture
-        Its brightness over the plane.
+        Brightness over the plane.
     depth_um : float
         Distance from the probe's face.
     brightness : float
@@ -43,21 +43,21 @@ class Plane:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What lies before the probe.
+    """Specimen: planes of tissue, or a target in transmission.
 
     Parameters
     ----------
     planes : tuple of Plane
-        Tissue, nearest first; none: a dark tube.
+        Planes, nearest first; none: a dark tube.
     transmission : bool
-        Lit from the far end, the laser off: both views see the same, and nothing is sectioned.
+        True if lit from the distal end with the laser off: both views show the same, without sectioning.
     """
 
     planes: tuple[Plane, ...] = ()
     transmission: bool = False
 
     def in_focus(self) -> Scene:
-        """Return only what touches the probe: what perfect sectioning would show."""
+        """Return the planes in contact with the probe: the result of perfect sectioning."""
         return Scene(tuple(plane for plane in self.planes if plane.depth_um == 0), self.transmission)
 
     @property
@@ -71,7 +71,7 @@ class Scene:
 
 
 def fibres(seed: int = 0) -> Scene:
-    """Lens tissue over a fluorescent ground: fibres in focus, others behind them, the ground far off."""
+    """Return lens tissue from a seed: fibres in focus, fibres at 60 um, a fluorescent ground at 200 um."""
     return Scene(
         (
             Plane(Fibres(seed=seed)),
@@ -82,7 +82,7 @@ def fibres(seed: int = 0) -> Scene:
 
 
 def sparse(seed: int = 0) -> Scene:
-    """Few fibres over the same ground: little to register on."""
+    """Return low-texture tissue from a seed: few fibres over the same ground."""
     return Scene(
         (
             Plane(Fibres(per_mm2=10, seed=seed)),
@@ -93,7 +93,7 @@ def sparse(seed: int = 0) -> Scene:
 
 
 def nuclei(seed: int = 0) -> Scene:
-    """Acriflavine-stained epithelium: a layer of nuclei, a deeper layer, and stroma."""
+    """Return acriflavine-stained epithelium from a seed: nuclei in focus and at 40 um, stroma at 150 um."""
     return Scene(
         (
             Plane(Nuclei(seed=seed), brightness=1.2),
@@ -104,42 +104,42 @@ def nuclei(seed: int = 0) -> Scene:
 
 
 def paper(seed: int = 0) -> Scene:
-    """Cover the field with stained paper: its uneven surface in contact, and what shines through from below."""
+    """Return stained paper from a seed: an uneven surface in contact, and light from 60 um below."""
     return Scene(
         (Plane(Mottle(scale_um=40, seed=seed)), Plane(Mottle(scale_um=80, seed=seed + 1), depth_um=60, brightness=0.5))
     )
 
 
 def usaf(seed: int = 0) -> Scene:
-    """USAF 1951 target, lit from behind."""
-    del seed  # there is only one
+    """Return a USAF 1951 target in transmission; the seed has no effect."""
+    del seed
     return Scene((Plane(usaf_1951()),), transmission=True)
 
 
 def uniform(seed: int = 0) -> Scene:
-    """Put a uniform plane in contact."""
+    """Return a uniform plane in contact; the seed has no effect."""
     del seed
     return plate(0.0)
 
 
 def plate(depth_um: float, brightness: float = 1.0) -> Scene:
-    """Uniform stained metal plate at a depth, as seen from the probe's face."""
+    """Return a uniform stained plate of some brightness at a depth from the probe's face, um."""
     return Scene((Plane(Uniform(), depth_um, brightness),))
 
 
 def empty(seed: int = 0) -> Scene:
-    """Put the probe into a dark tube: only the bundle's own fluorescence is left."""
+    """Return a dark tube, in which only the bundle's autofluorescence is seen; the seed has no effect."""
     del seed
     return Scene()
 
 
 def distal_light() -> Scene:
-    """Light the far end evenly, as for locating the pair of images."""
+    """Return even light from the distal end, for locating the two views."""
     return Scene((Plane(Uniform()),), transmission=True)
 
 
 def picture(image: NDArray[np.generic], um_per_px: float) -> Scene:
-    """Any grey image in contact with the probe, over an even ground 200 um away."""
+    """Return a grey image (rows, cols) in contact with the probe, at `um_per_px`, over an even ground at 200 um."""
     return Scene((Plane(ImageTexture(image, um_per_px)), Plane(Uniform(), depth_um=200, brightness=0.5)))
 
 
@@ -152,11 +152,11 @@ SCENES: Final[dict[str, Callable[[int], Scene]]] = {
     "uniform": uniform,
     "empty": empty,
 }
-"""Scenes by name, each made from a seed; ``plate`` and ``picture`` take what they need instead."""
+"""Functions from a seed to a scene, by name; ``plate`` and ``picture`` have other arguments."""
 
 
 def scene(name: str, seed: int = 0) -> Scene:
-    """Return the scene of that name; ``plate:DEPTH`` is a plate at a depth in micrometres.
+    """Return the scene of this name, from a seed; ``plate:DEPTH`` is a plate at a depth in micrometres.
 
     Raises
     ------

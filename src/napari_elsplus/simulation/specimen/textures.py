@@ -1,8 +1,8 @@
-"""What a plane of tissue looks like: brightness at any point, made on demand.
+"""Textures of planes of tissue: brightness at any point, computed on demand.
 
 A texture is sampled on a grid in micrometres and draws its objects softened by that grid's step, so that coarse grids
 do not alias. Generators place their objects by hashing lattice cells: they have no edge, take no memory, and give the
-same tissue at the same place however the probe gets there.
+same tissue at the same position whatever the path of the probe.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class Texture(Protocol):
         """First row, first column, last row, last column of a finite texture; None where it has no edge."""
 
     def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
-        """Brightness on an even grid, shape (rows, cols)."""
+        """Return the brightness (rows, cols), float32, on a regular grid of rows and columns, um."""
 
 
 def step_um(axis_um: Axis) -> float:
-    """Step of an even grid."""
+    """Return the step, um, of a regular grid along an axis."""
     return float(axis_um[1] - axis_um[0])
 
 
@@ -45,7 +45,7 @@ class Uniform:
     bounds_um: None = None
 
     def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
-        """Brightness on an even grid."""
+        """See :meth:`Texture.sample`."""
         return np.ones((len(rows_um), len(cols_um)), np.float32)
 
 
@@ -62,7 +62,7 @@ class Fibres:
     length_um : float
         Mean length.
     seed : int
-        Which tissue.
+        Seed of the tissue.
     """
 
     per_mm2: float = 60.0
@@ -72,7 +72,7 @@ class Fibres:
     bounds_um: None = None
 
     def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
-        """Brightness on an even grid."""
+        """See :meth:`Texture.sample`."""
         out = np.zeros((len(rows_um), len(cols_um)), np.float32)
         reach = 0.75 * self.length_um + 2 * self.width_um
         cells = (
@@ -84,7 +84,9 @@ class Fibres:
 
 
 _CELL_UM = 250.0
+"""Side of a lattice cell, um; chosen."""
 _POINTS_PER_FIBRE = 9
+"""Points of the polyline of a fibre; chosen."""
 
 
 @lru_cache(maxsize=64)
@@ -172,7 +174,7 @@ class Nuclei:
     radius_um : float
         Mean radius of a nucleus.
     seed : int
-        Which tissue.
+        Seed of the tissue.
     """
 
     spacing_um: float = 15.0
@@ -181,7 +183,7 @@ class Nuclei:
     bounds_um: None = None
 
     def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
-        """Brightness on an even grid."""
+        """See :meth:`Texture.sample`."""
         out = np.zeros((len(rows_um), len(cols_um)), np.float32)
         _draw_mottle(out, rows_um[0], cols_um[0], step_um(rows_um), 60.0, self.seed)
         out *= 0.25
@@ -198,7 +200,7 @@ class Mottle:
     scale_um : float
         Size of its patches.
     seed : int
-        Which ground.
+        Seed of the ground.
     """
 
     scale_um: float = 150.0
@@ -206,7 +208,7 @@ class Mottle:
     bounds_um: None = None
 
     def sample(self, rows_um: Axis, cols_um: Axis) -> Picture:
-        """Brightness on an even grid."""
+        """See :meth:`Texture.sample`."""
         out = np.zeros((len(rows_um), len(cols_um)), np.float32)
         _draw_mottle(out, rows_um[0], cols_um[0], step_um(rows_um), self.scale_um, self.seed)
         return 0.5 + out

@@ -1,4 +1,4 @@
-"""How the probe moves: its position over the scene against time, in micrometres (row, col)."""
+"""Trajectories of the probe: position over the scene against time, in micrometres (row, col)."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ if TYPE_CHECKING:
 
 
 class Trajectory(Protocol):
-    """A path of the probe's middle over the scene."""
+    """Path of the centre of the probe over the scene."""
 
     def positions_um(self, times_s: Times) -> Positions:
-        """Row and column at each time, shape (n, 2)."""
+        """Return row and column, um, at each time, (n, 2)."""
 
 
 @runtime_checkable
 class TurningTrajectory(Trajectory, Protocol):
-    """A path on which the probe also turns about its middle."""
+    """Path on which the probe also rotates about its centre."""
 
     def angles_rad(self, times_s: Times) -> Times:
-        """Angle at each time, from the rows' direction towards the columns', shape (n,)."""
+        """Return the angle at each time, (n,), from rows towards columns."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turning:
-    """A path on which the probe turns steadily, or to and fro.
+    """Path with a steady or a periodic rotation.
 
     Parameters
     ----------
     path : Trajectory
-        Where its middle goes.
+        Path of its centre.
     rate_deg_s : float
-        How fast it turns at first.
+        Angular velocity at time 0.
     reach_deg : float
-        It turns to and fro as far as this, as a sine; without end if infinite.
+        Amplitude of a sinusoidal rotation; infinite for a steady one.
 
     Examples
     --------
@@ -56,11 +56,11 @@ class Turning:
     reach_deg: float = np.inf
 
     def positions_um(self, times_s: Times) -> Positions:
-        """Row and column at each time."""
+        """See :meth:`Trajectory.positions_um`."""
         return self.path.positions_um(times_s)
 
     def angles_rad(self, times_s: Times) -> Times:
-        """Angle at each time."""
+        """Return the angle at each time, (n,)."""
         angle = np.deg2rad(self.rate_deg_s) * times_s
         if not np.isfinite(self.reach_deg):
             return np.asarray(angle, np.float64)
@@ -70,39 +70,39 @@ class Turning:
 
 @dataclass(frozen=True, slots=True)
 class Still:
-    """The probe rests."""
+    """Probe at rest."""
 
     row_um: float = 0.0
     col_um: float = 0.0
 
     def positions_um(self, times_s: Times) -> Positions:
-        """Row and column at each time."""
+        """See :meth:`Trajectory.positions_um`."""
         return np.tile([self.row_um, self.col_um], (len(times_s), 1))
 
 
 @dataclass(frozen=True, slots=True)
 class Straight:
-    """A straight, steady stroke; direction 0 runs along columns, 90 degrees down the rows."""
+    """Straight line at constant speed; direction 0 is along columns, 90 degrees down the rows."""
 
     speed_um_s: float = 2000.0
     direction_deg: float = 30.0
 
     def positions_um(self, times_s: Times) -> Positions:
-        """Row and column at each time."""
+        """See :meth:`Trajectory.positions_um`."""
         angle = np.deg2rad(self.direction_deg)
         return np.outer(self.speed_um_s * times_s, [np.sin(angle), np.cos(angle)])
 
 
 @dataclass(frozen=True, slots=True)
 class Raster:
-    """Lines to and fro with rounded turns: half circles whose diameter is the pitch of the lines."""
+    """Raster with half circles between the lines, whose diameter is the pitch."""
 
     speed_um_s: float = 2000.0
     width_um: float = 1500.0
     pitch_um: float = 250.0
 
     def positions_um(self, times_s: Times) -> Positions:
-        """Row and column at each time."""
+        """See :meth:`Trajectory.positions_um`."""
         turn = np.pi * self.pitch_um / 2
         line, along = np.divmod(self.speed_um_s * times_s, self.width_um + turn)
         angle = np.clip(along - self.width_um, 0, None) / (self.pitch_um / 2)
@@ -113,13 +113,13 @@ class Raster:
 
 @dataclass(frozen=True, slots=True)
 class Spiral:
-    """An Archimedean spiral outwards at a steady speed."""
+    """Archimedean spiral outwards at constant speed."""
 
     speed_um_s: float = 2000.0
     pitch_um: float = 200.0
 
     def positions_um(self, times_s: Times) -> Positions:
-        """Row and column at each time."""
+        """See :meth:`Trajectory.positions_um`."""
         per_radian = self.pitch_um / (2 * np.pi)
         path = self.speed_um_s * times_s / per_radian
         angle = np.sqrt(2 * np.abs(path))  # where the spiral's length is the path: Newton's steps from its far end
@@ -132,16 +132,16 @@ class Spiral:
 
 @dataclass(frozen=True, slots=True)
 class HandHeld:
-    """A slow wandering of the hand with physiological tremor (8 to 12 Hz) on top.
+    """Slow motion of a hand with physiological tremor (8 to 12 Hz).
 
     Parameters
     ----------
     speed_um_s : float
-        Root-mean-square speed of the wandering.
+        Root-mean-square speed of the slow motion.
     tremor_um : float
         Root-mean-square amplitude of the tremor, each axis.
     seed : int
-        Which hand.
+        Seed of the motion.
     """
 
     speed_um_s: float = 1500.0
@@ -149,7 +149,7 @@ class HandHeld:
     seed: int = 0
 
     def positions_um(self, times_s: Times) -> Positions:
-        """Row and column at each time."""
+        """See :meth:`Trajectory.positions_um`."""
         rng = np.random.default_rng(self.seed)
         wander_hz = rng.uniform(0.1, 0.7, (6, 2))
         tremor_hz = rng.uniform(8, 12, (4, 2))
@@ -168,7 +168,7 @@ class HandHeld:
 
 
 class Recorded:
-    """A recorded path, interpolated linearly.
+    """Recorded path, interpolated linearly.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ class Recorded:
         self._times_s, self._positions_um = times_s, positions_um
 
     def positions_um(self, times_s: Times) -> Positions:
-        """Row and column at each time.
+        """Return row and column, um, at each time, (n, 2).
 
         Raises
         ------
@@ -220,7 +220,16 @@ PATHS = ("still", "straight", "raster", "spiral", "hand")
 
 
 def trajectory(name: str, *, speed_um_s: float = 2000.0, seed: int = 0) -> Trajectory:
-    """Return the path of that name.
+    """Return the path of this name.
+
+    Parameters
+    ----------
+    name : str
+        One of `PATHS`.
+    speed_um_s : float
+        Speed; root-mean-square for ``hand``.
+    seed : int
+        Seed of ``hand``.
 
     Raises
     ------
