@@ -22,7 +22,8 @@ from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.lazy import LazyPlanes
-from napari_elsplus.viewing.stack import Stack, files_for_script
+from napari_elsplus.viewing.script import recording_script
+from napari_elsplus.viewing.stack import Stack
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -289,18 +290,10 @@ def axial_script(stack: Stack, calibration: Path | str | None) -> str:
     CalibrationError
         If the calibration lies in no file of its own.
     """
-    frames_file, calibration_file = files_for_script(stack, calibration)
-    return f'''"""Axial response of {stack.file_name}."""
-
-from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.viewing.axial import measure_scan
-from napari_elsplus.viewing.stack import Stack
-
-with open_recording({frames_file!r}) as recording:
-    scan = measure_scan(Stack.of(recording), read_calibration({calibration_file!r}))
-
-response = scan.response
-print(f"LS: 3 dB at {{response.ls_3db.um:.1f}} um, 10 dB at {{response.ls_10db.um:.1f}} um")
-print(f"ELS+: 3 dB at {{response.els_3db.um:.1f}} um, 10 dB at {{response.els_10db.um:.1f}} um")
-print(f"signal kept: {{100 * response.signal_kept:.1f}} %")
-'''
+    body = """
+response = elsplus.measure_axial_response(recording, calibration)
+print(f"LS: 3 dB at {response.ls_3db.um:.1f} um, 10 dB at {response.ls_10db.um:.1f} um")
+print(f"ELS+: 3 dB at {response.els_3db.um:.1f} um, 10 dB at {response.els_10db.um:.1f} um")
+print(f"signal kept: {100 * response.signal_kept:.1f} %")
+"""
+    return recording_script(f"Axial response of {stack.file_name}.", stack, calibration, body)

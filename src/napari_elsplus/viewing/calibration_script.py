@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.viewing.script import write_script
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+IMPORTS: Final = (
+    "from napari_elsplus.acquisition.engine.status import Settings",
+    "from napari_elsplus.acquisition.link.client import EngineClient",
+    "from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration",
+    "from napari_elsplus.io import read_volts",
+    "from napari_elsplus.processing.calibration.draft import Draft, setup_of",
+    "from napari_elsplus.processing.calibration.step import StepInputs",
+    "from napari_elsplus.processing.calibration.steps import find_step",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,21 +73,14 @@ def calibration_script(sources: Sequence[MeasurementSource], bundle_um: float | 
         opened = ["with EngineClient() as client:", f"    client.open({rig!r}).result()"]
         opened.append(f"    client.configure(Settings({preset!r})).result()")
         inside = [*opened, *(f"    {line}" for line in inside)]
-    body = "\n".join(inside)
-    return f'''"""Calibration: {", ".join(source.step for source in sources)}."""
-
-from napari_elsplus.acquisition.link.client import EngineClient
-from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
-from napari_elsplus.acquisition.engine.status import Settings
-from napari_elsplus.io import open_recording, read_volts, write_calibration
-from napari_elsplus.processing.calibration.draft import Draft, setup_of
-from napari_elsplus.processing.calibration.step import StepInputs
-from napari_elsplus.processing.calibration.steps import find_step
-
-draft = Draft(bundle_um={bundle_um!r})
-{body}
-write_calibration("calibration.json", draft.calibration)
-'''
+    body = "\n".join(
+        [
+            f"draft = Draft(bundle_um={bundle_um!r})",
+            *inside,
+            'elsplus.save_calibration("calibration.json", draft.calibration)',
+        ]
+    )
+    return write_script(f"Calibration: {', '.join(source.step for source in sources)}.", body, IMPORTS)
 
 
 def _step(source: MeasurementSource) -> list[str]:
@@ -89,7 +93,7 @@ def _step(source: MeasurementSource) -> list[str]:
         ]
     volts = "None" if source.volts is None else f"read_volts({str(source.volts)!r})"
     return [
-        f"with open_recording({str(source.path)!r}) as frames:",
+        f"with elsplus.open_recording({str(source.path)!r}) as frames:",
         f"    step, setup = {step}, setup_of(frames)",
         f"    found = step.estimate(StepInputs(frames, setup, {volts}), draft)",
         "    draft = step.accept(draft, found, setup)",

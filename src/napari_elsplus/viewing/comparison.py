@@ -15,7 +15,8 @@ from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.elsa import FRAMES_PER_IMAGE, elsa_frames
 from napari_elsplus.processing.images.sectioning import Mode, disc
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
-from napari_elsplus.viewing.stack import files_for_script, um_per_px_of
+from napari_elsplus.viewing.script import recording_script
+from napari_elsplus.viewing.stack import um_per_px_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -280,23 +281,19 @@ def comparison_script(stack: Stack, calibration: Path | str | None, cores: str, 
     CalibrationError
         If the calibration lies in no file of its own.
     """
-    frames_file, calibration_file = files_for_script(stack, calibration)
-    return f'''"""LS, ELSA and ELS+ of one moment of {stack.file_name}."""
-
-from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.viewing.comparison import compare_stack, image_statistics, white_levels
-from napari_elsplus.viewing.stack import Stack
-
-with open_recording({frames_file!r}) as recording:
-    calibration = read_calibration({calibration_file!r})
-    comparison = compare_stack(Stack.of(recording), calibration, cores={cores!r})
-    images = comparison.at({frame})
-
+    body = f"""
+comparison = compare_stack(Stack.of(recording), calibration, cores={cores!r})
+images = comparison.at({frame})
 white = white_levels(images, comparison.inside, {scaling!r})
 scaled = {{mode: image / white[mode] for mode, image in images.items()}}
 for mode, found in image_statistics(images, comparison.inside).items():
     print(f"{{mode}}: contrast {{found.contrast:.3f}}, background {{found.background:.1f}} grey levels")
-'''
+"""
+    imports = (
+        "from napari_elsplus.viewing.comparison import compare_stack, image_statistics, white_levels",
+        "from napari_elsplus.viewing.stack import Stack",
+    )
+    return recording_script(f"LS, ELSA and ELS+ of a frame of {stack.file_name}.", stack, calibration, body, imports)
 
 
 class _Successive:

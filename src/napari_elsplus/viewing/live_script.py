@@ -1,11 +1,13 @@
-"""What the Live panel does, as a script."""
+"""Python script that repeats streaming and recording of the Live panel."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.hardware.rig import SIMULATED
+from napari_elsplus.viewing.script import write_script
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -14,64 +16,52 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 
-SECONDS = 10.0
-"""Recorded where the form says neither seconds nor frames."""
+SECONDS: Final = 10.0
+"""Duration of the recording where the plan limits neither duration nor frames, seconds; chosen."""
 
 
 def live_script(rig: str, settings: Settings, view: LiveView, plan: RecordingPlan, calibration: Path | None) -> str:
-    """Write a script that streams and records in the same way.
+    """Return a script that streams and records in the same way.
 
     Parameters
     ----------
     rig : str
-        Its name.
+        Name of the rig.
     settings : Settings
-        How it runs.
+        Preset, slit width, frame rate and gain.
     view : LiveView
-        How images are made.
+        Processing of live images.
     plan : RecordingPlan
-        What is recorded; ten seconds if it says neither seconds nor frames.
+        File and limits of the recording.
     calibration : Path, optional
-        File of the active calibration; the simulated rig calibrates itself without.
+        File of the active calibration; without it the simulated rig is calibrated first.
 
     Raises
     ------
     CalibrationError
-        If a real rig's calibration lies in no file.
+        If the calibration of a real rig has no file.
     """
     if calibration is None and rig != SIMULATED:
-        raise CalibrationError("the calibration lies in no file", "save it in the Rig panel")
-    calibrated = "engine.calibrate_simulated().result()"
-    imported = ""
-    if calibration is not None:
-        calibrated = f"engine.use(read_calibration({str(calibration)!r})).result()"
-        imported = "\nfrom napari_elsplus.io import read_calibration"
+        raise CalibrationError("the calibration has no file", "save it in the Rig panel")
     seconds = plan.seconds if plan.seconds or plan.frames else SECONDS
-    return f'''"""Record from the rig {rig}."""
-
-import time
-from pathlib import Path
-
-from napari_elsplus.acquisition.link.client import EngineClient
-from napari_elsplus.acquisition.engine.live_images import LiveView
-from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
-from napari_elsplus.acquisition.engine.status import Settings{imported}
-from napari_elsplus.processing.images.cores import CoreFilter
-
-settings = {settings!r}
+    calibrated = "" if calibration is None else f", calibration=elsplus.load_calibration({str(calibration)!r})"
+    body = f"""
 view = LiveView({view.background}, {view.flat_field}, CoreFilter.{view.cores.name}, {view.average})
-path = Path({str(plan.path)!r})
-plan = RecordingPlan(path, frames={plan.frames}, seconds={seconds}, earlier_s={plan.earlier_s})
-
-with EngineClient() as engine:
-    engine.open({rig!r}).result()
-    engine.configure(settings).result()
-    {calibrated}
-    engine.show(view).result()
-    engine.start().result()
-    engine.record(plan).result()
-    while (recording := engine.status.recording) is None or recording.running:
+plan = elsplus.RecordingPlan(
+    Path({str(plan.path)!r}), frames={plan.frames}, seconds={seconds}, earlier_s={plan.earlier_s}
+)
+settings = {asdict(settings)!r}
+with elsplus.open_engine({rig!r}{calibrated}, **settings) as engine:
+    engine.show(view)
+    engine.start()
+    engine.record(plan)
+    while engine.status().recording.running:
         time.sleep(0.1)
-    status = engine.status
+    status = engine.status()
 print(f"{{status.recorded}} frames, {{status.camera_hz:.0f}} Hz, lost: {{dict(status.dropped)}}")
-'''
+"""
+    imports = (
+        "from napari_elsplus.acquisition.engine.live_images import LiveView",
+        "from napari_elsplus.processing.images.cores import CoreFilter",
+    )
+    return write_script(f"Record from the rig {rig}.", body, imports, ("import time", "from pathlib import Path"))

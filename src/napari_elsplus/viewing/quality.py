@@ -20,7 +20,8 @@ from napari_elsplus.processing.analysis.resolution import (
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
-from napari_elsplus.viewing.stack import files_for_script, um_per_px_of
+from napari_elsplus.viewing.script import recording_script
+from napari_elsplus.viewing.stack import um_per_px_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -241,30 +242,27 @@ def quality_script(
     CalibrationError
         If the calibration lies in no file of its own.
     """
-    frames_file, calibration_file = files_for_script(stack, calibration)
     boxes = [tuple(round(float(edge), 2) for edge in box) for box in boxes_px]
-    return f'''"""How well {stack.file_name} is aligned, what it resolves, and where its rim fails."""
-
-from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.viewing.lazy import image_planes
-from napari_elsplus.viewing.quality import measure_alignment, measure_edge, measure_resolution
-from napari_elsplus.viewing.stack import Stack
-
+    body = f"""
 FRAME = {frame}
 BOXES_PX = {boxes!r}  # top, left, bottom, right of each element
 
-with open_recording({frames_file!r}) as recording:
-    stack, calibration = Stack.of(recording), read_calibration({calibration_file!r})
-    alignment = measure_alignment(stack, calibration, FRAME, {cores!r})
-    print(f"alignment error: {{100 * alignment.before:.2f}} %, filtered {{100 * alignment.after:.2f}} %")
-    if BOXES_PX:
-        image = image_planes(stack.planes, calibration, Mode.LS, cores={cores!r})[FRAME]
-        found = measure_resolution(image, BOXES_PX, calibration.um_per_px)
-        print(f"smallest resolved line pair: {{found.finest_um:.2f}} um")
-    edge = measure_edge(stack, calibration)
-    print(f"residual at the rim over that in the middle: {{edge.profile.min():.2f}}")
-'''
+stack = Stack.of(recording)
+alignment = measure_alignment(stack, calibration, FRAME, {cores!r})
+print(f"alignment error: {{100 * alignment.before:.2f}} %, filtered {{100 * alignment.after:.2f}} %")
+if BOXES_PX:
+    image = elsplus.section(recording, calibration, "ls", cores={cores!r})[FRAME]
+    found = measure_resolution(image, BOXES_PX, calibration.um_per_px)
+    print(f"smallest resolved line pair: {{found.finest_um:.2f}} um")
+edge = measure_edge(stack, calibration)
+print(f"residual at the rim over the central level: {{edge.profile.min():.2f}}")
+"""
+    imports = (
+        "from napari_elsplus.viewing.quality import measure_alignment, measure_edge, measure_resolution",
+        "from napari_elsplus.viewing.stack import Stack",
+    )
+    title = f"Alignment error, resolution and artefact at the rim of {stack.file_name}."
+    return recording_script(title, stack, calibration, body, imports)
 
 
 def _marked(image: NDArray[np.floating], box_px: Box, um_per_px: float) -> BarElement:

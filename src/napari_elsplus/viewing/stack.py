@@ -177,20 +177,3 @@ def provenance(stack: Stack, kind: str, calibration: Calibration | None, source:
             "software": f"napari-elsplus {__version__}",
         }
     }
-
-
-def files_for_script(stack: Stack, calibration: Path | str | None) -> tuple[str, str]:
-    """Return the files of a stack and of its calibration as a script names them.
-
-    Raises
-    ------
-    InputError
-        If the frames lie in no file.
-    CalibrationError
-        If the calibration has no file of its own.
-    """
-    if stack.recording is None:
-        raise InputError(f"{stack.name} is simulated and has no file", "save its raw layer, and open that")
-    if not calibration:
-        raise CalibrationError("the calibration has no file of its own", "save it beside the recording")
-    return str(stack.recording.path), str(calibration)

@@ -209,14 +209,15 @@ def test_a_recording_ends_after_so_many_frames(panel, qtbot, tmp_path):
         assert len(recording) == 12
 
 
-def test_what_the_panel_does_runs_as_a_script(panel, qtbot, tmp_path, monkeypatch, small_engine):
+def test_what_the_panel_does_runs_as_a_script(panel, qtbot, tmp_path, monkeypatch):
     file = write_calibration(tmp_path / "cal.json", panel.connection.calibration)
     panel.connection.apply(panel.connection.calibration, file).result(60)
     panel.form.frames.value, panel.form.average.value, panel.form.cores.value = 7, 2, "median"
     panel.copy_script()
     text = QApplication.clipboard().text()
     panel.connection.disconnect()
-    monkeypatch.setattr("napari_elsplus.acquisition.link.client.EngineClient", small_engine.start)
+    small = runpy.run_path(str(HERE / "conftest.py"))["SmallRig"]
+    monkeypatch.setattr("napari_elsplus.acquisition.session.open_live", lambda name: small())
     exec(compile(text, "script", "exec"), {})
     (path,) = tmp_path.glob("recording-*.ome.tif")
     with open_recording(path) as recording:

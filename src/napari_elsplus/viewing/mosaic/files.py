@@ -9,7 +9,7 @@ from napari_elsplus.io import refuse_existing, write_mosaic, write_track
 from napari_elsplus.io.formats.registry import recording_stem
 from napari_elsplus.processing.mosaicing.sheet import Sheet
 from napari_elsplus.viewing.mosaic.growing import display_white_level
-from napari_elsplus.viewing.stack import files_for_script
+from napari_elsplus.viewing.script import recording_script
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.pictures.mosaic_picture import draw_mosaic
 
@@ -98,25 +98,20 @@ def mosaic_script(stack: Stack, calibration_file: Path | None, plan: MosaicPlan)
     CalibrationError
         If the calibration lies in no file of its own.
     """
-    frames_path, calibration_path = files_for_script(stack, calibration_file)
     modes = ", ".join(f"Mode.{mode.name}" for mode in plan.modes)
-    return f'''"""Mosaics of {stack.file_name}, and the probe's track."""
-
-from pathlib import Path
-
-from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.workflows.mosaic_plan import MosaicPlan
-from napari_elsplus.io.formats.registry import recording_stem
-from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.viewing.mosaic.files import save_mosaics
-from napari_elsplus.viewing.mosaic.recorded import StackMosaics
-
+    body = f"""
 plan = MosaicPlan(({modes},), {str(plan.method)!r}, Insertion.{plan.insertion.name})
-calibration = read_calibration({calibration_path!r})
-with open_recording({frames_path!r}) as recording:
-    mosaics = StackMosaics(recording, calibration, plan, recording.times_s)
-    mosaics.run()
+mosaics = StackMosaics(recording, calibration, plan, recording.times_s)
+mosaics.run()
 for path in save_mosaics(mosaics, Path({f"{stack.name}-mosaic.ome.tif"!r}), plan, calibration):
     print(path)
-'''
+"""
+    imports = (
+        "from pathlib import Path",
+        "from napari_elsplus.processing.images.sectioning import Mode",
+        "from napari_elsplus.processing.mosaicing.mosaic import Insertion",
+        "from napari_elsplus.viewing.mosaic.files import save_mosaics",
+        "from napari_elsplus.viewing.mosaic.recorded import StackMosaics",
+        "from napari_elsplus.workflows.mosaic_plan import MosaicPlan",
+    )
+    return recording_script(f"Mosaics and track of {stack.file_name}.", stack, calibration_file, body, imports)
