@@ -169,15 +169,34 @@ class Sectioner:
     ) -> NDArray[np.float32]:
         """Return the image of a mode with an index, made from the raw frames that :meth:`Mode.source_frames` names."""
         confocal, residual = mode.source_frames(index)
+        raw = frames[confocal]
+        return self.section(raw, raw if residual == confocal else frames[residual], mode, out)
+
+    def section(
+        self,
+        raw: NDArray[np.generic],
+        raw_residual: NDArray[np.generic],
+        mode: Mode,
+        out: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """Return the image of a mode from the raw frames of its two views.
+
+        Parameters
+        ----------
+        raw, raw_residual : numpy.ndarray
+            (rows, cols) frames of the confocal and of the residual view; one frame twice, except for ELSA.
+        mode : Mode
+            Image type.
+        out : numpy.ndarray, optional
+            (n, n) float32, filled and returned.
+        """
         match mode:
             case Mode.LS:
-                return self.ls(frames[confocal], out)
+                return self.ls(raw, out)
             case Mode.RESIDUAL:
-                return self.residual(frames[residual], out)
-            case Mode.ELS:
-                return self.els(frames[confocal], out)
-            case Mode.ELSA:
-                return self.elsa(frames[confocal], frames[residual], out)
+                return self.residual(raw_residual, out)
+            case Mode.ELS | Mode.ELSA:
+                return self.elsa(raw, raw_residual, out)
 
     def _array(self, out: NDArray[np.float32] | None) -> NDArray[np.float32]:
         return np.empty((self.side, self.side), np.float32) if out is None else out

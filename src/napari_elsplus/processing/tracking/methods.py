@@ -207,5 +207,4 @@ class TemplateTracking(WithoutPoseGraph):
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
         """See :meth:`TrackingMethod.image`."""
-        frames = [raw] if self._mode is not Mode.ELSA else [raw, raw_residual]
-        return self._tracker.prepare(self._sectioner.image(frames, 0, self._mode))
+        return self._tracker.prepare(self._sectioner.section(raw, raw_residual, self._mode))
