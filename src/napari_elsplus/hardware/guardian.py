@@ -1,8 +1,10 @@
-"""A process with a single task: park the galvo if the process that drives it dies.
+"""A process with a single task: park the galvo if the process that drives it dies; and its supervision from there.
 
 ``kill -9``, a crash in a driver or the system's memory killer leave no time for clean-up, while the card goes on
-sweeping the laser, or leaves it on one line of tissue. The guardian waits on a pipe; when it ends without a
-farewell, the process at the other end is dead, and the guardian parks.
+sweeping the laser, or leaves it on one line of tissue. The guardian process waits on a pipe; when it ends without a
+farewell, the process at the other end is dead, and the guardian parks, without end until the card confirms it.
+
+A guardian that dies is replaced; while none is on guard the galvo must not move.
 """
 
 from __future__ import annotations
@@ -10,33 +12,41 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
+import time
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import IO, TYPE_CHECKING, Any, Final, Self, cast
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.parking import ParkOrder, carry_out, rehearse
+from napari_elsplus.hardware.daq.takeover import ParkOrder, park_order, preload, take_over
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from contextlib import ExitStack
     from typing import TextIO
+
+    from napari_elsplus.hardware.daq.scanner import DaqScanner
+
+    from napari_elsplus.hardware.parking import ParkState
+    from napari_elsplus.hardware.protocols import Scanner
 
 READY: Final = "ready"
 FAREWELL: Final = "farewell"
 """Messages of the pipe."""
+POLL_S: Final = 0.05
+"""Seconds between two checks of the guardian process; chosen: a small part of the 1 s in which it is replaced."""
+REPLACE_WITHIN_S: Final = 0.7
+"""Seconds for a new guardian to be ready; chosen: with the park that follows otherwise it stays below 1 s."""
 
 
-class Guardian:
-    """Watches over this process from another one. A context manager: leaving it dismisses the guardian.
+class GuardianProcess:
+    """One guardian process.
 
     Parameters
     ----------
     order : ParkOrder
-        What to do if this process dies.
-
-    Raises
-    ------
-    DeviceError
-        If the guardian does not start.
+        What it does if this process dies.
     """
 
     def __init__(self, order: ParkOrder) -> None:
@@ -47,32 +57,111 @@ class Guardian:
             text=True,
             start_new_session=True,  # Ctrl-C and a closed terminal are for us, not for it
         )
-        self._say(json.dumps(asdict(order)))
-        if cast("IO[str]", self._process.stdout).readline().strip() != READY:
-            self.dismiss()
+        self._ready = threading.Event()
+        self._answered = threading.Event()
+        threading.Thread(target=self._await_answer, name="guardian's answer", daemon=True).start()
+        with suppress(OSError):  # seen by `wait_until_ready`
+            self.send(json.dumps(asdict(order)))
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """True while it runs."""
+        return self._process.poll() is None
+
+    def wait_until_ready(self, timeout_s: float | None = None) -> bool:
+        """Wait until it is on guard, at most `timeout_s`; return False if it is not."""
+        return self._answered.wait(timeout_s) and self._ready.is_set()
+
+    def send(self, line: str) -> None:
+        """Write a line to its pipe; raises OSError if it is no more."""
+        pipe = cast("IO[str]", self._process.stdin)
+        pipe.write(line + "\n")
+        pipe.flush()
+
+    def end(self) -> None:
+        """Dismiss it, and wait for its end."""
+        with suppress(OSError):  # it is gone already
+            self.send(FAREWELL)
+        with suppress(OSError):
+            cast("IO[str]", self._process.stdin).close()
+        self._process.wait()
+        self._answered.wait()
+
+    def _await_answer(self) -> None:
+        with cast("IO[str]", self._process.stdout) as pipe:
+            if pipe.readline().strip() == READY:
+                self._ready.set()
+        self._answered.set()
+
+
+class Guardian:
+    """Parks from another process if this one dies. A context manager: leaving it dismisses the guardian.
+
+    The guardian process is polled, and replaced when it dies. If a replacement is not ready in time, `lost` is called,
+    which has to park, and starting one is tried again.
+
+    Parameters
+    ----------
+    order : ParkOrder
+        What to do if this process dies.
+    lost : callable
+        Called with a `DeviceError` while nothing is on guard.
+
+    Raises
+    ------
+    DeviceError
+        If the guardian does not start.
+    """
+
+    def __init__(self, order: ParkOrder, lost: Callable[[DeviceError], None] = lambda _: None) -> None:
+        self._order, self._lost = order, lost
+        self._lock = threading.Lock()
+        self._dismissed = threading.Event()
+        self._reports: list[DeviceError] = []
+        self._process = GuardianProcess(order)
+        if not self._process.wait_until_ready():
+            self._process.end()
             raise DeviceError("the galvo's guardian did not start", "see the messages above")
+        self._watch = threading.Thread(target=self._supervise, name="guardian watch", daemon=True)
+        self._watch.start()
 
-    def revise(self, order: ParkOrder) -> None:
-        """Give it another order in place of the one before.
+    @property
+    def pid(self) -> int:
+        """Process id of the guardian on guard."""
+        return self._process.pid
 
-        Raises
-        ------
-        DeviceError
-            If it is no more.
-        """
-        try:
-            self._say(json.dumps(asdict(order)))
-        except BrokenPipeError:
-            raise DeviceError("the galvo's guardian has ended", "connect to the rig again") from None
+    @property
+    def order(self) -> ParkOrder:
+        """What it does if this process dies."""
+        return self._order
+
+    @property
+    def reports(self) -> tuple[DeviceError, ...]:
+        """What has happened to guardians, oldest first."""
+        return tuple(self._reports)
+
+    def revise(self, volts: float) -> None:
+        """Park at another voltage, in volts, if this process dies; also for every replacement."""
+        with self._lock:
+            if volts == self._order.volts:
+                return
+            self._order = replace(self._order, volts=volts)
+            with suppress(OSError):  # it died: its replacement gets the order
+                self._process.send(json.dumps(asdict(self._order)))
 
     def dismiss(self) -> None:
-        """End the guardian; the galvo was parked by the caller."""
-        with suppress(BrokenPipeError):  # it is gone already
-            self._say(FAREWELL)
-        for pipe in (self._process.stdin, self._process.stdout):
-            with suppress(BrokenPipeError):
-                cast("IO[str]", pipe).close()
-        self._process.wait()
+        """End the guardian: to be called when the galvo is parked, and confirmed to be."""
+        if self._dismissed.is_set():
+            return
+        self._dismissed.set()
+        if threading.current_thread() is not self._watch:
+            self._watch.join()
+        self._process.end()
 
     def __enter__(self) -> Self:
         return self
@@ -80,13 +169,75 @@ class Guardian:
     def __exit__(self, *reason: object) -> Any:
         self.dismiss()
 
-    def _say(self, line: str) -> None:
-        pipe = cast("IO[str]", self._process.stdin)
-        pipe.write(line + "\n")
-        pipe.flush()
+    def _supervise(self) -> None:
+        while not self._dismissed.wait(POLL_S):
+            if not self._process.alive:
+                self._replace()
+
+    def _replace(self) -> None:
+        begun_s = time.monotonic()
+        self._process.end()
+        with self._lock:
+            new = GuardianProcess(self._order)
+            self._process = new
+        ready = new.wait_until_ready(REPLACE_WITHIN_S)
+        if ready:
+            took_s = time.monotonic() - begun_s
+            self._report(f"the galvo's guardian had died; another was on guard {took_s:.1f} s later")
+            return
+        self._lost(self._report("the galvo's guardian has died, so the galvo was parked"))
+        if new.wait_until_ready():
+            self._report("another guardian is on guard; the galvo may be used again")
+
+    def _report(self, problem: str) -> DeviceError:
+        if self._reports and self._reports[-1].problem == problem:
+            return self._reports[-1]
+        report = DeviceError(problem, "find out what ended it (memory, or another program), then start again")
+        self._reports.append(report)
+        return report
 
 
-def guard(orders: TextIO, answers: TextIO) -> None:
+def guard_scanner(scanner: DaqScanner, held: ExitStack, *, virtual: bool = False) -> Guardian:
+    """Start the guardian of a scanner, which is dismissed when `held` is closed and the galvo is parked.
+
+    Parameters
+    ----------
+    scanner : DaqScanner
+        Open; closed before its guardian is dismissed.
+    held : contextlib.ExitStack
+        Closed with the rig.
+    virtual : bool
+        The card is a virtual one.
+
+    Raises
+    ------
+    DeviceError
+        If the guardian does not start.
+    """
+    guardian = Guardian(park_order(scanner, virtual=virtual), scanner.interrupt)
+    scanner.on_park_state(lambda _: guardian.revise(scanner.park_v))
+
+    def end() -> None:
+        scanner.close()
+        when_parked(scanner, guardian.dismiss)
+
+    held.callback(end)
+    return guardian
+
+
+def when_parked(scanner: Scanner, act: Callable[[], object]) -> None:
+    """Act once a scanner is parked: now, or after the attempt that succeeds."""
+    done = threading.Lock()
+
+    def react(state: ParkState) -> None:
+        if state.parked and done.acquire(blocking=False):
+            act()
+
+    scanner.on_park_state(react)
+    react(scanner.park_state)
+
+
+def guard(orders: TextIO, answers: TextIO, report: Callable[[ParkState], None] = lambda _: None) -> None:
     """Read park orders, and carry out the last one if they end without a farewell.
 
     Parameters
@@ -95,22 +246,30 @@ def guard(orders: TextIO, answers: TextIO) -> None:
         One order as JSON per line.
     answers : file
         Receives `READY`.
+    report : callable
+        Called with every stage of parking.
 
     Raises
     ------
     DeviceError
-        If the galvo could not be parked.
+        If the driver cannot be reached when it comes on guard.
     """
     order = ParkOrder(**json.loads(orders.readline()))
-    rehearse(order)
+    preload(order)
     answers.write(READY + "\n")
     answers.flush()
     while (line := orders.readline()).endswith("\n"):  # one that was cut off was never given
         if line.strip() == FAREWELL:
             return
         order = ParkOrder(**json.loads(line))
-    carry_out(order)
+    take_over(order, report)
+
+
+def _print_to_terminal(state: ParkState) -> None:
+    with suppress(OSError):  # there may be no terminal any more
+        sys.stderr.write(f"{state.message or 'the galvo was parked by its guardian'}\n")
+        sys.stderr.flush()
 
 
 if __name__ == "__main__":
-    guard(sys.stdin, sys.stdout)
+    guard(sys.stdin, sys.stdout, _print_to_terminal)

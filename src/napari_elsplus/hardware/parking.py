@@ -1,104 +1,223 @@
-"""Park the galvo from another process, after the one that drove it died."""
+"""Parking as a verified state: unknown -> parking -> parked, or not parked, which is retried without end.
+
+The galvo counts as parked only after the card has confirmed it. An attempt that fails is repeated; after some failures
+each attempt begins with a reset of the card. On NI's M, C and X Series a reset puts the analog outputs at 0 V, on E and
+S Series they keep their voltage, so the laser line may stand on the bundle from the reset to the write that follows it:
+the laser is switched off before, the write follows at once, and the time between is reported.
+"""
 
 from __future__ import annotations
 
+import logging
+import threading
 import time
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final, Protocol
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.daq.errors import translate_daq_errors
-from napari_elsplus.hardware.daq.output import CardSettings, Output, open_options
-from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 if TYPE_CHECKING:
-    from nidaqmx.system import System
+    from collections.abc import Callable
 
-    from napari_elsplus.hardware.daq.scanner import DaqScanner
+_log = logging.getLogger(__name__)
 
 RETRY_S: Final = 0.02
-"""Seconds between two attempts; chosen: some task set-up times of the driver."""
+"""Seconds between two attempts; chosen: some task set-up times of the driver, small against the 0.5 s allowed."""
+RETRY_LATER_S: Final = 0.1
+MANY_ATTEMPTS: Final = 50
+"""Seconds between attempts after so many; chosen: a card that accepts again is parked within 0.5 s all the same."""
+RESET_AFTER: Final = 2
+"""Failed attempts before the first that begins with a reset; chosen: a single error of the driver is made up for."""
+RESET_INTERVAL_S: Final = 0.2
+"""Seconds between two resets; chosen: a reset takes some 10 ms to 100 ms, and what it may expose has to stay short."""
+LASER_OFF: Final = "NOT PARKED: switch the laser off"
+
+
+class ParkStage(StrEnum):
+    """Stage of parking."""
+
+    UNKNOWN = "unknown"
+    """Nothing was commanded yet."""
+    DRIVEN = "driven"
+    """A hold or a scan moves the galvo, as commanded."""
+    PARKING = "parking"
+    """An attempt runs; no earlier one has failed."""
+    PARKED = "parked"
+    """The card has confirmed the parking voltage."""
+    NOT_PARKED = "not parked"
+    """Attempts have failed and go on."""
 
 
 @dataclass(frozen=True, slots=True)
-class ParkOrder:
-    """Output and voltage by which another process parks the galvo.
+class ParkState:
+    """State of the galvo with respect to its parking position.
 
     Parameters
     ----------
-    device, output : str
-        The card and its output.
+    stage : ParkStage
+        Where parking stands.
+    problem : str
+        Why the last attempt failed; empty unless `stage` is ``NOT_PARKED``.
+    attempts, resets : int
+        Attempts since parking was commanded, and resets of the card among them.
+    reset_s : float
+        Seconds from the beginning of those resets to the write of the parking voltage, in which the output may have
+        been at its power-up voltage.
+    read_back_v : float, optional
+        Voltage that the card measured on its output; None where it cannot.
+
+    Examples
+    --------
+    >>> print(ParkState(ParkStage.NOT_PARKED, "card Dev1: the card is in use by another program").message)
+    NOT PARKED: switch the laser off (card Dev1: the card is in use by another program; parking is retried)
+    """
+
+    stage: ParkStage = ParkStage.UNKNOWN
+    problem: str = ""
+    attempts: int = 0
+    resets: int = 0
+    reset_s: float = 0.0
+    read_back_v: float | None = None
+
+    @property
+    def parked(self) -> bool:
+        """True if the card has confirmed the parking voltage."""
+        return self.stage is ParkStage.PARKED
+
+    @property
+    def retry_s(self) -> float:
+        """Seconds until the next attempt."""
+        return RETRY_S if self.attempts < MANY_ATTEMPTS else RETRY_LATER_S
+
+    @property
+    def message(self) -> str:
+        """What to do by hand while the galvo is not parked; else the time that a reset may have exposed the bundle."""
+        if self.stage is ParkStage.NOT_PARKED:
+            return f"{LASER_OFF} ({self.problem}; parking is retried)"
+        if self.resets:
+            return f"the card was reset {self.resets} times: up to {self.reset_s * 1e3:.0f} ms at its power-up voltage"
+        return ""
+
+
+class ParkingOutput(Protocol):
+    """What parking needs of an analog output; every method raises `DeviceError` where the card refuses."""
+
+    def laser_off(self) -> None:
+        """Switch the laser off, where a line is wired to it."""
+
+    def clear(self) -> None:
+        """Stop and delete what drives the output."""
+
+    def put(self, volts: float) -> None:
+        """Put a voltage out, in volts."""
+
+    def confirm(self, volts: float) -> float | None:
+        """Return the voltage read back, None where the card cannot; raise if the output is not at `volts`."""
+
+    def reset(self) -> None:
+        """Reset the card, which aborts every task on it, of whatever program."""
+
+
+class Parking:
+    """The state machine: attempts to park an output, and their state, which others read and subscribe to.
+
+    Attempts are made by one thread at a time; state and subscriptions may be used by any.
+
+    Parameters
+    ----------
+    output : ParkingOutput
+        The output.
     volts : float
         Parking voltage.
-    min_v, max_v : float
-        Range of the output in volts.
-    address : str
-        ``host:port`` of a gRPC device server; empty: the driver on this computer.
+    now_s : callable
+        Clock.
     """
 
-    device: str
-    output: str
-    volts: float
-    min_v: float
-    max_v: float
-    address: str = ""
+    def __init__(self, output: ParkingOutput, volts: float, now_s: Callable[[], float] = time.perf_counter) -> None:
+        self.output, self.volts, self._now_s = output, volts, now_s
+        self._changed = threading.Condition()
+        self._state = ParkState()
+        self._subscribers: list[Callable[[ParkState], None]] = []
+        self._last_reset_s = -RESET_INTERVAL_S
 
+    @property
+    def state(self) -> ParkState:
+        """The state now."""
+        return self._state
 
-def park_order(scanner: DaqScanner) -> ParkOrder:
-    """Return the order that parks the galvo of a scanner."""
-    card, limits = scanner.card, scanner.limits
-    return ParkOrder(card.device, card.output, scanner.park_v, limits.min_v, limits.max_v, card.address)
+    def subscribe(self, callback: Callable[[ParkState], None]) -> Callable[[], None]:
+        """Call `callback` with every new state, in the thread that parks; return a function that ends it."""
+        with self._changed:
+            self._subscribers.append(callback)
 
+        def end() -> None:
+            with self._changed:
+                if callback in self._subscribers:
+                    self._subscribers.remove(callback)
 
-def carry_out(order: ParkOrder, timeout_s: float = 2.0) -> None:
-    """Take the output over and park: a card goes on repeating its waveform after its program died.
+        return end
 
-    Parameters
-    ----------
-    order : ParkOrder
-        What to do.
-    timeout_s : float
-        How long to try.
+    def retarget(self, volts: float) -> None:
+        """Set the parking voltage of later attempts, in volts; subscribers are called with the state as it is."""
+        self.volts = volts
+        self._enter(self._state)
 
-    Raises
-    ------
-    DeviceError
-        If it could not be done in that time.
-    """
-    output = Output(
-        CardSettings(order.volts, device=order.device, output=order.output, address=order.address),
-        GalvoLimits(min_v=order.min_v, max_v=order.max_v),
-    )
-    until = time.monotonic() + timeout_s
-    while True:
+    def begin(self, stage: ParkStage) -> None:
+        """Enter a stage: ``DRIVEN`` before a hold or scan, ``PARKING`` when parking is commanded."""
+        if not (stage is ParkStage.PARKING and self._state.stage in (ParkStage.PARKING, ParkStage.NOT_PARKED)):
+            self._enter(ParkState(stage))
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until the galvo is parked; return False if it is not within `timeout_s`."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._state.parked, timeout_s)
+
+    def attempt(self) -> ParkState:
+        """Try once to park; return the state, ``PARKED`` or ``NOT_PARKED``. Never raises for an error of the card."""
+        self.begin(ParkStage.PARKING)
+        before, volts = self._state, self.volts
+        resets, reset_s = before.resets, before.reset_s
+        problems = [self._try(self.output.laser_off)]
+        due = self._now_s() - self._last_reset_s >= RESET_INTERVAL_S
+        begun_s = self._now_s()
+        if before.attempts >= RESET_AFTER and due:
+            self._last_reset_s = begun_s
+            problems.append(self._try(self.output.reset))
+            resets += 1
+        elif before.attempts:
+            problems.append(self._try(self.output.clear))
         try:
-            output.put(order.volts)
-        except DeviceError:
-            if time.monotonic() > until:
-                raise
-            _abort_what_runs(order)
-            time.sleep(RETRY_S)
+            self.output.put(volts)
+            if resets > before.resets:
+                reset_s += self._now_s() - begun_s
+                self._try(self.output.laser_off)  # a reset sets digital lines to their power-up state
+            read_back_v = self.output.confirm(volts)
+        except DeviceError as error:
+            problem = next(filter(None, reversed(problems)), str(error)) if before.attempts else str(error)
+            state = ParkState(ParkStage.NOT_PARKED, problem, before.attempts + 1, resets, reset_s)
         else:
-            output.close()
-            return
+            stage = ParkStage.PARKED if volts == self.volts else ParkStage.PARKING  # it may have been changed meanwhile
+            state = ParkState(stage, "", before.attempts + 1, resets, reset_s, read_back_v)
+        self._enter(state)
+        return state
 
+    @staticmethod
+    def _try(step: Callable[[], None]) -> str:
+        """Return the error of a step, empty if there is none: the write decides."""
+        try:
+            step()
+        except DeviceError as error:
+            return str(error)
+        return ""
 
-def rehearse(order: ParkOrder) -> None:
-    """Load all modules that parking by an `order` needs, and call the driver once, so that it is fast later."""
-    import nidaqmx.stream_writers  # noqa: F401 - for later
-
-    with translate_daq_errors(order.device):
-        _ = _system(order).driver_version
-
-
-def _abort_what_runs(order: ParkOrder) -> None:
-    with suppress(DeviceError), translate_daq_errors(order.device):  # tried again until the patience ends
-        _system(order).devices[order.device].reset_device()
-
-
-def _system(order: ParkOrder) -> System:
-    from nidaqmx.system import System
-
-    options = open_options(order.address)
-    return System.remote(options) if options else System.local()
+    def _enter(self, state: ParkState) -> None:
+        with self._changed:
+            self._state = state
+            subscribers = tuple(self._subscribers)
+            self._changed.notify_all()
+        for callback in subscribers:
+            try:
+                callback(state)
+            except Exception:  # noqa: BLE001 - parking goes on, whatever a subscriber does
+                _log.exception("a subscriber to the parking state failed")

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 from napari_elsplus.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     import numpy as np
     from numpy.typing import NDArray
 
+    from napari_elsplus.hardware.parking import ParkState
     from napari_elsplus.hardware.scan.waveform import Waveform
 
 
@@ -157,20 +158,47 @@ class Camera(Protocol):
 
 
 @runtime_checkable
+class CountsFrames(Protocol):
+    """A camera that counts frames; `open_rig` passes the count to the scanner's interlocks."""
+
+    @property
+    def frames_received(self) -> int:
+        """Frames that have reached this computer since the camera was opened, incomplete ones included."""
+
+
+@runtime_checkable
 class Scanner(Protocol):
     """The galvo that positions the laser line. A context manager: leaving it parks and releases the galvo.
 
-    After a fault the scanner has stopped and parked by itself; `check` raises the fault until the next `hold` or
-    `scan`.
+    A scanner watches itself: after a fault (strobe lost or never wired, no frames, underrun, a hold that is too long)
+    it has stopped and parks, and `check` raises the fault until the next `hold` or `scan`. An attempt to park that
+    fails is repeated without end.
     """
 
     @property
     def ramps_begun(self) -> int:
-        """Ramps that the card began since `scan`: one for every strobe that it saw."""
+        """Ramps that the card began since `scan`: one for every strobe that it detected."""
 
     @property
     def park_v(self) -> float:
         """Voltage at which the galvo parks: the rig's, until `park_at` sets another."""
+
+    @property
+    def park_state(self) -> ParkState:
+        """State of parking; `ParkState.parked` only after the card has confirmed it. Read without any lock."""
+
+    def on_park_state(self, callback: Callable[[ParkState], None]) -> Callable[[], None]:
+        """Call `callback` with every new state of parking, in a thread of the scanner; return what ends it."""
+
+    def watch_frames(self, received: Callable[[], int] | None) -> None:
+        """Use a count of received frames to park when frames come without ramps, or ramps without frames.
+
+        Parameters
+        ----------
+        received : callable, optional
+            Returns the number of frames that the camera has delivered, lost ones included; must not block. None: no
+            count, so only strobes and holds are watched.
+        """
 
     def park_at(self, volts: float) -> None:
         """Set the parking voltage; a parked galvo moves there at once.
@@ -185,7 +213,7 @@ class Scanner(Protocol):
         InputError
             If the voltage is outside the rig's limits; the one before stays.
         DeviceError
-            If the card fails.
+            If the card does not confirm the new position; parking is retried.
         """
 
     def hold(self, volts: float) -> None:
@@ -201,7 +229,7 @@ class Scanner(Protocol):
         InputError
             If the voltage is outside the rig's limits; nothing was put out.
         DeviceError
-            If the card fails.
+            If the card fails, the galvo is not parked after a fault, or another thread parks it meanwhile.
         """
 
     def scan(self, waveform: Waveform) -> None:
@@ -210,9 +238,9 @@ class Scanner(Protocol):
         Raises
         ------
         InputError
-            If the waveform leaves the rig's limits; nothing was put out.
+            If the waveform leaves the rig's limits, or sweeps over the parking voltage; nothing was put out.
         DeviceError
-            If the card fails.
+            As `hold`.
         """
 
     def check(self) -> None:
@@ -221,20 +249,25 @@ class Scanner(Protocol):
         Raises
         ------
         DeviceError
-            Strobe lost, underrun, card gone, or a hold that went on too long; the galvo was parked.
+            Strobe lost or never detected, no frames, underrun, card gone, or a hold that was too long; the galvo was
+            parked, or `park_state` shows that it is not.
         """
 
     def park(self) -> None:
-        """Stop the scan and take the line off the bundle.
+        """Stop the scan and take the line off the bundle; returns once the card has confirmed it.
+
+        May be called from any thread at any time, also while another one is inside `hold`, `scan` or `close`: it
+        waits for none of them, and they raise.
 
         Raises
         ------
         DeviceError
-            If the card cannot be reached any more.
+            If the card has not confirmed within 1.5 s; the message begins with "NOT PARKED", and parking is retried
+            without end.
         """
 
     def close(self) -> None:
-        """Park, and release the card. Never raises because the card is gone."""
+        """Park, and release the card once it is parked. Never raises; see `park_state` for what it achieved."""
 
     def __enter__(self) -> Self:
         """Return the scanner."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Self
 
 if TYPE_CHECKING:
-    from napari_elsplus.hardware.parking import ParkOrder
+    from napari_elsplus.hardware.guardian import Guardian
     from napari_elsplus.hardware.protocols import Camera, Scanner
     from napari_elsplus.hardware.scan.timing import StrobePhase
     from napari_elsplus.hardware.scan.waveform import GalvoLimits
@@ -34,8 +34,8 @@ class Rig:
         Voltage, slew and acceleration that the galvo may be driven with.
     strobe : StrobePhase
         Event that the camera's strobe marks.
-    park_order : ParkOrder, optional
-        Output and voltage by which another process parks the galvo if this one dies; None where it cannot.
+    guardian : Guardian, optional
+        Parks from another process if this one dies; None where the card ends with this process, or is not NI's.
     bench : VirtualBench, optional
         Ground truth and fault switches of the simulated rig; None for a real one.
     """
@@ -45,7 +45,7 @@ class Rig:
     scanner: Scanner
     limits: GalvoLimits
     strobe: StrobePhase
-    park_order: ParkOrder | None = None
+    guardian: Guardian | None = None
     bench: VirtualBench | None = None
     _held: ExitStack = field(default_factory=ExitStack, repr=False)
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.drivers import open_camera, open_scanner
-from napari_elsplus.hardware.parking import park_order
+from napari_elsplus.hardware.guardian import guard_scanner
+from napari_elsplus.hardware.protocols import CountsFrames
 from napari_elsplus.hardware.rig import SIMULATED, Rig
 from napari_elsplus.hardware.rig_files import RigSettings, read_rig, rig_files
 
@@ -26,7 +27,8 @@ def rig_names() -> list[str]:
 def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig:
     """Open a rig; its galvo is parked, its camera not configured yet.
 
-    Opened in the main thread, the rig also parks on SIGTERM. A rig file may name drivers outside this package, which
+    A galvo that would go on without this process gets a guardian, which parks if this one dies. Opened in the main
+    thread, the rig also parks on SIGTERM. A rig file may name drivers outside this package, which
     are imported then.
 
     Parameters
@@ -58,6 +60,9 @@ def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig
             raise InputError(f"the rig {name} was given a scene", "only the simulated rig takes one")
         else:
             rig = _real_rig(name, read_rig(name), held)
+        if isinstance(rig.camera, CountsFrames):
+            counting = rig.camera
+            rig.scanner.watch_frames(lambda: counting.frames_received)
         rig._held = held.pop_all()  # noqa: SLF001 - its own
     return rig
 
@@ -66,8 +71,8 @@ def _real_rig(name: str, settings: RigSettings, held: ExitStack) -> Rig:
     limits = settings.limits()
     camera = held.enter_context(open_camera(settings.camera))
     scanner = held.enter_context(open_scanner(settings))  # last in, first out: the galvo parks first
-    order = park_order(scanner) if isinstance(scanner, DaqScanner) else None
-    return Rig(name, camera, scanner, limits, settings.camera.strobe, order)
+    guardian = guard_scanner(scanner, held) if isinstance(scanner, DaqScanner) else None
+    return Rig(name, camera, scanner, limits, settings.camera.strobe, guardian)
 
 
 def _end_on_sigterm(held: ExitStack) -> None:

@@ -34,6 +34,9 @@ CODES: Final = {
 }
 """DAQmx status codes with problem and remedy, after NI's list of errors."""
 
+NO_SUCH_CHANNEL: Final = frozenset({-200170, -200430})
+"""Status codes of a channel that the card does not have: unknown name, or no input of that kind."""
+
 
 @contextmanager
 def translate_daq_errors(device: str) -> Iterator[None]:

@@ -1,19 +1,27 @@
-"""The card's analog output and its clock, as nidaqmx tasks."""
+"""The card's analog output, its clock and the laser's line, as nidaqmx tasks."""
 
 from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.daq.errors import translate_daq_errors
+from napari_elsplus.hardware.daq.errors import NO_SUCH_CHANNEL, translate_daq_errors
+from napari_elsplus.hardware.daq.session import open_session
 
 if TYPE_CHECKING:
-    from nidaqmx import GrpcSessionOptions, Task
+    from nidaqmx import Task
 
     from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
+
+MAX_HOLD_S: Final = 600.0
+"""Seconds; chosen: longer than any calibration needs the line at one place."""
+READ_BACK_TOLERANCE_V: Final = 0.02
+"""Volts; derived: some errors of such a card's input (mV at +-10 V), a fifth of what clears the bundle by 100 um."""
+READ_BACK_TIMEOUT_S: Final = 0.5
+"""Seconds; chosen: far above the time of one sample."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +38,10 @@ class CardSettings:
         Voltage at which the line clears the lit bundle; never assumed, always measured or confirmed by the user.
     hold_limit_s : float
         Longest time for which the line may be held on the bundle, in seconds.
+    laser_line : str
+        Digital line to a shutter or to the laser's enable input, as ``port0/line0``; empty: none is wired.
+    laser_on_high : bool
+        Level of that line at which the laser is on. Wire a pull-down (pull-up if False): a reset floats the line.
     address : str
         ``host:port`` of an NI gRPC device server; empty: the driver on this computer.
 
@@ -46,27 +58,23 @@ class CardSettings:
     strobe: str = "PFI0"
     falling: bool = True
     hold_limit_s: float = 20.0
+    laser_line: str = ""
+    laser_on_high: bool = True
     address: str = ""
 
     def __post_init__(self) -> None:
         if not (isfinite(self.park_v) and abs(self.park_v) <= 10):
             raise InputError(f"the parking voltage is {self.park_v}", "give a voltage within -10 to 10 V")
-        if not 0 < self.hold_limit_s <= 600:
-            raise InputError(f"the hold limit is {self.hold_limit_s} s", "give more than 0 and at most 600 s")
-
-
-def open_options(address: str) -> GrpcSessionOptions | None:
-    """Return nidaqmx's session options for a card at an address; None for the driver on this computer."""
-    if not address:
-        return None
-    import grpc
-    from nidaqmx import GrpcSessionOptions
-
-    return GrpcSessionOptions(grpc.insecure_channel(address), "")
+        if not 0 < self.hold_limit_s <= MAX_HOLD_S:
+            raise InputError(
+                f"the hold limit is {self.hold_limit_s} s", f"give more than 0 and at most {MAX_HOLD_S:g} s"
+            )
 
 
 class Output:
-    """The card's analog output and its clock, as nidaqmx tasks; one of them reserves the output at any time.
+    """The card's analog output, its clock and the laser's line; one task reserves the output at any time.
+
+    Implements `napari_elsplus.hardware.parking.ParkingOutput`.
 
     Parameters
     ----------
@@ -78,9 +86,11 @@ class Output:
 
     def __init__(self, card: CardSettings, limits: GalvoLimits) -> None:
         self.card, self.limits = card, limits
-        self._options = open_options(card.address)
+        self._session = open_session(card.address)
         self._tasks: list[Task] = []
         self._still: Task | None = None
+        self._laser: Task | None = None
+        self._reads_back = True
 
     def put(self, volts: float) -> None:
         """Put a voltage out, in volts, now."""
@@ -96,6 +106,33 @@ class Output:
             with contextlib.suppress(DeviceError):  # the first error is raised
                 self.clear()
             raise
+
+    def confirm(self, volts: float) -> float | None:
+        """Return the voltage that the card reads back from its output; None where it has no such channel.
+
+        Parameters
+        ----------
+        volts : float
+            Voltage of the last `put`.
+
+        Raises
+        ------
+        DeviceError
+            If the write was not completed, or the output is at another voltage.
+        """
+        with translate_daq_errors(self.card.device):
+            if self._still is None:
+                raise DeviceError(f"card {self.card.device}: nothing holds the output", "park again")
+            self._still.stop()  # a write that has not been completed is completed, or raises
+            if not self._still.is_task_done():
+                raise DeviceError(f"card {self.card.device}: {self.card.output} was not written", "park again")
+        measured = self._read_back()
+        if measured is not None and not abs(measured - volts) <= READ_BACK_TOLERANCE_V:
+            raise DeviceError(
+                f"card {self.card.device}: {self.card.output} is at {measured:.3g} V instead of {volts:.3g} V",
+                "check what is wired to the output",
+            )
+        return measured
 
     def repeat(self, waveform: Waveform) -> None:
         """Put a burst of the waveform out after each strobe, from the card's memory."""
@@ -129,25 +166,87 @@ class Output:
                 task.is_task_done()
             return int(self._tasks[-1].out_stream.total_samp_per_chan_generated)
 
+    def laser(self, on: bool) -> None:
+        """Switch the laser's line `on` or off; does nothing where none is wired."""
+        if not self.card.laser_line:
+            return
+        from nidaqmx.stream_writers import DigitalSingleChannelWriter
+
+        with translate_daq_errors(self.card.device):
+            if self._laser is None:
+                self._laser = self._session.task()
+                self._laser.do_channels.add_do_chan(f"{self.card.device}/{self.card.laser_line}")
+            level = on == self.card.laser_on_high
+            DigitalSingleChannelWriter(self._laser.out_stream, auto_start=True).write_one_sample_one_line(level)
+
+    def laser_off(self) -> None:
+        """Switch the laser's line off."""
+        try:
+            self.laser(False)
+        except DeviceError:
+            self._forget(self._laser)  # the next attempt makes it anew
+            self._laser = None
+            raise
+
+    def reset(self) -> None:
+        """Reset the card, which aborts its tasks; its outputs may go to their power-up voltage (0 V, or the last)."""
+        tasks, self._tasks, self._still = [*self._tasks, self._laser], [], None
+        self._laser = None
+        with translate_daq_errors(self.card.device):
+            self._session.system().devices[self.card.device].reset_device()
+        for task in tasks:
+            self._forget(task)
+
     def clear(self) -> None:
-        """Delete every task, whatever errors others raise; the card keeps the last voltage."""
+        """Delete every task of the output, whatever errors others raise; the card keeps the last voltage."""
         tasks, self._tasks, self._still = self._tasks, [], None
-        with contextlib.ExitStack() as each, translate_daq_errors(self.card.device):
-            for task in reversed(tasks):
-                each.callback(task.close)
+        with translate_daq_errors(self.card.device), contextlib.ExitStack() as each:
+            for task in tasks:
+                each.callback(task.close)  # the last one first
 
     def close(self) -> None:
         """Delete every task, and close the channel to a card elsewhere before its server ends."""
         try:
+            self._forget(self._laser)
+            self._laser = None
             self.clear()
         finally:
-            if self._options is not None:
-                self._options.grpc_channel.close()
+            self._session.close()
+
+    def release(self) -> None:
+        """Close, whatever errors that raises: for a card that is gone, or about to be."""
+        with contextlib.suppress(DeviceError):
+            self.close()
+
+    def _read_back(self) -> float | None:
+        """Measure the output by the card's internal channel; None where it has none."""
+        if not self._reads_back:
+            return None
+        from nidaqmx.errors import DaqError
+        from nidaqmx.stream_readers import AnalogSingleChannelReader
+
+        task = None
+        with translate_daq_errors(self.card.device):
+            try:
+                task = self._session.task()
+                task.ai_channels.add_ai_voltage_chan(f"{self.card.device}/_{self.card.output}_vs_aognd")
+                return float(AnalogSingleChannelReader(task.in_stream).read_one_sample(READ_BACK_TIMEOUT_S))
+            except DaqError as error:
+                if error.error_code not in NO_SUCH_CHANNEL:
+                    raise
+                self._reads_back = False
+                return None
+            finally:
+                self._forget(task)
+
+    def _forget(self, task: Task | None) -> None:
+        """Delete a task whose errors do not matter any more."""
+        if task is not None:
+            with contextlib.suppress(DeviceError), translate_daq_errors(self.card.device):
+                task.close()
 
     def _task(self) -> Task:
-        from nidaqmx import Task
-
-        task = Task(grpc_options=self._options) if self._options else Task()
+        task = self._session.task()
         self._tasks.append(task)
         return task
 

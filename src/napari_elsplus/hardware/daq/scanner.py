@@ -1,8 +1,8 @@
 """The galvo on a National Instruments card, through nidaqmx: hold, scan on the camera's strobe, park.
 
 A retriggerable counter, started by the strobe, gives one burst of sample clocks per frame; the analog output repeats
-the waveform from the card's own memory, so no buffer can run dry. A watch thread sees to it that the line never stands
-on the bundle: strobe lost, underrun, or a hold that goes on too long, and the galvo is parked.
+the waveform from the card's own memory, so no buffer can run dry. A thread checks the interlocks and parks: after a
+fault, on command, and again until the card has confirmed it.
 """
 
 from __future__ import annotations
@@ -13,19 +13,22 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from napari_elsplus.errors import DeviceError
+from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.daq.interlock import Interlock
 from napari_elsplus.hardware.daq.output import CardSettings, Output
+from napari_elsplus.hardware.parking import Parking, ParkStage, ParkState
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
 
 WATCH_EVERY_S: Final = 0.02
 """Seconds between two checks of the card; chosen: a small part of the 0.5 s in which the galvo has to park."""
-LOST_AFTER_FRAMES: Final = 6
-LOST_AFTER_S: Final = 0.08
-"""A strobe counts as lost when it is late by this many frames, and by so long at least."""
+PARK_TIMEOUT_S: Final = 1.5
+"""Seconds that `DaqScanner.park` waits for the card; chosen: no call takes longer than 2 s."""
+BYPASS_AFTER_S: Final = 0.3
+"""Seconds after which parking goes around a call to the card that does not return; chosen: far above a call's time."""
 
 
 class DaqScanner:
@@ -36,11 +39,11 @@ class DaqScanner:
     Parameters
     ----------
     card : CardSettings
-        Which card, and where to park.
+        Card, wiring and parking voltage.
     limits : GalvoLimits
-        What may be put out.
+        Limits of the output.
     now_s : callable
-        The clock by which strobes are awaited and holds are timed.
+        Clock by which strobes are awaited and holds are timed.
 
     Raises
     ------
@@ -55,19 +58,26 @@ class DaqScanner:
         self.card, self.limits = card, limits
         self._output, self._now_s = Output(card, limits), now_s
         self._lock = threading.RLock()
+        """Held for calls to the card; `park` waits for it in no thread but the scanner's own."""
+        self._parking = Parking(self._output, card.park_v)
+        self._interlock = Interlock(card)
+        self._frames: Callable[[], int] | None = None
         self._fault: DeviceError | None = None
         self._waveform: Waveform | None = None
-        self._park_v = self._volts = card.park_v
-        self._seen, self._seen_at_s = 0, 0.0
-        self._closing = threading.Event()
-        self._output.put(card.park_v)
-        self._watch = threading.Thread(target=self._keep_watch, name="galvo watch", daemon=True)
+        self._volts = card.park_v
+        self._parks = threading.Event()
+        """Set from the command to park until the card has confirmed it; hold and scan give way to it."""
+        self._attempting = threading.Event()
+        self._wake = threading.Event()
+        self._closing = False
+        self._first_attempt()
+        self._watch = threading.Thread(target=self._run, name="galvo watch", daemon=True)
         self._watch.start()
         atexit.register(self.close)
 
     @property
     def ramps_begun(self) -> int:
-        """Ramps that the card began since `scan`: one for every strobe that it saw."""
+        """Ramps that the card began since `scan`: one for every strobe that it detected."""
         with self._lock:
             if self._waveform is None:
                 return 0
@@ -75,65 +85,83 @@ class DaqScanner:
 
     @property
     def park_v(self) -> float:
-        """Where the galvo parks."""
-        return self._park_v
+        """Parking voltage."""
+        return self._parking.volts
+
+    @property
+    def park_state(self) -> ParkState:
+        """State of parking."""
+        return self._parking.state
+
+    def on_park_state(self, callback: Callable[[ParkState], None]) -> Callable[[], None]:
+        """Call `callback` with every new state of parking; return what ends it."""
+        return self._parking.subscribe(callback)
+
+    def watch_frames(self, received: Callable[[], int] | None) -> None:
+        """Use a count of received frames; see :meth:`napari_elsplus.hardware.protocols.Scanner.watch_frames`."""
+        self._frames = received
 
     def park_at(self, volts: float) -> None:
         """Set the parking voltage; see :meth:`napari_elsplus.hardware.protocols.Scanner.park_at`."""
         self.limits.check(volts, "the parking position")
-        with self._lock:
-            parked = self._waveform is None and self._volts == self._park_v
-            moves, self._park_v = parked and volts != self._park_v, volts
-            if moves:
-                self.park()
+        changed = volts != self._parking.volts
+        self._parking.retarget(volts)
+        if changed and self._parking.state.stage is not ParkStage.DRIVEN:
+            self.park()
 
     def hold(self, volts: float) -> None:
         """Hold the line at a voltage; see :meth:`napari_elsplus.hardware.protocols.Scanner.hold`."""
         self.limits.check(volts)
-        with self._lock:
-            self._begin()
+        with self._driving():
             self._go_to(volts)
-            self._seen_at_s = self._now_s()
+            self._output.laser(True)
+            self._interlock.hold(self._now_s())
 
     def scan(self, waveform: Waveform) -> None:
         """Put the waveform out, one ramp after each strobe."""
         self.limits.check(waveform.volts, "the scan")
-        with self._lock:
-            self._begin()
+        self._refuse_to_sweep_over_parking(waveform)
+        with self._driving():
             self._go_to(float(waveform.volts[0]))
-            try:
-                self._output.repeat(waveform)
-            except DeviceError:
-                self._try_to_park()
-                raise
-            self._waveform, self._seen, self._seen_at_s = waveform, 0, self._now_s()
+            self._output.repeat(waveform)
+            self._output.laser(True)
+            self._waveform = waveform
+            self._interlock.scan(waveform, self._now_s(), self._count_frames())
 
     def check(self) -> None:
         """Raise what has gone wrong since the last `hold` or `scan`."""
-        with self._lock:
-            if self._fault is not None:
-                raise self._fault
+        fault = self._fault
+        if fault is not None:
+            raise fault
+        if not (self._watch.is_alive() or self._closing):
+            raise DeviceError("the thread that watches the galvo has ended", "switch the laser off, open the rig again")
 
     def park(self) -> None:
-        """Stop the scan and take the line off the bundle."""
-        with self._lock:
-            self._waveform, self._volts = None, self._park_v
-            try:
-                self._output.clear()
-            finally:
-                self._output.put(self._park_v)
+        """Stop the scan and take the line off the bundle; returns once the card has confirmed it."""
+        self._command_parking()
+        if self._parking.wait(BYPASS_AFTER_S):
+            return
+        if not self._attempting.is_set():  # a call to the card does not return
+            with contextlib.suppress(RuntimeError):  # no thread starts while the interpreter ends
+                threading.Thread(target=self._bypass, name="galvo parking", daemon=True).start()
+        if not self._parking.wait(PARK_TIMEOUT_S - BYPASS_AFTER_S):
+            raise DeviceError(self._parking.state.message or "NOT PARKED: switch the laser off", "see the card's cable")
+
+    def interrupt(self, fault: DeviceError) -> None:
+        """Park because of a fault that was found elsewhere; `check` raises it. Returns at once."""
+        self._fault = fault
+        self._command_parking()
 
     def close(self) -> None:
-        """Park, and let the card go; does nothing the second time."""
-        if self._closing.is_set():
+        """Park, and release the card once it is parked; does nothing the second time."""
+        if self._closing:
             return
-        self._closing.set()
-        if threading.current_thread() is not self._watch:
+        self._command_parking()
+        self._closing = True
+        with contextlib.suppress(DeviceError):  # see park_state; parking goes on
+            self.park()
+        if self._parking.state.parked and threading.current_thread() is not self._watch:
             self._watch.join()
-        with self._lock:
-            self._try_to_park()
-            with contextlib.suppress(DeviceError):  # the card is gone: there is nothing left to let go
-                self._output.close()
         atexit.unregister(self.close)
 
     def __enter__(self) -> Self:
@@ -142,60 +170,118 @@ class DaqScanner:
     def __exit__(self, *reason: object) -> Any:
         self.close()
 
-    def _begin(self) -> None:
-        if self._closing.is_set():
+    # what drives the galvo
+
+    @contextlib.contextmanager
+    def _driving(self) -> Iterator[None]:
+        """Hold the lock while the galvo is moved; whatever goes wrong parks it."""
+        with self._lock:
+            self._refuse_while_parking()
+            self._waveform, self._fault = None, None
+            self._parking.begin(ParkStage.DRIVEN)
+            try:
+                yield
+                self._refuse_while_parking()
+            except BaseException:
+                self._command_parking()
+                raise
+
+    def _refuse_while_parking(self) -> None:
+        if self._closing:
             raise DeviceError("the galvo was closed", "open the rig again")
-        self._waveform, self._fault = None, None
+        if self._parks.is_set():
+            state = self._parking.state
+            raise DeviceError(state.message or "the galvo is being parked", "start again when it is parked")
+
+    def _refuse_to_sweep_over_parking(self, waveform: Waveform) -> None:
+        low, high = float(waveform.volts.min()), float(waveform.volts.max())
+        if low < high and low <= self.park_v <= high:
+            raise InputError(
+                f"the scan from {low:.4g} to {high:.4g} V sweeps over the parking voltage {self.park_v:.4g} V",
+                "choose park_v off the bundle and its flyback, in the rig's file or the calibration",
+            )
 
     def _go_to(self, volts: float) -> None:
         """Move in steps that keep the slew limit, a millisecond each, then stand."""
         step = self.limits.max_slew_v_per_s * 1e-3
-        try:
-            while abs(volts - self._volts) > step:
-                self._volts += step if volts > self._volts else -step
-                self._output.put(self._volts)
-                time.sleep(1e-3)
-            self._output.put(volts)
-        except DeviceError:
-            self._try_to_park()
-            raise
+        while abs(volts - self._volts) > step:
+            self._refuse_while_parking()
+            self._volts += step if volts > self._volts else -step
+            self._output.put(self._volts)
+            time.sleep(1e-3)
+        self._output.put(volts)
         self._volts = volts
 
-    def _try_to_park(self) -> None:
-        with contextlib.suppress(DeviceError):  # the first error is raised
-            self.park()
+    # the scanner's own thread
 
-    def _keep_watch(self) -> None:
-        while not self._closing.wait(WATCH_EVERY_S):
-            with self._lock:
-                fault = self._fault_now()
-                if fault is not None:
-                    self._try_to_park()
-                    self._fault = fault
+    def _command_parking(self) -> None:
+        self._parks.set()
+        self._parking.begin(ParkStage.PARKING)
+        self._wake.set()
+
+    def _run(self) -> None:
+        while True:
+            self._wake.wait(self._parking.state.retry_s if self._parks.is_set() else WATCH_EVERY_S)
+            self._wake.clear()
+            if self._closing and not self._parks.is_set():
+                break
+            try:
+                with self._lock:
+                    self._check_or_park()
+            except Exception as error:  # noqa: BLE001 - this thread must not end
+                self._fault = _as_fault(error)
+                self._parks.set()
+        with self._lock:
+            self._output.release()
+
+    def _check_or_park(self) -> None:
+        if not self._parks.is_set():
+            self._fault = self._fault_now() or self._fault
+        if self._parks.is_set():
+            self._attempt()
+
+    def _attempt(self) -> None:
+        self._attempting.set()
+        try:
+            self._waveform = None
+            if self._parking.attempt().parked:
+                self._volts = self._parking.volts
+                self._interlock.rest()
+                self._parks.clear()
+        finally:
+            self._attempting.clear()
 
     def _fault_now(self) -> DeviceError | None:
-        if self._fault is not None:
-            return None
-        now = self._now_s()
-        if self._waveform is None or self._seen == 0:
-            stands = self._waveform is not None or self._volts != self._park_v
-            if stands and now - self._seen_at_s > self.card.hold_limit_s:
-                return DeviceError(
-                    f"the line stood on one place for {self.card.hold_limit_s:g} s, so the galvo was parked",
-                    "start again; the limit is hold_limit_s in the rig's file",
-                )
-        if self._waveform is None:
-            return None
         try:
-            done = self._output.samples_done()
+            samples = self._output.samples_done() if self._waveform is not None else 0
         except DeviceError as error:
-            return error
-        if done != self._seen:
-            self._seen, self._seen_at_s = done, now
-        late = now - self._seen_at_s
-        if self._seen and late > max(LOST_AFTER_S, LOST_AFTER_FRAMES * self._waveform.frame_period_s):
-            return DeviceError(
-                f"no strobe for {late * 1e3:.0f} ms, so the galvo was parked",
-                f"check that the camera runs and that its strobe reaches {self.card.strobe}",
-            )
-        return None
+            fault: DeviceError | None = error
+        else:
+            fault = self._interlock.fault(self._now_s(), samples, self._count_frames())
+        if fault is not None:
+            self._command_parking()
+        return fault
+
+    def _count_frames(self) -> int | None:
+        return None if self._frames is None else self._frames()
+
+    def _first_attempt(self) -> None:
+        """Park, once; a card that cannot be driven at all is refused."""
+        self._output.put(self.park_v)
+        if not self._parking.attempt().parked:
+            self._parks.set()
+
+    def _bypass(self) -> None:
+        """Reset the card and park it by tasks of its own while another thread is stuck in a call."""
+        output = Output(self.card, self.limits)
+        with contextlib.suppress(DeviceError):
+            output.reset()
+            output.put(self.park_v)
+            output.confirm(self.park_v)
+        output.release()
+
+
+def _as_fault(error: Exception) -> DeviceError:
+    if isinstance(error, DeviceError):
+        return error
+    return DeviceError(f"the galvo's watch failed ({type(error).__name__}: {error})", "report this, open the rig again")

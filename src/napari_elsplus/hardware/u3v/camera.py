@@ -87,6 +87,7 @@ class U3vCamera:
         self._streamed: Region | None = None
         self._dropped: Mapping[str, int] = {}
         self._rate_hz = 0.0
+        self._received = 0
         try:
             self._claim()
             self._control = Control(device, self._ends)
@@ -111,6 +112,12 @@ class U3vCamera:
         """Line periods from one frame to the next, idle time included."""
         self._configured()
         return 1 / (self._rate_hz * self.line_period_s)
+
+    @property
+    def frames_received(self) -> int:
+        """Frames that have reached this computer since the camera was opened, incomplete ones included."""
+        stream = self._stream
+        return self._received + (stream.received if stream else 0)
 
     @property
     def dropped(self) -> Mapping[str, int]:
@@ -173,6 +180,7 @@ class U3vCamera:
             self._streamed = None  # unplugged, or as good as: the next start begins anew
         finally:
             stream.stop()
+            self._received += stream.received
             self._dropped = dict(stream.dropped)
 
     def close(self) -> None:

@@ -144,6 +144,7 @@ class U3vStream:
         self._stopping = threading.Event()
         self._last_block: int | None = None
         self.dropped: Counter[str] = Counter()
+        self.received = 0
         self._thread = threading.Thread(target=self._run, name="camera stream", daemon=True)
         self._thread.start()
 
@@ -190,6 +191,7 @@ class U3vStream:
             self.dropped["bad leader"] += 1
             self._resynchronise()
             return
+        self.received += 1
         self._note_gap(leader)
         slot = self._take_slot()
         trailer = self._read_trailer() if self._read_payload(slot) else None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
-from napari_elsplus.hardware.parking import park_order
+from napari_elsplus.hardware.guardian import guard_scanner, when_parked
 from napari_elsplus.hardware.rig import SIMULATED, Rig, VirtualBench
 from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
@@ -25,6 +25,7 @@ from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.simulation.truth import park_volts
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from contextlib import ExitStack
 
     from napari_elsplus.hardware.virtual.card.process import RemoteCard
@@ -50,7 +51,9 @@ def simulated_rig(simulation: Simulation | None, held: ExitStack) -> Rig:
     """
     simulation = simulation or Simulation()
     clock = BenchClock(simulation.real_time)
-    card, address = _card(simulation, clock, held)
+    card, address, release = _card(simulation, clock)
+    opened: list[DaqScanner] = []
+    held.callback(lambda: when_parked(opened[0], release) if opened else release())  # the card is needed until then
     optics = OpticalBench(simulation, card, clock)
     plug = Plug(VirtualCamera(optics, serial=SERIAL))
     park_v = min(park_volts(optics.instrument(preset)) for preset in PRESETS.values())
@@ -59,16 +62,20 @@ def simulated_rig(simulation: Simulation | None, held: ExitStack) -> Rig:
     settings = CardSettings(park_v, address=address)
     device = choose_camera(SERIAL, VirtualBus(plug))
     camera = held.enter_context(U3vCamera(device, Flea3, wait_for_reader=not simulation.real_time))
-    scanner = held.enter_context(DaqScanner(settings, limits, now_s=clock.now_s))  # last in, first out: it parks first
+    scanner = DaqScanner(settings, limits, now_s=clock.now_s)
+    opened.append(held.enter_context(scanner))
+    guardian = guard_scanner(scanner, held, virtual=True) if simulation.own_process else None
     bench = VirtualBench(optics, card, plug)
-    return Rig(SIMULATED, camera, scanner, limits, StrobePhase.EXPOSURE, park_order(scanner), bench)
+    return Rig(SIMULATED, camera, scanner, limits, StrobePhase.EXPOSURE, guardian, bench)
 
 
-def _card(simulation: Simulation, clock: BenchClock, held: ExitStack) -> tuple[VirtualCard | RemoteCard, str]:
+def _card(simulation: Simulation, clock: BenchClock) -> tuple[VirtualCard | RemoteCard, str, Callable[[], None]]:
+    """Return a card, its address, and what releases it."""
     if simulation.own_process:
         if not simulation.real_time:
             raise InputError("a card in a process of its own, without real time", "two processes share only real time")
-        remote = held.enter_context(start_card())
-        return remote, remote.address
+        remote = start_card()
+        return remote, remote.address, remote.close
     card = VirtualCard(clock)
-    return card, held.enter_context(CardServer(card)).address
+    server = CardServer(card)
+    return card, server.address, server.close

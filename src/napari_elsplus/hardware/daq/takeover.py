@@ -1,0 +1,126 @@
+"""Park the galvo from another process, after the one that drove it died."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from napari_elsplus.hardware.daq.errors import translate_daq_errors
+from napari_elsplus.hardware.daq.output import CardSettings, Output
+from napari_elsplus.hardware.daq.session import open_session
+from napari_elsplus.hardware.parking import Parking, ParkStage, ParkState
+from napari_elsplus.hardware.scan.waveform import GalvoLimits
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from napari_elsplus.hardware.daq.scanner import DaqScanner
+
+VIRTUAL_LIFE_S: Final = 5.0
+"""Seconds without success after which a virtual card has ended with its program; chosen: longer than it lingers."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParkOrder:
+    """Output and voltage by which another process parks the galvo.
+
+    Parameters
+    ----------
+    device, output : str
+        The card and its output.
+    volts : float
+        Parking voltage.
+    min_v, max_v : float
+        Range of the output in volts.
+    address : str
+        ``host:port`` of a gRPC device server; empty: the driver on this computer.
+    laser_line : str
+        Digital line of shutter or laser; empty: none.
+    laser_on_high : bool
+        Level of that line at which the laser is on.
+    virtual : bool
+        The card is a virtual one, which may end: parking is given up then.
+    """
+
+    device: str
+    output: str
+    volts: float
+    min_v: float
+    max_v: float
+    address: str = ""
+    laser_line: str = ""
+    laser_on_high: bool = True
+    virtual: bool = False
+
+
+def park_order(scanner: DaqScanner, *, virtual: bool = False) -> ParkOrder:
+    """Return the order that parks the galvo of a scanner, on a real or a `virtual` card."""
+    card, limits = scanner.card, scanner.limits
+    return ParkOrder(
+        card.device,
+        card.output,
+        scanner.park_v,
+        limits.min_v,
+        limits.max_v,
+        card.address,
+        card.laser_line,
+        card.laser_on_high,
+        virtual,
+    )
+
+
+def take_over(order: ParkOrder, report: Callable[[ParkState], None] = lambda _: None) -> ParkState:
+    """Take the output over and park: a card goes on regenerating its waveform after its program died.
+
+    Tried until the card confirms, without end; on a virtual card until it has ended.
+
+    Parameters
+    ----------
+    order : ParkOrder
+        Output and voltage.
+    report : callable
+        Called with the state whenever its stage changes.
+
+    Returns
+    -------
+    ParkState
+        The last state.
+    """
+    settings = CardSettings(
+        order.volts,
+        device=order.device,
+        output=order.output,
+        laser_line=order.laser_line,
+        laser_on_high=order.laser_on_high,
+        address=order.address,
+    )
+    output = Output(settings, GalvoLimits(min_v=order.min_v, max_v=order.max_v))
+    parking, begun_s = Parking(output, order.volts), time.monotonic()
+    stage = ParkStage.UNKNOWN
+    while True:
+        state = parking.attempt()
+        if state.stage is not stage:
+            stage = state.stage
+            report(state)
+        if state.parked or (order.virtual and time.monotonic() - begun_s > VIRTUAL_LIFE_S):
+            break
+        time.sleep(state.retry_s)
+    output.release()
+    return state
+
+
+def preload(order: ParkOrder) -> None:
+    """Load all modules that parking by an `order` needs, and call the driver once, so that it is fast later.
+
+    Raises
+    ------
+    DeviceError
+        If the driver cannot be reached.
+    """
+    import nidaqmx.stream_readers
+    import nidaqmx.stream_writers  # noqa: F401 - for later
+
+    session = open_session(order.address)
+    with translate_daq_errors(order.device):
+        _ = session.system().driver_version
