@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -50,9 +51,18 @@ def cards(request: pytest.FixtureRequest) -> Iterator[Callable[..., CardBench]]:
     if request.param == "grpc":
         with CardServer(card) as server:
             yield lambda **changes: CardBench(card, CardSettings(PARK_V, address=server.address, **changes))
+            _heal(card)
     else:
         with replacing_ni_library(card):
             yield lambda **changes: CardBench(card, CardSettings(PARK_V, **changes))
+            _heal(card)
+
+
+def _heal(card: VirtualCard) -> None:
+    """End every fault, and wait until scanners that still try to park have."""
+    card.break_with(0)
+    card.inject(refuse_until_s=0.0, clear_errors=0, stuck=False, hangs=False)
+    _wait_for(lambda: "galvo watch" not in {thread.name for thread in threading.enumerate()}, 10.0)
 
 
 class PlainBench:

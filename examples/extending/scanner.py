@@ -6,10 +6,12 @@ take a scan for granted.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Self
 
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.parking import ParkStage, ParkState
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
 
 
@@ -29,6 +31,19 @@ class StillScanner:
     def __init__(self, card: CardSettings, limits: GalvoLimits) -> None:
         limits.check(card.park_v, "the parking position")
         self.park_v, self._limits = card.park_v, limits
+
+    @property
+    def park_state(self) -> ParkState:
+        """Parked: the line never moves."""
+        return ParkState(ParkStage.PARKED)
+
+    def on_park_state(self, callback: Callable[[ParkState], None]) -> Callable[[], None]:
+        """Return at once: the state never changes."""
+        del callback
+        return lambda: None
+
+    def watch_frames(self, received: Callable[[], int] | None) -> None:
+        """Do nothing: there is no scan to stop."""
 
     def park_at(self, volts: float) -> None:
         """Keep the parking voltage, within the limits."""

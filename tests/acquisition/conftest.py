@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.parking import ParkOrder
+from napari_elsplus.hardware.parking import ParkStage, ParkState
 from napari_elsplus.hardware.protocols import FrameInfo, Region
 from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
@@ -101,6 +101,16 @@ class RememberingScanner:
     fault: DeviceError | None = None
     ramps_begun: int = 0
 
+    @property
+    def park_state(self) -> ParkState:
+        return ParkState(ParkStage.PARKED if self.volts == self.park_v else ParkStage.DRIVEN)
+
+    def on_park_state(self, callback: Callable[[ParkState], None]) -> Callable[[], None]:
+        return lambda: None
+
+    def watch_frames(self, received: Callable[[], int] | None) -> None:
+        pass
+
     def park_at(self, volts: float) -> None:
         if abs(volts) > 2:
             raise InputError(f"{volts} V asked of the parking position", "the limits are -2 to 2 V")
@@ -143,7 +153,7 @@ class SmallRig:
     scanner: RememberingScanner = field(default_factory=RememberingScanner)
     limits: GalvoLimits = field(default_factory=GalvoLimits)
     strobe: StrobePhase = StrobePhase.EXPOSURE
-    park_order: ParkOrder | None = None
+    guardian: None = None
     bench: None = None
 
     def close(self) -> None:

@@ -9,12 +9,13 @@ from __future__ import annotations
 import errno
 import runpy
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 from napari_elsplus.acquisition.link.server import run
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
-from napari_elsplus.hardware.parking import park_order
+from napari_elsplus.hardware.guardian import guard_scanner
 from napari_elsplus.io import RecordingWriter
 
 small = runpy.run_path(str(Path(__file__).with_name("conftest.py")))
@@ -26,7 +27,9 @@ def open_rig(name: str) -> object:
     rig = small["SmallRig"]()
     if len(sys.argv) > 2:
         rig.scanner = DaqScanner(CardSettings(small["PARK_V"], address=sys.argv[2]), rig.limits)
-        rig.park_order = park_order(rig.scanner)
+        held = ExitStack()
+        rig.guardian = guard_scanner(rig.scanner, held)
+        close, rig.close = rig.close, lambda: (held.close(), close())
         return rig
 
     def note(what: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -15,8 +16,8 @@ from dataclasses import asdict, replace
 import pytest
 
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.daq.takeover import ParkOrder
 from napari_elsplus.hardware.guardian import Guardian, guard
-from napari_elsplus.hardware.parking import ParkOrder
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
 from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
 from napari_elsplus.hardware.virtual.card.process import RemoteCard
@@ -26,7 +27,6 @@ from napari_elsplus.simulation.model.instrument import Instrument
 PRESET = PRESETS["240hz"]
 DRIVE = """
     import json, time
-    from napari_elsplus.hardware.guardian import Guardian
     from napari_elsplus.hardware.rigs import open_rig
     from napari_elsplus.hardware.virtual.bench import Simulation
     from napari_elsplus.hardware.virtual.timeline import StrobeTrain
@@ -36,9 +36,10 @@ DRIVE = """
     from napari_elsplus.simulation.specimen.scenes import empty
 
     preset = PRESETS["240hz"]
-    with open_rig("simulated", Simulation(scene=empty(), own_process=True)) as rig, Guardian(rig.park_order):
+    with open_rig("simulated", Simulation(scene=empty(), own_process=True)) as rig:
         timing = ScanTiming(preset.optics.line_period_s, preset.optics.line_periods_per_frame, 3)
         rig.scanner.scan(els_waveform(rig.bench.optics.calibration(preset), timing, rig.limits))
+        rig.scanner.watch_frames(None)  # the strobe comes without a camera
         rig.bench.card.strobe(StrobeTrain(time.perf_counter(), preset.optics.frame_period_s))
         print(json.dumps(rig.bench.card.place), flush=True)
         time.sleep(60)
@@ -85,7 +86,7 @@ def test_a_dismissed_guardian_leaves_the_mirror_alone() -> None:
         with Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)) as guardian:
             assert card.last_volts == 0.0
         assert card.last_volts == 0.0
-        assert guardian._process.returncode == 0
+        assert not guardian._process.alive
 
 
 @pytest.mark.parametrize(("end", "volts"), [("", -0.7), ("farewell\n", 0.0)])
@@ -109,14 +110,18 @@ def test_the_last_whole_order_counts(later, volts) -> None:
     assert card.last_volts == volts
 
 
-def test_a_guardian_that_is_gone_takes_no_other_order() -> None:
-    with CardServer(VirtualCard()) as server:
-        order = ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)
-        with Guardian(order) as guardian:
-            guardian._process.kill()
-            guardian._process.wait()
-            with pytest.raises(DeviceError, match="guardian has ended"):
-                guardian.revise(order)
+def test_a_guardian_that_is_killed_is_replaced_with_the_newest_order_and_that_is_reported() -> None:
+    """Before: nothing was on guard any more, without a word."""
+    with (
+        CardServer(VirtualCard()) as server,
+        Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)) as guardian,
+    ):
+        first = guardian.pid
+        guardian.revise(-0.9)
+        os.kill(first, signal.SIGKILL)
+        seconds_until(lambda: guardian.pid != first and len(guardian.reports) > 0 and guardian.on_guard)
+        assert guardian.order.volts == -0.9
+        assert "guardian" in str(guardian.reports[0])
 
 
 def test_a_guardian_that_cannot_reach_the_card_does_not_pretend_to_watch() -> None:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated, open_live
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
-from napari_elsplus.hardware.guardian import Guardian
 from napari_elsplus.hardware.rig import SIMULATED
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def live_engine(rig_name: str, settings: Settings) -> Iterator[tuple[Rig, Engine]]:
-    """Open a rig and its engine; on a real rig, a guardian process parks the galvo if this process dies.
+    """Open a rig and its engine.
 
     Parameters
     ----------
@@ -46,9 +45,7 @@ def live_engine(rig_name: str, settings: Settings) -> Iterator[tuple[Rig, Engine
     with ExitStack() as held:
         rig = open_live(rig_name)
         held.callback(rig.close)
-        guarded = rig.park_order if rig.bench is None else None
-        guardian = None if guarded is None else held.enter_context(Guardian(guarded))
-        engine = held.enter_context(Engine(rig, guardian=guardian))
+        engine = held.enter_context(Engine(rig))
         engine.configure(settings)
         yield rig, engine
 

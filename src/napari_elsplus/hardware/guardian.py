@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from typing import TextIO
 
     from napari_elsplus.hardware.daq.scanner import DaqScanner
-
     from napari_elsplus.hardware.parking import ParkState
     from napari_elsplus.hardware.protocols import Scanner
 
@@ -134,6 +133,11 @@ class Guardian:
     def pid(self) -> int:
         """Process id of the guardian on guard."""
         return self._process.pid
+
+    @property
+    def on_guard(self) -> bool:
+        """True while a guardian process waits."""
+        return self._process.alive and self._process.wait_until_ready(0)
 
     @property
     def order(self) -> ParkOrder:

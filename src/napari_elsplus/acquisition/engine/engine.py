@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.workers import FrameConsumer
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.acquisition.streaming.ring import Layout, Ring
-    from napari_elsplus.hardware.guardian import Guardian
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
 
@@ -53,8 +52,6 @@ class Engine:
         Makes the ring in which images are shown, and says its name; on the heap by default.
     buffer_s : float
         Seconds of raw frames that stay in memory, for slow disks and for recordings that begin in the past.
-    guardian : Guardian, optional
-        Parks if this process dies; it is told where.
 
     Attributes
     ----------
@@ -70,11 +67,10 @@ class Engine:
         *,
         make_ring: Callable[[Layout], tuple[str, Ring]] = on_the_heap,
         buffer_s: float = BUFFER_S,
-        guardian: Guardian | None = None,
     ) -> None:
         self._rig, self._buffer_s = rig, buffer_s
         self.setup = CameraSetup(rig)
-        self.mirror = GalvoController(rig, self.setup, guardian)
+        self.mirror = GalvoController(rig, self.setup)
         self._display = Display(make_ring)
         self._lock = RLock()
         self._faults = FaultLog()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from napari_elsplus.hardware.scan.clearance import check_parking
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.camera_setup import CameraSetup
-    from napari_elsplus.hardware.guardian import Guardian
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
 
@@ -23,8 +22,6 @@ class GalvoController:
         Open.
     setup : CameraSetup
         Knows when which row is exposed.
-    guardian : Guardian, optional
-        Is told where to park.
 
     Attributes
     ----------
@@ -32,9 +29,8 @@ class GalvoController:
         Whether it was last told to scan.
     """
 
-    def __init__(self, rig: Rig, setup: CameraSetup, guardian: Guardian | None = None) -> None:
+    def __init__(self, rig: Rig, setup: CameraSetup) -> None:
         self._scanner, self._strobe, self._setup = rig.scanner, rig.strobe, setup
-        self._guardian, self._order = guardian, rig.park_order
         self._rigs_park_v = rig.scanner.park_v
         self.limits: GalvoLimits = rig.limits
         self.scanning = False
@@ -64,15 +60,14 @@ class GalvoController:
         Raises
         ------
         InputError
-            If that is outside the rig's limits; the place before stays.
+            If that is outside the rig's limits, or on the bundle; the place before stays.
         DeviceError
-            If the card fails, or the guardian has ended.
+            If the card fails.
         """
         galvo = calibration.galvo if calibration is not None else None
         volts = galvo.park_v if galvo is not None and galvo.park_v is not None else self._rigs_park_v
+        check_parking(volts, calibration)
         self._scanner.park_at(volts)
-        if self._guardian is not None and self._order is not None:
-            self._guardian.revise(replace(self._order, volts=volts))
 
     def hold(self, volts: float) -> None:
         """Let the line stand; the rig parks it when that goes on too long."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from threading import Event
 from typing import TYPE_CHECKING
@@ -14,7 +14,6 @@ from napari_elsplus.acquisition.link.newest import Newest
 from napari_elsplus.acquisition.streaming.priority import settle_memory
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
 from napari_elsplus.errors import DeviceError, InputError, MeasurementError
-from napari_elsplus.hardware.guardian import Guardian
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -43,7 +42,6 @@ class Session:
     def __init__(self, open_rig: Callable[[str], Rig]) -> None:
         self._open_rig = open_rig
         self._opened: tuple[Rig, Engine, LiveMosaic] | None = None
-        self._guardian: Guardian | None = None
         self._cancelled = Event()
         self._progress: Progress | None = None
         self.offsets: Newest[SlitOffset | MeasurementError] = Newest()
@@ -57,26 +55,19 @@ class Session:
             If it cannot be opened.
         """
         self.close()
-        with ExitStack() as held:
-            opened = self._open_rig(rig)
-            held.callback(opened.close)
-            self._guardian = None if opened.park_order is None else Guardian(opened.park_order)
-            held.pop_all()
-        engine = Engine(opened, make_ring=_shared_ring, guardian=self._guardian)
+        opened = self._open_rig(rig)
+        engine = Engine(opened, make_ring=_shared_ring)
         self._opened = opened, engine, LiveMosaic(engine)
         settle_memory()
 
     def close(self) -> None:
         """Close the rig."""
         opened, self._opened = self._opened, None
-        guardian, self._guardian = self._guardian, None
         self._cancelled.set()
         if opened is not None:
             _, engine, mosaic = opened
             engine.close()
             mosaic.clear()
-        if guardian is not None:
-            guardian.dismiss()
 
     @property
     def rig(self) -> Rig:

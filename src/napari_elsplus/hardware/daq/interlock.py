@@ -15,6 +15,8 @@ LOST_AFTER_S: Final = 0.08
 """Frame periods, and seconds, after which a strobe counts as lost; chosen: above the jitter of this thread."""
 SILENCE_S: Final = 0.3
 """Seconds; chosen: with a check, a stop and a write it leaves the galvo parked within 0.5 s."""
+NO_FRAMES_S: Final = 1.0
+"""Seconds; chosen: above the stalls of a busy computer, since the line sweeps meanwhile and does not stand."""
 LOW_RATE_PERIODS: Final = 1.5
 """Frame periods that have to pass at rates so low that they are longer than `SILENCE_S`."""
 MAX_STEP_S: Final = 0.05
@@ -107,7 +109,7 @@ class Interlock:
                 f"check that the camera runs and that its strobe reaches {self._card.strobe}",
             )
         self._no_frames_s = 0.0 if came or frames is None else self._no_frames_s + step_s
-        if self._no_frames_s > max(SILENCE_S, limit_s):
+        if self._no_frames_s > max(NO_FRAMES_S, limit_s):
             return DeviceError(
                 f"ramps begin and no frame has come for {self._no_frames_s * 1e3:.0f} ms, so the galvo was parked",
                 "check the camera's cable and what else uses its bus",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import math
 import threading
 import time
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -120,7 +121,7 @@ class DaqScanner:
     def scan(self, waveform: Waveform) -> None:
         """Put the waveform out, one ramp after each strobe."""
         self.limits.check(waveform.volts, "the scan")
-        self._refuse_to_sweep_over_parking(waveform)
+        self._refuse_parking_on_the_bundle(waveform)
         with self._driving():
             self._go_to(float(waveform.volts[0]))
             self._output.repeat(waveform)
@@ -193,12 +194,12 @@ class DaqScanner:
             state = self._parking.state
             raise DeviceError(state.message or "the galvo is being parked", "start again when it is parked")
 
-    def _refuse_to_sweep_over_parking(self, waveform: Waveform) -> None:
-        low, high = float(waveform.volts.min()), float(waveform.volts.max())
-        if low < high and low <= self.park_v <= high:
+    def _refuse_parking_on_the_bundle(self, waveform: Waveform) -> None:
+        low, high = waveform.exposed_v or (math.inf, -math.inf)
+        if low <= self.park_v <= high:
             raise InputError(
-                f"the scan from {low:.4g} to {high:.4g} V sweeps over the parking voltage {self.park_v:.4g} V",
-                "choose park_v off the bundle and its flyback, in the rig's file or the calibration",
+                f"the parking voltage {self.park_v:.4g} V is on the bundle, scanned from {low:.4g} to {high:.4g} V",
+                "choose park_v off the bundle, in the rig's file or the calibration",
             )
 
     def _go_to(self, volts: float) -> None:

@@ -108,12 +108,15 @@ class Waveform:
         Samples per second.
     frame_period_s : float
         Seconds between strobes for which it was made.
+    exposed_v : tuple of float, optional
+        Lowest and highest position of the line in volts while anything is exposed.
     """
 
     volts: Volts
     ramps: int
     sample_rate_hz: float
     frame_period_s: float
+    exposed_v: tuple[float, float] | None = None
 
     @property
     def samples_per_ramp(self) -> int:
@@ -252,7 +255,10 @@ def ramp_waveform(
     _refuse_too_fast(abs(slope) * np.abs(speed).max(), abs(slope) * np.abs(acceleration).max(), limits)
     volts = np.asarray(galvo.volts(drive))
     limits.check(volts, "the scan")
-    return Waveform(volts, count, rate, period)
+    ends = sorted(
+        galvo.volts_at_row_zero + slope * row for row in (rows[0] + min(shifts_rows), rows[1] + max(shifts_rows))
+    )
+    return Waveform(volts, count, rate, period, (ends[0], ends[1]))
 
 
 def _bridge(drive: Volts, samples: int, period: float) -> Volts:

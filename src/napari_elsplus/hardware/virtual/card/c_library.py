@@ -126,6 +126,12 @@ class VirtualLibrary:
     def _CreateAOVoltageChan(self, handle: int, channel: str, _: str, low: float, high: float, *__: object) -> None:
         self._card.add_output(handle, channel, low, high)
 
+    def _CreateAIVoltageChan(self, handle: int, channel: str, *_: object) -> None:
+        self._card.add_input(handle, channel)
+
+    def _CreateDOChan(self, handle: int, line: str, *_: object) -> None:
+        self._card.add_line(handle, line)
+
     def _CreateCOPulseChanFreq(
         self, handle: int, counter: str, _: str, __: int, ___: int, ____: float, freq: float, *_____: object
     ) -> None:
@@ -164,6 +170,15 @@ class VirtualLibrary:
         self, handle: int, _: int, start: int, __: float, ___: int, volts: Any, written: Any, *____: object
     ) -> None:
         written.value = self._card.write(handle, volts, bool(start))
+
+    def _ReadAnalogScalarF64(self, handle: int, _: float, out: Any, *__: object) -> None:
+        out.value = self._card.read(handle)
+
+    def _WriteDigitalLines(
+        self, handle: int, _: int, __: int, ___: float, ____: int, levels: Any, written: Any, *_____: object
+    ) -> None:
+        self._card.write_line(handle, bool(levels[0]))
+        written.value = 1
 
     def _ResetDevice(self, device: str) -> None:
         self._card.reset(device)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -26,6 +26,7 @@ MESSAGES: Final = {
     -200220: "Device identifier is invalid.",
     -200077: "Requested value is not a supported value for this property.",
     -200290: "The generation has stopped to prevent the regeneration of old samples.",
+    -200479: "Specified operation cannot be performed while the task is running.",
     -200478: "Specified operation cannot be performed when there are no channels in the task.",
     -200561: "Attempted writing analog data that is too large or too small.",
     -200621: "Onboard device memory underflow.",
@@ -47,8 +48,8 @@ class VirtualTask:
     """One DAQmx task."""
 
     name: str
-    output: bool = False
-    counter: bool = False
+    kind: str = ""
+    """``output``, ``counter``, ``input`` or ``line``: what the task reserves while it runs."""
     low_v: float = -10.0
     high_v: float = 10.0
     mode: int = ON_DEMAND
@@ -59,6 +60,41 @@ class VirtualTask:
     retriggerable: bool = False
     volts: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     running: bool = False
+
+
+@dataclass(frozen=True)
+class CardFaults:
+    """Faults to inject, and how the card behaves on a reset.
+
+    Parameters
+    ----------
+    refuse_until_s : float
+        Every call of the driver is refused (-50103) until then, on the bench's clock.
+    clear_errors : int
+        So many calls of ClearTask fail, and leave their task running.
+    reset_to_power_up : bool
+        A reset sets the output to `POWER_ON_V`, as on NI's M, C and X Series; False: it keeps its voltage, as on E and
+        S Series.
+    reset_s : float
+        Seconds that a reset takes.
+    strobe_unwired : bool
+        The camera's strobe is not wired to the card.
+    reads_back : bool
+        The card has an internal channel that measures its output.
+    stuck : bool
+        Writes succeed and leave the output as it is.
+    hangs : bool
+        Calls on tasks do not return until a reset aborts them.
+    """
+
+    refuse_until_s: float = -np.inf
+    clear_errors: int = 0
+    reset_to_power_up: bool = True
+    reset_s: float = 0.0
+    strobe_unwired: bool = False
+    reads_back: bool = True
+    stuck: bool = False
+    hangs: bool = False
 
 
 class VirtualCard:
@@ -75,6 +111,10 @@ class VirtualCard:
     def __init__(self, clock: BenchClock | None = None, device: str = "Dev1") -> None:
         self.clock, self.device = clock or BenchClock(), device
         self._lock = threading.RLock()
+        self._resets = threading.Condition(self._lock)
+        self.faults = CardFaults()
+        self.laser_on = False
+        """Level of the digital line to the laser."""
         self._tasks: dict[int, VirtualTask] = {}
         self._last_handle = 0
         self._strobe: StrobeTrain | None = None
@@ -87,6 +127,8 @@ class VirtualCard:
     def strobe(self, train: StrobeTrain | None) -> None:
         """Wire a train of edges to the strobe's terminal; a train changed in its end only goes on."""
         with self._lock:
+            if self.faults.strobe_unwired:
+                train = None
             self._strobe = train
             running = self._programs[-1]
             if not len(running.samples):
@@ -121,11 +163,28 @@ class VirtualCard:
             if code in (-200621, -200290, -201003):
                 self._halt()
 
+    def inject(self, refuse_s: float = 0.0, **changes: Any) -> None:
+        """Change the faults.
+
+        Parameters
+        ----------
+        refuse_s : float
+            Seconds from now in which every call of the driver is refused.
+        **changes
+            Fields of `CardFaults`.
+        """
+        with self._lock:
+            if refuse_s:
+                changes["refuse_until_s"] = self.clock.now_s() + refuse_s
+            self.faults = replace(self.faults, **changes)
+            self._resets.notify_all()
+
     # The driver's side.
 
     def create_task(self, name: str) -> int:
         """Create a task of that name, and return its handle."""
         with self._lock:
+            self._refuse()
             self._last_handle += 1
             self._tasks[self._last_handle] = VirtualTask(name or f"_unnamedTask<{self._last_handle}>")
             return self._last_handle
@@ -134,6 +193,10 @@ class VirtualCard:
         """Stop and delete the task of a handle."""
         with self._lock:
             task = self.task(handle)
+            if self.faults.clear_errors:
+                self.faults = replace(self.faults, clear_errors=self.faults.clear_errors - 1)
+                raise CardError(-200479)
+            self._refuse()
             self._stop(task)
             del self._tasks[handle]
 
@@ -160,7 +223,7 @@ class VirtualCard:
         if not -10 <= low_v < high_v <= 10:
             raise CardError(-200077)
         task = self.task(handle)
-        task.output, task.low_v, task.high_v = True, low_v, high_v
+        task.kind, task.low_v, task.high_v = "output", low_v, high_v
 
     def add_counter(self, handle: int, channel: str, rate_hz: float) -> None:
         """Add the counter's pulses to a task.
@@ -176,21 +239,51 @@ class VirtualCard:
         """
         self._find(channel, "ctr0")
         task = self.task(handle)
-        task.counter, task.rate_hz = True, rate_hz
+        task.kind, task.rate_hz = "counter", rate_hz
+
+    def add_input(self, handle: int, channel: str) -> None:
+        """Add the input that measures the output to a task.
+
+        Parameters
+        ----------
+        handle : int
+            The task.
+        channel : str
+            ``device/_ao0_vs_aognd``.
+        """
+        self._find(channel, "_ao0_vs_aognd" if self.faults.reads_back else "")
+        self.task(handle).kind = "input"
+
+    def add_line(self, handle: int, line: str) -> None:
+        """Add the digital line to the laser to a task.
+
+        Parameters
+        ----------
+        handle : int
+            The task.
+        line : str
+            ``device/port0/line0``.
+        """
+        self._find(line, "port0/line0")
+        self.task(handle).kind = "line"
 
     def start_task(self, handle: int) -> None:
         """Start the task of a handle; bursts begin once both the output and its clock run."""
         with self._lock:
             task = self.task(handle)
             self._reach()
-            if not (task.output or task.counter):
+            if not task.kind:
                 raise CardError(-200478)
-            busy = any(t.running and t.output == task.output for t in self._tasks.values() if t is not task)
+            busy = any(t.running and t.kind == task.kind for t in self._tasks.values() if t is not task)
             if busy or self._fault == -50103:
                 raise CardError(-50103)
             task.running = True
-            clock = next((t for t in self._tasks.values() if t.running and t.counter and t.retriggerable), None)
-            ramp = next((t for t in self._tasks.values() if t.running and t.output and t.mode == CONTINUOUS), None)
+            clock = next(
+                (t for t in self._tasks.values() if t.running and t.kind == "counter" and t.retriggerable), None
+            )
+            ramp = next(
+                (t for t in self._tasks.values() if t.running and t.kind == "output" and t.mode == CONTINUOUS), None
+            )
             if clock and ramp and ramp.clock.endswith("InternalOutput"):
                 now, resting = self.clock.now_s(), self.last_volts
                 self._append(Program(now, resting, ramp.volts.copy(), clock.samples, clock.rate_hz, self._strobe))
@@ -198,6 +291,7 @@ class VirtualCard:
     def stop_task(self, handle: int) -> None:
         """Stop the task of a handle; the output keeps its voltage."""
         with self._lock:
+            self._reach()
             self._stop(self.task(handle))
 
     def write(self, handle: int, volts: NDArray[np.float64], auto_start: bool) -> int:
@@ -220,7 +314,7 @@ class VirtualCard:
             task.volts = np.array(volts, np.float64)
             if auto_start and not task.running:
                 self.start_task(handle)
-            if task.mode == ON_DEMAND and task.running:
+            if task.mode == ON_DEMAND and task.running and not self.faults.stuck:
                 self._append(Program(self.clock.now_s(), float(task.volts[-1])))
             return len(volts)
 
@@ -228,7 +322,24 @@ class VirtualCard:
         """Return True if the task of a handle has ended; raise the status code that ended it."""
         with self._lock:
             self._reach()
-            return not self.task(handle).running
+            task = self.task(handle)
+            return not task.running or task.mode == ON_DEMAND
+
+    def read(self, handle: int) -> float:
+        """Measure the output by the task of a handle, in volts."""
+        with self._lock:
+            self.task(handle)
+            self._reach()
+            return self.last_volts
+
+    def write_line(self, handle: int, level: bool) -> None:
+        """Set the digital line of the task of a handle to a level."""
+        with self._lock:
+            task = self.task(handle)
+            self._reach()
+            if not task.running:
+                self.start_task(handle)
+            self.laser_on = level
 
     def samples_done(self, handle: int) -> int:
         """Count the samples that the task of a handle put out."""
@@ -238,14 +349,21 @@ class VirtualCard:
             return int(self._programs[-1].samples_by(np.array([self.clock.now_s()]))[0])
 
     def reset(self, device: str) -> None:
-        """Abort every task of the device; the output keeps its voltage."""
+        """Abort every task of the device; output and line go to their power-up state, or the output stays."""
         with self._lock:
             self._find(device, "")
+            self._refuse()
             if self._fault == -201003:
                 raise CardError(-201003)
             for task in self._tasks.values():
                 self._stop(task)
-            self._fault = 0
+            self._tasks.clear()
+            self._fault, self.laser_on = 0, False
+            self.faults = replace(self.faults, hangs=False)
+            if self.faults.reset_to_power_up:
+                self._append(Program(self.clock.now_s(), POWER_ON_V))
+            self._resets.notify_all()
+        self.clock.wait_until(self.clock.now_s() + self.faults.reset_s)
 
     def _find(self, channel: str, wanted: str) -> None:
         device, _, terminal = channel.strip("/").partition("/")
@@ -254,7 +372,14 @@ class VirtualCard:
         if terminal != wanted:
             raise CardError(-200170)
 
+    def _refuse(self) -> None:
+        if self.clock.now_s() < self.faults.refuse_until_s:
+            raise CardError(-50103)
+
     def _reach(self) -> None:
+        self._refuse()
+        while self.faults.hangs:
+            self._resets.wait()
         if self._fault in (-200621, -200290, -201003):
             code = self._fault
             if code != -201003:
@@ -262,7 +387,7 @@ class VirtualCard:
             raise CardError(code)
 
     def _stop(self, task: VirtualTask) -> None:
-        if task.running and (task.counter or task.mode == CONTINUOUS):
+        if task.running and (task.kind == "counter" or task.mode == CONTINUOUS):
             self._halt()
         task.running = False
 

@@ -93,6 +93,14 @@ def answers(card: VirtualCard) -> dict[str, tuple[type, Callable[[Any], Any]]]:
         card.add_counter(request.task.id, request.counter, request.freq)
         return pb.CreateCOPulseChanFreqResponse()
 
+    def add_input(request: Any) -> Any:
+        card.add_input(request.task.id, request.physical_channel)
+        return pb.CreateAIVoltageChanResponse()
+
+    def add_line(request: Any) -> Any:
+        card.add_line(request.task.id, request.lines)
+        return pb.CreateDOChanResponse()
+
     def sample_clock(request: Any) -> Any:
         task = card.task(request.task.id)
         task.mode, task.rate_hz = request.sample_mode_raw or request.sample_mode, request.rate
@@ -119,6 +127,13 @@ def answers(card: VirtualCard) -> dict[str, tuple[type, Callable[[Any], Any]]]:
     def write_many(request: Any) -> Any:
         volts = np.array(request.write_array)
         return pb.WriteAnalogF64Response(samps_per_chan_written=card.write(request.task.id, volts, request.auto_start))
+
+    def read_scalar(request: Any) -> Any:
+        return pb.ReadAnalogScalarF64Response(value=card.read(request.task.id))
+
+    def write_line(request: Any) -> Any:
+        card.write_line(request.task.id, bool(request.write_array[0]))
+        return pb.WriteDigitalLinesResponse(samps_per_chan_written=1)
 
     def generated(request: Any) -> Any:
         return pb.GetWriteAttributeUInt64Response(value=card.samples_done(request.task.id))
@@ -151,6 +166,8 @@ def answers(card: VirtualCard) -> dict[str, tuple[type, Callable[[Any], Any]]]:
         "IsTaskDone": (pb.IsTaskDoneRequest, is_task_done),
         "CreateAOVoltageChan": (pb.CreateAOVoltageChanRequest, add_output),
         "CreateCOPulseChanFreq": (pb.CreateCOPulseChanFreqRequest, add_counter),
+        "CreateAIVoltageChan": (pb.CreateAIVoltageChanRequest, add_input),
+        "CreateDOChan": (pb.CreateDOChanRequest, add_line),
         "CfgSampClkTiming": (pb.CfgSampClkTimingRequest, sample_clock),
         "CfgImplicitTiming": (pb.CfgImplicitTimingRequest, implicit_timing),
         "CfgDigEdgeStartTrig": (pb.CfgDigEdgeStartTrigRequest, start_trigger),
@@ -159,6 +176,8 @@ def answers(card: VirtualCard) -> dict[str, tuple[type, Callable[[Any], Any]]]:
         "SetWriteAttributeInt32": (pb.SetWriteAttributeInt32Request, done(pb.SetWriteAttributeInt32Response)),
         "WriteAnalogScalarF64": (pb.WriteAnalogScalarF64Request, write_scalar),
         "WriteAnalogF64": (pb.WriteAnalogF64Request, write_many),
+        "ReadAnalogScalarF64": (pb.ReadAnalogScalarF64Request, read_scalar),
+        "WriteDigitalLines": (pb.WriteDigitalLinesRequest, write_line),
         "GetWriteAttributeUInt32": (pb.GetWriteAttributeUInt32Request, channels),
         "GetWriteAttributeUInt64": (pb.GetWriteAttributeUInt64Request, generated),
         "GetSystemInfoAttributeUInt32": (pb.GetSystemInfoAttributeUInt32Request, system_number),

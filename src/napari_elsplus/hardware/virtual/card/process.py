@@ -46,22 +46,31 @@ class RemoteCard:
     @property
     def last_volts(self) -> float:
         """Voltage on the output now."""
-        return float(self._ask("last_volts"))
+        return float(self._request("last_volts"))
+
+    @property
+    def laser_on(self) -> bool:
+        """Level of the digital line to the laser."""
+        return bool(self._request("laser_on"))
 
     def strobe(self, train: StrobeTrain | None) -> None:
         """Wire a train of edges to the strobe's terminal."""
-        self._ask("strobe", train)
+        self._request("strobe", train)
 
     def programs(self) -> list[Program]:
         """Return the last programs of the output; transferred only if they changed."""
-        version, programs = self._ask("programs", self._version)
+        version, programs = self._request("programs", self._version)
         if programs is not None:
             self._version, self._programs = version, programs
         return self._programs
 
     def break_with(self, code: int) -> None:
         """Inject a fault; see :meth:`napari_elsplus.hardware.virtual.card.card.VirtualCard.break_with`."""
-        self._ask("break_with", code)
+        self._request("break_with", code)
+
+    def inject(self, refuse_s: float = 0.0, **changes: Any) -> None:
+        """Change the faults; see :meth:`napari_elsplus.hardware.virtual.card.card.VirtualCard.inject`."""
+        self._request("inject", {"refuse_s": refuse_s, **changes})
 
     def close(self) -> None:
         """Release the card, which ends when it has no holder."""
@@ -73,7 +82,7 @@ class RemoteCard:
     def __exit__(self, *reason: object) -> None:
         self.close()
 
-    def _ask(self, what: str, argument: object = None) -> Any:
+    def _request(self, what: str, argument: object = None) -> Any:
         with self._lock:
             try:
                 self._wire.send((what, argument))
@@ -155,6 +164,10 @@ def _reply(card: VirtualCard, what: str, argument: Any) -> Any:
         return card.version, None if card.version == argument else card.programs()
     if what == "last_volts":
         return card.last_volts
+    if what == "laser_on":
+        return card.laser_on
+    if what == "inject":
+        return card.inject(**argument)
     if what == "strobe":
         return card.strobe(argument)
     return card.break_with(argument)
