@@ -42,6 +42,10 @@ def test_the_calibration_and_the_mode_go_along(make_napari_viewer_proxy, tmp_pat
         assert back.metadata["settings"] == {"layer": "scan LS", "mode": "ls", "recording": "scan.tif"}
     viewer.open(str(tmp_path / "ls.tif"), plugin=PLUGIN)
     assert viewer.layers[-1].name == "ls LS"
+    viewer.layers["scan LS"].save(str(tmp_path / "ls.zarr"), plugin=PLUGIN)
+    with open_recording(tmp_path / "ls.zarr") as back:
+        assert back.calibration.offset.rows == -4.0
+        assert "calibration" not in back.metadata["settings"]
 
 
 @pytest.mark.parametrize("ending", [".ome.tif", ".ome.zarr"])

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import io
+import json
+import os
+import pickle
 
 import numpy as np
 import pytest
 import tifffile
+import zarr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -43,6 +47,30 @@ KINDS = {
     "imagej.tif": lambda folder: written(folder, imagej=True),
     "stack.npy": numpy_file,
 }
+
+
+class Payload:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, folder):
+        self.folder = str(folder)
+
+    def __reduce__(self):
+        return os.mkdir, (self.folder,)
+
+
+@pytest.mark.parametrize("codec", [{"compressor": {"id": "pickle"}}, {"filters": [{"id": "pickle"}]}, {"dtype": "|O"}])
+def test_chunks_of_a_zarr_are_never_unpickled(tmp_path, codec):
+    path = tmp_path / "a.zarr"
+    zarr.create_array(path, shape=(1, 24, 32), chunks=(1, 24, 32), dtype="u1", zarr_format=2, compressors=None)
+    header = json.loads((path / ".zarray").read_text()) | codec
+    if "dtype" in codec:
+        header["filters"] = [{"id": "pickle"}]
+    (path / ".zarray").write_text(json.dumps(header))
+    (path / "0.0.0").write_bytes(pickle.dumps(Payload(tmp_path / "executed")))
+    with pytest.raises(ElsPlusError), open_recording(path) as recording:
+        recording[0]
+    assert not (tmp_path / "executed").exists()
 
 
 @pytest.fixture(scope="module")

@@ -118,7 +118,7 @@ def test_a_calibration_shows_the_outlines_of_both_views(tmp_path):
 def test_a_calibration_without_a_bundle_says_what_it_holds(tmp_path):
     path = write_calibration(tmp_path / "c.json", calibration().model_copy(update={"bundle": None}))
     assert calibration_layers(path).layers == []
-    assert summary(type(calibration())()) == "it holds no measured section"
+    assert summary(type(calibration())()) == "no measured section"
 
 
 def test_a_broken_calibration_is_refused(tmp_path):
