@@ -31,6 +31,7 @@ _FIRST_THINNING: Final = 1000
 _MIN_QUANTUM: Final = 1 / 16
 """Smallest step of the stored integers, grey levels; chosen: far below the noise of an 8-bit camera."""
 _INT16_MAX: Final = 32767
+"""Largest int16, to which the brightest pixel is scaled at most (derived)."""
 
 
 class Keyframe(NamedTuple):
