@@ -1,4 +1,4 @@
-"""napari's sample data: a recording, a calibration set and an axial scan, simulated as they are shown."""
+"""napari's sample data: a recording, a calibration set and an axial scan, rendered when their frames are displayed."""
 
 from __future__ import annotations
 
@@ -25,15 +25,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 FRAMES: Final = 480
-"""Of the sample recording: two seconds."""
+"""Frames of the sample recording: two seconds at 240 Hz."""
 SEED: Final = 1
+"""Seed of specimen, motion and noise; chosen."""
 
 
 def recording() -> list[tuple[Any, ...]]:
-    """Simulate a probe moved by hand over stained fibres for two seconds: LS, residual, ELS+ side by side, and raw."""
+    """Return layers of a probe moved by hand over stained fibres for two seconds: raw, LS, residual, ELS+, ELSA."""
     instrument = Instrument.of("240hz")
     renderer = Renderer(instrument, scene("fibres", SEED), trajectory("hand", seed=SEED), seed=SEED)
-    stack = Stack("fibres", _planes(instrument, FRAMES, renderer.render), _known(instrument))
+    stack = Stack("fibres", _planes(instrument, FRAMES, renderer.render), _metadata(instrument))
     calibration = true_calibration(instrument, scenes.background(instrument, seed=SEED))
     raw = raw_layer(stack, calibration)
     raw[1]["visible"] = False
@@ -42,7 +43,7 @@ def recording() -> list[tuple[Any, ...]]:
 
 
 def calibration_set() -> list[tuple[Any, ...]]:
-    """Simulate what a calibration is measured from: standing line, sweep with its voltages, distal light, dark tube."""
+    """Return layers of calibration recordings: standing line, sweep with its voltages, transmission, background."""
     instrument = Instrument.of("240hz")
     line = scenes.line_renderer(instrument, seed=SEED)
     lit = Renderer(instrument, distal_light(), seed=SEED + 1)
@@ -56,7 +57,7 @@ def calibration_set() -> list[tuple[Any, ...]]:
     ]
     layers = []
     for name, count, render, volts in parts:
-        layer = raw_layer(Stack(name, _planes(instrument, count, render), _known(instrument)))
+        layer = raw_layer(Stack(name, _planes(instrument, count, render), _metadata(instrument)))
         layer[1]["name"] = f"calibration {name}"
         layer[1]["visible"] = name == "distal light"
         if volts is not None:
@@ -66,7 +67,7 @@ def calibration_set() -> list[tuple[Any, ...]]:
 
 
 def axial_scan() -> list[tuple[Any, ...]]:
-    """Simulate a stained plate that moves away from the probe, as sectioning is measured: raw, LS, residual, ELS+."""
+    """Return layers of an axial scan of a stained plate: raw, LS, residual, ELS+."""
     stack, calibration = simulated_scan(seed=SEED)
     stack = replace(stack, name="plate")
     raw = raw_layer(stack, calibration)
@@ -75,7 +76,7 @@ def axial_scan() -> list[tuple[Any, ...]]:
 
 
 def _planes(instrument: Instrument, count: int, render: Callable[[int], NDArray[Any]]) -> LazyPlanes:
-    """Render frames as they are looked at, one thread at a time: a renderer keeps the scene around the probe."""
+    """Return lazily rendered frames, one thread at a time: the renderer caches the scene around the probe."""
     lock = Lock()
 
     def plane(index: int) -> NDArray[Any]:
@@ -85,5 +86,5 @@ def _planes(instrument: Instrument, count: int, render: Callable[[int], NDArray[
     return LazyPlanes(plane, (count, *instrument.frame_shape), np.dtype(np.uint8))
 
 
-def _known(instrument: Instrument) -> dict[str, Any]:
+def _metadata(instrument: Instrument) -> dict[str, Any]:
     return {"um_per_px": instrument.optics.um_per_px, "frame_period_s": instrument.optics.frame_period_s}

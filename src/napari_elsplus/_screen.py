@@ -1,7 +1,7 @@
-"""Whether a window can be opened here: ``python -m napari_elsplus._screen``.
+"""Test for a screen with OpenGL: ``python -m napari_elsplus._screen``.
 
-A program of its own, because Qt ends the process that it cannot serve. Exits 0 and prints what draws; else exits with
-another code and says why on standard error.
+A separate program, because Qt ends a process that has no usable screen. Exits 0 and prints platform and renderer; else
+exits with another code and prints the reason to standard error.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ INVISIBLE_PLATFORMS = ("offscreen", "minimal", "minimalegl")
 
 
 def main() -> int:
-    """Ask Qt for a screen and for OpenGL on it."""
-    asked_for = os.environ.get("QT_QPA_PLATFORM", "")
-    names_a_display = asked_for or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if sys.platform.startswith("linux") and not names_a_display:
-        return _no("neither DISPLAY nor WAYLAND_DISPLAY is set")
+    """Open a screen and an OpenGL context with Qt, and print the renderer."""
+    platform_name = os.environ.get("QT_QPA_PLATFORM", "")
+    display = platform_name or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform.startswith("linux") and not display:
+        return _fail("neither DISPLAY nor WAYLAND_DISPLAY is set")
     try:
         from qtpy.QtGui import QGuiApplication, QOffscreenSurface, QOpenGLContext
     except ImportError as error:
-        return _no(str(error).strip().splitlines()[0])
+        return _fail(str(error).strip().splitlines()[0])
     application = QGuiApplication([])
     platform = application.platformName()
     if platform in INVISIBLE_PLATFORMS:
-        return _no(f"Qt draws on {platform!r}, which nobody sees")
+        return _fail(f"the Qt platform {platform!r} is invisible")
     surface, context = QOffscreenSurface(), QOpenGLContext()
     surface.create()
     if not (context.create() and context.makeCurrent(surface)):
-        return _no(f"the screen ({platform}) offers no OpenGL")
+        return _fail(f"the screen ({platform}) offers no OpenGL")
     from OpenGL import GL
 
     renderer, version = (GL.glGetString(name) for name in (GL.GL_RENDERER, GL.GL_VERSION))
@@ -38,8 +38,8 @@ def main() -> int:
     return 0
 
 
-def _no(why: str) -> int:
-    sys.stderr.write(f"{why}\n")
+def _fail(reason: str) -> int:
+    sys.stderr.write(f"{reason}\n")
     return 1
 
 

@@ -1,11 +1,12 @@
 """napari with the plugin in it: ``python -m napari_elsplus._window``.
 
-Docks what the manifest declares as widgets, and opens the simulated recording.
+Docks the widgets that the manifest declares, and opens the simulated recording.
 """
 
 from __future__ import annotations
 
 import signal
+from typing import Final
 
 import napari
 from napari.settings import get_settings
@@ -14,19 +15,21 @@ from qtpy.QtCore import Qt, QTimer
 from qtpy.QtGui import QGuiApplication
 from qtpy.QtWidgets import QTabBar
 
-PLUGIN = "napari-elsplus"
-SAMPLE = "recording"
-SHARE_OF_SCREEN = 0.85
-TABS_MARGIN_PX = 12
+PLUGIN: Final = "napari-elsplus"
+SAMPLE: Final = "recording"
+SHARE_OF_SCREEN: Final = 0.85
+"""Size of the first window relative to the screen; chosen."""
+TABS_MARGIN_PX: Final = 12
+"""Added to the width of the dock's tabs, pixels; chosen."""
 
 
 def fill(viewer: napari.Viewer) -> None:
-    """Put what the plugin offers into a viewer: its panels, the first of them in front, and a sample to look at."""
-    offers = PluginManager.instance().get_manifest(PLUGIN).contributions
+    """Add the plugin's panels to a viewer, the first one in front, and open a sample."""
+    contributions = PluginManager.instance().get_manifest(PLUGIN).contributions
     docks = []
-    for widget in offers.widgets or ():
+    for widget in contributions.widgets or ():
         dock, _ = viewer.window.add_plugin_dock_widget(PLUGIN, widget.display_name, tabify=True)
-        dock.setWindowTitle(widget.display_name)  # the plugin's name beside each would leave the tabs no room
+        dock.setWindowTitle(widget.display_name)  # without the plugin's name, so that the tabs fit
         docks.append(dock)
     window = docks[0].parent()
     bars = window.findChildren(QTabBar)
@@ -35,21 +38,21 @@ def fill(viewer: napari.Viewer) -> None:
     viewer.open_sample(PLUGIN, SAMPLE)
     viewer.canvas.overlays.scale_bar.visible = True
 
-    def look() -> None:
+    def arrange() -> None:
         docks[0].raise_()
         tabs_px = max((bar.tabRect(bar.count() - 1).right() for bar in bars), default=0)
         window.resizeDocks([docks[0]], [tabs_px + TABS_MARGIN_PX], Qt.Orientation.Horizontal)
-        QTimer.singleShot(0, viewer.reset_view)  # when the canvas has the room that is left
+        QTimer.singleShot(0, viewer.reset_view)  # after the canvas was resized
 
-    QTimer.singleShot(0, look)  # not before the window has laid them out
+    QTimer.singleShot(0, arrange)  # after the window's layout
 
 
 def main() -> None:
-    """Open the window and stay until it is closed; a termination closes it as a click would."""
+    """Open the window and run until it is closed; SIGTERM closes it."""
     viewer = napari.Viewer()
     screen = QGuiApplication.primaryScreen()
     if get_settings().application.window_size is None and screen is not None:
-        size = screen.availableSize() * SHARE_OF_SCREEN  # napari's first size leaves a panel and images no room
+        size = screen.availableSize() * SHARE_OF_SCREEN  # napari's default is too small for a panel beside images
         viewer.window.resize(size.width(), size.height())
     fill(viewer)
     signal.signal(signal.SIGTERM, lambda *_: viewer.close())

@@ -57,7 +57,7 @@ class Scan:
     response : AxialResponse
         Curves and drop-offs.
     offset_um, slit_um : float or None
-        Slit offset (as a distance) and slit width at the bundle, where the calibration knows them.
+        Slit offset (as a distance) and slit width at the bundle, None where the calibration lacks them.
     """
 
     name: str
@@ -286,9 +286,9 @@ def axial_script(stack: Stack, calibration: Path | str | None) -> str:
     Raises
     ------
     InputError
-        If the frames lie in no file.
+        If the stack has no file.
     CalibrationError
-        If the calibration lies in no file of its own.
+        If the calibration has no file of its own.
     """
     body = """
 response = elsplus.measure_axial_response(recording, calibration)

@@ -277,9 +277,9 @@ def comparison_script(stack: Stack, calibration: Path | str | None, cores: str, 
     Raises
     ------
     InputError
-        If the frames lie in no file.
+        If the stack has no file.
     CalibrationError
-        If the calibration lies in no file of its own.
+        If the calibration has no file of its own.
     """
     body = f"""
 comparison = compare_stack(Stack.of(recording), calibration, cores={cores!r})

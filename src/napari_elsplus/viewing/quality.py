@@ -238,9 +238,9 @@ def quality_script(
     Raises
     ------
     InputError
-        If the frames lie in no file.
+        If the stack has no file.
     CalibrationError
-        If the calibration lies in no file of its own.
+        If the calibration has no file of its own.
     """
     boxes = [tuple(round(float(edge), 2) for edge in box) for box in boxes_px]
     body = f"""

@@ -94,9 +94,9 @@ def mosaic_script(stack: Stack, calibration_file: Path | None, plan: MosaicPlan)
     Raises
     ------
     InputError
-        If the frames lie in no file.
+        If the stack has no file.
     CalibrationError
-        If the calibration lies in no file of its own.
+        If the calibration has no file of its own.
     """
     modes = ", ".join(f"Mode.{mode.name}" for mode in plan.modes)
     body = f"""

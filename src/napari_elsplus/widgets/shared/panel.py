@@ -83,7 +83,7 @@ def set_enabled(button: PushButton, enabled: bool, does: str, first: str) -> Non
     button : magicgui.widgets.PushButton
         The button.
     enabled : bool
-        Whether it can be pressed.
+        True if it can be pressed.
     does : str
         What it does.
     first : str

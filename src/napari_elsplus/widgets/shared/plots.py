@@ -71,9 +71,9 @@ class Curve:
     dash : str
         A key of `DASHES`; distinguishes curves without colour.
     marks : bool
-        Whether each point is marked.
+        Mark each point.
     listed : bool
-        Whether the legend lists it.
+        List it in the legend.
     """
 
     name: str
