@@ -90,7 +90,7 @@ def test_what_the_manifest_names_exists() -> None:
 def test_qt_is_asked_for_only_in_extras() -> None:
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert not [need for need in project["dependencies"] if re.match(r"pyqt[56]|pyside", need, re.IGNORECASE)]
-    assert set(project["optional-dependencies"]) == {"pyqt", "pyside", "genicam"}
+    assert set(project["optional-dependencies"]) == {"pyqt", "pyside", "genicam", "video", "zarr"}
 
 
 def test_every_constraint_lies_within_its_bound() -> None:
@@ -100,7 +100,8 @@ def test_every_constraint_lies_within_its_bound() -> None:
     pyproject = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))
     lines = (PROJECT / "constraints.txt").read_text(encoding="utf-8").split()
     pinned = {canonicalize_name(name): version for name, _, version in (line.partition("==") for line in lines)}
-    stated = [*pyproject["project"]["dependencies"], *pyproject["project"]["optional-dependencies"]["pyqt"]]
+    extras = pyproject["project"]["optional-dependencies"]
+    stated = [*pyproject["project"]["dependencies"], *extras["pyqt"], *extras["video"], *extras["zarr"]]
     stated += [*pyproject["dependency-groups"]["lint"], *pyproject["dependency-groups"]["test"]]
     needs = [Requirement(line) for line in stated]
     outside = [need for need in needs if not need.specifier.contains(pinned.get(canonicalize_name(need.name), "0"))]
@@ -140,3 +141,23 @@ def test_the_citation_names_this_version_and_the_paper() -> None:
 def test_the_changelog_has_a_place_for_what_comes_next() -> None:
     headings = re.findall(r"^## \[(.+?)\]", (PROJECT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert headings[0] == "Unreleased"
+
+
+def test_the_conda_recipe_asks_for_what_the_package_needs() -> None:
+    """Names differ in few places; bounds do not."""
+    from packaging.requirements import Requirement
+
+    renamed = {
+        "dask": "dask-core",
+        "matplotlib": "matplotlib-base",
+        "napari": "napari-base",
+        "nidaqmx": "nidaqmx-python",
+        "opencv-contrib-python-headless": "py-opencv",
+    }
+    needs = map(Requirement, tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"])
+    recipe = (PROJECT / "conda.recipe" / "meta.yaml").read_text(encoding="utf-8")
+    assert f'version = "{napari_elsplus.__version__}"' in recipe
+    run = recipe.partition("  run:\n")[2].partition("  run_constrained:")[0]
+    asked = dict(re.findall(r"- ([\w-]+) >=([\d.]+)", run))
+    bounds = {renamed.get(need.name, need.name): next(iter(need.specifier)).version for need in needs}
+    assert {name for name, bound in bounds.items() if not bound.startswith(asked.get(name, "absent"))} == set()

@@ -117,7 +117,7 @@ def test_pip_is_upgraded_before_dependency_groups_and_the_stamp_comes_last(run: 
     making, upgrading, installing = recorder.said()
     assert "-m venv --clear" in making
     assert "--upgrade pip" in upgrading
-    assert "--constraint constraints.txt --editable .[pyqt] --group lint --group test" in installing
+    assert "--constraint constraints.txt --editable .[pyqt,video,zarr] --group lint --group test" in installing
     assert stamped == [False, False, False]
     assert run.STAMP.exists()
 

@@ -1,4 +1,4 @@
-"""AVI recordings of a grey camera, decoded by the ffmpeg that imageio brings."""
+"""AVI recordings of a grey camera, decoded by the ffmpeg of imageio-ffmpeg, the extra `video`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource, decoding
 
@@ -26,7 +27,8 @@ class Video(FrameSource):
     """Frames of a video, decoded in sequence; a jump backwards or far forwards starts the decoder again."""
 
     def __init__(self, path: Path) -> None:
-        import imageio_ffmpeg
+        with extra_needed("video", "AVI files"):
+            import imageio_ffmpeg
 
         rows, cols = _first_frame_shape(path)
         count, duration_s = imageio_ffmpeg.count_frames_and_secs(str(path))
@@ -108,7 +110,8 @@ def open_video(path: Path) -> FrameSource:
 
 
 def _command(*options: str) -> list[str]:
-    import imageio_ffmpeg
+    with extra_needed("video", "AVI files"):
+        import imageio_ffmpeg
 
     return [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-v", "error", *options]
 

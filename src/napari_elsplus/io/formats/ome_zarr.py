@@ -11,6 +11,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
+from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.io.formats.ome_tiff import contiguous_images
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.io.formats.registry import FileFormat
@@ -34,7 +35,8 @@ class OmeZarr(FrameSource):
     """Frames of an OME-Zarr image (metadata of zarr format 2 or 3), or of a plain zarr array; full resolution."""
 
     def __init__(self, path: Path) -> None:
-        import zarr
+        with extra_needed("zarr", "OME-Zarr images"):
+            import zarr
 
         node = zarr.open(path, mode="r")
         metadata: dict[str, Any] = {}
@@ -136,7 +138,8 @@ def write_ome_zarr(
     ----------
     https://ngff.openmicroscopy.org/0.5/
     """
-    import zarr
+    with extra_needed("zarr", "OME-Zarr images"):
+        import zarr
 
     target = Path(path)
     if target.suffix != ".zarr":
