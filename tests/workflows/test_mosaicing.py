@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import tifffile
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import read_track
+from napari_elsplus.workflows.mosaicing import MosaicResult, mosaic, track
+from recordings import Truth, fibres, record, smooth_path
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    return record(fibres(1000, 200, 1), smooth_path(12, 25.0, 1000, 1))
+
+
+@pytest.fixture(scope="module")
+def result(truth: Truth) -> MosaicResult:
+    return mosaic(truth.frames, truth.calibration, "els", times_s=0.5 * np.arange(12))
+
+
+def test_the_track_is_that_of_the_mosaic(truth: Truth, result: MosaicResult) -> None:
+    alone = track(truth.frames, truth.calibration, "els", times_s=0.5 * np.arange(12))
+    assert repr(alone) == repr(result.track)  # NaN equals itself in words only
+    assert [row.time_s for row in alone] == [0.5 * k for k in range(12)]
+    found = np.array([(row.row_px, row.col_px) for row in alone])
+    assert np.abs(found - (truth.positions - truth.positions[0])).max() < 0.5
+
+
+def test_each_step_reports_its_progress(truth: Truth) -> None:
+    steps: dict[str, int] = {}
+
+    def progress(numbers: Iterable[int], step: str, /) -> Iterable[int]:
+        steps[step] = len(list(numbers))
+        return numbers
+
+    mosaic(truth.frames, truth.calibration, "els", progress=progress)
+    assert steps == {"Tracking": 12, "Mosaic": 12}
+
+
+def test_a_result_is_saved_whole_or_not_at_all(result: MosaicResult, tmp_path: Path) -> None:
+    (tmp_path / "track.csv").write_text("mine")
+    with pytest.raises(InputError, match=r"track\.csv exists"):
+        result.save(tmp_path / "mosaic.ome.tif", tmp_path / "track.csv")
+    assert [path.name for path in tmp_path.iterdir()] == ["track.csv"]
+    result.save(tmp_path / "mosaic.ome.tif", tmp_path / "track.csv", force=True)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "mosaic.ome.tif"), result.image)
+    assert [row.state for row in read_track(tmp_path / "track.csv")] == ["tracked"] * 12
+
+
+def test_two_frames_that_do_not_overlap_are_noted(truth: Truth) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (2, *truth.frames.shape[1:])).astype(np.uint8)
+    found = mosaic(noise, truth.calibration, "els")
+    assert found.segments <= 1
+    assert len(found.notes) == (sum(row.state == "tracked" for row in found.track) < 2)

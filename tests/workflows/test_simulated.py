@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import open_recording
+from napari_elsplus.simulation import calibration_scenes
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.workflows.simulated import simulate_axial_scan, simulate_calibration, simulate_recording
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_frames_come_in_any_order_and_are_those_that_are_saved(tmp_path: Path) -> None:
+    simulated = simulate_recording(frames=3, seed=2)
+    last = simulated[-1].copy()
+    simulated.save(tmp_path / "r.ome.tif")
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        np.testing.assert_array_equal(recording[2], last)
+        assert len(recording) == len(simulated) == 3
+        assert recording.calibration is not None
+        assert recording.calibration.bundle == simulated.calibration.bundle
+    with pytest.raises(IndexError):
+        simulated[3]
+    with pytest.raises(InputError, match="exists"):
+        simulated.save(tmp_path / "r.ome.tif")
+
+
+def test_a_scan_has_a_frame_for_each_depth() -> None:
+    scan = simulate_axial_scan(depth_um=[0, 50, 400])
+    assert scan.depth_um is not None
+    assert scan.depth_um.tolist() == [0, 50, 400]
+    assert [int(frame.mean()) for frame in scan] == sorted((int(frame.mean()) for frame in scan), reverse=True)
+
+
+def test_calibration_frames_are_those_of_the_scenes() -> None:
+    simulated = simulate_calibration(seed=4)
+    instrument = Instrument.of("240hz", offset_um=-29.0)
+    sweep = calibration_scenes.standing_line(instrument, simulated.volts, seed=5)
+    np.testing.assert_array_equal(simulated.sweep[0], next(sweep))
+    np.testing.assert_array_equal(simulated.bundle[0], next(calibration_scenes.transmission(instrument, seed=6)))
+    np.testing.assert_array_equal(simulated.background[0], next(calibration_scenes.dark_tube(instrument, seed=7)))
+    assert (len(simulated.line), len(simulated.sweep)) == (5, len(simulated.volts))
