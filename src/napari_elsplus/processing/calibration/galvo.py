@@ -178,7 +178,7 @@ def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: flo
     travel = abs(slope) * float(np.ptp(v[used]))
     if used.mean() < 0.6 or travel < max(5.0, 20 * scatter):
         raise MeasurementError(
-            f"the line moves {travel:.1f} rows over the sweep, {100 * (1 - used.mean()):.0f} % of it not in step",
+            f"the line moves {travel:.1f} rows over the sweep, {100 * (1 - used.mean()):.0f} % of it out of step",
             "do the voltages belong to these frames, and does the galvo move?",
         )
     tilt_deg = float(np.median([line.tilt_deg for _, line in whole]))
