@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import json
+import pickle
 from typing import Any
 
+import numpy as np
 import pytest
 
 from napari_elsplus.errors import CalibrationError
@@ -102,3 +104,13 @@ def test_scale_and_frame_period_are_given_only_where_they_are_known() -> None:
     bare = Calibration()
     assert bare.um_per_px is None
     assert bare.frame_period_s is None
+
+
+def test_copies_are_equal_with_their_arrays() -> None:
+    background = np.arange(6, dtype=np.float32).reshape(2, 3)
+    one = Calibration(background=background, created="2026-01-31T12:00:00Z")
+    assert one == pickle.loads(pickle.dumps(one))
+    assert one != one.model_copy(update={"background": background + 1})
+    assert one != one.model_copy(update={"background": None})
+    assert one != one.model_copy(update={"flat": background})
+    assert one != "calibration"

@@ -184,6 +184,14 @@ class Calibration(Section):
     background: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
     flat: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
 
+    def __eq__(self, other: object) -> bool:
+        """Return True if all sections and both arrays are equal."""
+        if not isinstance(other, Calibration):
+            return NotImplemented
+        pairs = ((self.background, other.background), (self.flat, other.flat))
+        same = (one is two or (one is not None and two is not None and np.array_equal(one, two)) for one, two in pairs)
+        return self.content() == other.content() and all(same)
+
     @classmethod
     def parse(cls, content: object) -> Calibration:
         """Return a validated calibration from the content of its JSON file.
