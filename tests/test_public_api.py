@@ -29,6 +29,7 @@ def test_type_checkers_see_the_names_that_are_imported_when_used() -> None:
             module = str(node.module).removeprefix("napari_elsplus.")
             stated[alias.asname] = f"{module}:{alias.name}"
     assert stated == napari_elsplus._PLACES
+    assert set(napari_elsplus.__all__) == set(stated)
 
 
 def test_a_name_that_does_not_exist_is_an_attribute_error() -> None:

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan as RecordingPlan
     from napari_elsplus.hardware.rigs import open_rig as open_rig
     from napari_elsplus.instrument.calibration import Calibration as Calibration
-    from napari_elsplus.io.calibrations import read_calibration as load_calibration  # noqa: F401
-    from napari_elsplus.io.calibrations import write_calibration as save_calibration  # noqa: F401
+    from napari_elsplus.io.calibrations import read_calibration as load_calibration
+    from napari_elsplus.io.calibrations import write_calibration as save_calibration
     from napari_elsplus.io.recordings import open_recording as open_recording
     from napari_elsplus.workflows.axial import measure_axial_response as measure_axial_response
     from napari_elsplus.workflows.calibration import calibrate as calibrate
@@ -54,7 +54,24 @@ _PLACES = {
 }
 """Module below this one, and name in it, of each public name (PEP 562)."""
 
-__all__ = [*sorted(_PLACES)]
+__all__ = [
+    "Calibration",
+    "RecordingPlan",
+    "calibrate",
+    "compare",
+    "load_calibration",
+    "measure_axial_response",
+    "mosaic",
+    "open_engine",
+    "open_recording",
+    "open_rig",
+    "save_calibration",
+    "section",
+    "simulate_axial_scan",
+    "simulate_calibration",
+    "simulate_recording",
+    "track",
+]
 
 
 def __getattr__(name: str) -> Any:
