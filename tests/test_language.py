@@ -21,7 +21,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 PACKAGE = PROJECT / "src" / "napari_elsplus"
 RETIRED = [line for line in (PROJECT / "docs" / "retired-names.txt").read_text("utf-8").splitlines() if line[:1] != "#"]
 DOCUMENTED: tuple[str, ...] = (
-    "acquisition/calibrating",
+    "acquisition",
     "cli/files",
     "diagnosis",
     "errors.py",

@@ -12,6 +12,7 @@ from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.link.server import STATUS_PERIOD_S
 from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
 from napari_elsplus.acquisition.streaming.priority import keep_pace, settle_memory
+from napari_elsplus.acquisition.streaming.usage import Usage, usage
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.simulation.calibration_scenes import background
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.acquisition.streaming.ring import Ring
     from napari_elsplus.acquisition.streaming.tally import Latencies
-    from napari_elsplus.acquisition.streaming.usage import Usage
     from napari_elsplus.instrument.calibration import Calibration
 
 
@@ -90,7 +90,7 @@ class Here:
 
     def usage(self) -> Usage:
         """Return what this process has used."""
-        return self._engine.usage()
+        return usage()
 
     def outcome(self) -> tuple[Status, Latencies]:
         """Return what was counted."""

@@ -1,14 +1,18 @@
 from __future__ import annotations
 
 import errno
+import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
 import pytest
 
+from napari_elsplus.acquisition.calibrating.capture import take_sweep
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.engine.status import Settings
@@ -332,7 +336,7 @@ def test_a_ramp_that_is_impossible_leaves_the_scan_and_the_images_before(
 
 
 def test_starting_without_settings_is_refused(rig: Any) -> None:
-    with Engine(rig) as engine, pytest.raises(InputError, match="no settings"):
+    with Engine(rig) as engine, pytest.raises(InputError, match="unconfigured"):
         engine.start()
 
 
@@ -348,3 +352,197 @@ def test_a_camera_that_does_not_start_leaves_the_mirror_parked(
         engine.start()
     assert rig.scanner.calls[-1] == "park"
     assert not engine.status().live
+
+
+def steep(calibration: Calibration) -> Calibration:
+    """A calibration whose ramp is beyond the limits."""
+    assert calibration.galvo is not None
+    return calibration.model_copy(
+        update={"galvo": calibration.galvo.model_copy(update={"volts_per_row": 0.1, "volts_at_row_zero": -25.0})}
+    )
+
+
+def test_a_ramp_that_does_not_fit_is_refused_with_its_remedy(engine: Engine, calibration: Calibration) -> None:
+    engine.use(steep(calibration))
+    with pytest.raises(InputError, match="fly back"):
+        engine.start()
+    status = engine.status()
+    assert not status.live
+    assert not status.scanning
+    engine.use(calibration)
+    engine.start()
+    until(lambda: engine.status().processed > 3)
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_configuration_that_fails_half_way_leaves_the_one_before(
+    engine: Engine, rig: Any, calibration: Calibration, live: bool
+) -> None:
+    configure = rig.camera.configure
+
+    def half_way(region: Any, *, gain_db: float, **options: Any) -> None:
+        configure(region, gain_db=gain_db, **options)
+        if gain_db > 24:
+            raise InputError(f"a gain of {gain_db} dB", "24 dB is the highest")
+
+    rig.camera.configure = half_way
+    engine.use(calibration)
+    if live:
+        engine.start()
+    with pytest.raises(InputError, match="gain of 60"):
+        engine.configure(Settings("240hz", frame_rate_hz=50.0, gain_db=60.0))
+    assert rig.camera.rate_hz == engine.setup.settings.frame_rate_hz == 100.0
+    assert engine.status().live is live
+    if live:
+        until(lambda: engine.status().scanning and engine.status().processed > 3)
+
+
+def test_a_camera_that_cannot_be_restored_is_unconfigured_and_does_not_start(engine: Engine, rig: Any) -> None:
+    def broken(*_: Any, **__: Any) -> None:
+        raise DeviceError("the camera does not answer", "connect again")
+
+    configure, rig.camera.configure = rig.camera.configure, broken
+    engine.start()
+    with pytest.raises(DeviceError, match="does not answer"):
+        engine.configure(Settings("240hz", frame_rate_hz=50.0))
+    assert not engine.status().configured
+    assert not engine.status().live
+    with pytest.raises(InputError, match="unconfigured"):
+        engine.start()
+    rig.camera.configure = configure
+    engine.configure(Settings("240hz", frame_rate_hz=50.0))
+    engine.start()
+    until(lambda: engine.status().processed > 3)
+
+
+def test_a_preset_that_the_calibration_does_not_fit_is_refused_at_start(
+    engine: Engine, calibration: Calibration
+) -> None:
+    engine.use(Calibration.parse({**calibration.content(), "frame": {"shape": [524, 1328], "sensor_origin": [262, 0]}}))
+    engine.configure(Settings("120hz", frame_rate_hz=100.0))
+    with pytest.raises(CalibrationError, match="calibrate for the preset 120hz"):
+        engine.start()
+    engine.start(scan=False)  # as a calibration of this preset does
+    until(lambda: engine.status().processed > 3)
+    assert engine.status().faults == ()
+    engine.stop()
+    engine.configure(Settings("240hz", frame_rate_hz=100.0))
+    engine.start()
+    with pytest.raises(CalibrationError):
+        engine.configure(Settings("120hz", frame_rate_hz=100.0))
+    assert engine.setup.settings.preset == "240hz"
+    until(lambda: engine.status().scanning and engine.status().processed > 3)
+
+
+def test_nothing_that_changes_the_frames_is_done_while_they_are_recorded(
+    engine: Engine, calibration: Calibration, tmp_path: Path
+) -> None:
+    engine.start()
+    engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
+    with pytest.raises(InputError, match="is being recorded: end the recording first"):
+        engine.configure(Settings("240hz", frame_rate_hz=100.0, gain_db=6.0))
+    with pytest.raises(InputError, match="is being recorded: end the recording first"):
+        engine.use(calibration)
+    recorded = engine.status().recorded
+    until(lambda: engine.status().recorded > recorded + 3)
+    engine.stop_recording()
+    engine.use(calibration)
+
+
+def test_a_second_operation_is_refused_and_told_what_runs(engine: Engine) -> None:
+    engine.start()
+    entered, leave = Event(), Event()
+
+    def sweep() -> None:
+        with engine.operations.alone("the sweep", long=True):
+            entered.set()
+            leave.wait(20)
+
+    thread = Thread(target=sweep)
+    thread.start()
+    entered.wait(20)
+    try:
+        for operation in (engine.start, engine.stop, lambda: engine.configure(Settings()), lambda: engine.hold(0.1)):
+            with pytest.raises(InputError, match="the sweep is running"):
+                operation()
+        assert engine.status().live
+    finally:
+        leave.set()
+        thread.join()
+    engine.stop()
+
+
+def test_park_waits_for_nothing_and_what_ran_does_not_move_the_galvo_again(engine: Engine, rig: Any) -> None:
+    engine.start()
+    raised: list[Exception] = []
+
+    def sweep() -> None:
+        try:
+            take_sweep(engine, np.linspace(-0.3, 0.3, 10_000))
+        except InputError as error:
+            raised.append(error)
+
+    def procedure() -> None:
+        with engine.operations.alone("the sweep", long=True):
+            sweep()
+
+    thread = Thread(target=procedure)
+    thread.start()
+    until(lambda: rig.scanner.calls.count("hold") > 3)
+    engine.park()
+    thread.join(5)
+    assert not thread.is_alive()
+    assert "the galvo was parked, so the sweep has ended" in str(raised[0])
+    assert rig.scanner.calls[-1] == "park"
+
+
+def test_park_is_at_once_while_a_view_is_made(
+    engine: Engine, rig: Any, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine.use(calibration)
+    engine.start()
+    making, made = Event(), Event()
+
+    def slowly(*_: Any) -> None:
+        making.set()
+        made.wait(20)
+        raise CalibrationError("no view", "choose another")
+
+    monkeypatch.setattr(engine._imaging.display, "renew", slowly)
+
+    def show() -> None:
+        with suppress(CalibrationError):
+            engine.show(LiveView())
+
+    thread = Thread(target=show)
+    thread.start()
+    making.wait(20)
+    engine.park()
+    assert rig.scanner.calls[-1] == "park"
+    made.set()
+    thread.join()
+
+
+@pytest.mark.parametrize("part", ["tracker", "recorder", "sectioning"])
+def test_frames_go_on_whatever_fails_beside_them(
+    engine: Engine, calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    def fails(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError(f"in the {part}")
+
+    monkeypatch.setattr(sys, "excepthook", lambda *_: None)
+    engine.use(calibration)
+    if part == "tracker":
+        engine.track(type("Tracker", (), {"add": fails})())
+    if part == "recorder":
+        monkeypatch.setattr(RecordingWriter, "append", fails)
+    if part == "sectioning":
+        monkeypatch.setattr(engine._imaging.display.sink.images, "add", fails)  # type: ignore[union-attr]
+    engine.start()
+    engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
+    until(lambda: any(part in fault.problem for fault in engine.status().faults))
+    before = engine.status()
+    until(lambda: engine.status().processed > before.processed + 10)
+    assert engine.status().live
+    if part != "recorder":
+        until(lambda: engine.status().recorded > before.recorded + 10)

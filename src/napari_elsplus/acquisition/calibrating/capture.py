@@ -37,7 +37,7 @@ def streaming(engine: Engine) -> Iterator[None]:
     was_live = engine.status().live
     try:
         if not was_live:
-            engine.start()
+            engine.start(scan=False)
         yield
     finally:
         engine.park()
@@ -107,7 +107,7 @@ def find_span(engine: Engine, progress: ProgressWrapper = iter) -> tuple[float, 
     MeasurementError
         If no voltage puts a line onto the bundle.
     """
-    limits = engine.mirror.limits
+    limits = engine.galvo.limits
     volts = np.linspace(limits.min_v, limits.max_v, SEARCH_VOLTAGES)
     dark = take_parked(engine, SEARCH_FRAMES).mean(axis=0)
     heights = _heights(take_sweep(engine, volts, progress), dark)

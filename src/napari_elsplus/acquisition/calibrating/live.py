@@ -93,7 +93,7 @@ class LiveMeasurement:
         engine, setup, progress = self._engine, engine_setup(self._engine), self._progress(step.title)
         if step.capture in {Capture.SCANNING, Capture.LEADS}:
             draft.calibration.require("galvo", "bundle")
-            engine.use(draft.calibration)
+            engine.use(draft.calibration, scan=False)
         match step.capture:
             case Capture.HELD:
                 inputs = StepInputs(take_held(engine, self.middle_v(draft), step.frames), setup)

@@ -1,1 +1,1 @@
-"""The live engine: camera and galvo in step, every frame sectioned, shown, recorded."""
+"""The live engine: camera and galvo in step, every frame sectioned, displayed, recorded."""

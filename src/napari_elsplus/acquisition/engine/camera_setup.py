@@ -1,4 +1,4 @@
-"""How the rig's camera runs: what was chosen, what follows from it, and what a calibration keeps of it."""
+"""Settings of the rig's camera, what follows from them, and what a calibration keeps of them."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.optics import Preset
 
 SETTLING_FRAMES: Final = 2
-"""Frames that are invalid after the camera was given another region or exposure."""
+"""Invalid frames after a change of region or exposure; documented for another camera of the same maker."""
 
 
 class CameraSetup:
-    """The camera of a rig, and the settings that it was given.
+    """The camera of a rig and its settings.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class CameraSetup:
     Attributes
     ----------
     settings : Settings
-        How the rig runs; the defaults until it is configured.
+        Of the camera; the defaults until it is configured.
     settling : int
         Frames of the next stream that are invalid.
     """
@@ -44,10 +44,10 @@ class CameraSetup:
         self.settings = Settings()
         self.settling = 0
         self.configured = False
-        """Whether the camera was given settings."""
+        """True if the camera has the settings."""
 
     def configure(self, settings: Settings) -> None:
-        """Give the camera its region, exposure, rate and gain; it must not stream.
+        """Configure a camera that does not stream by settings; if that fails it is unconfigured.
 
         Raises
         ------
@@ -58,21 +58,22 @@ class CameraSetup:
         """
         chosen = preset(settings.preset)
         rate_hz = settings.frame_rate_hz or chosen.optics.frame_rate_hz
+        self.configured = False
         region = Region(*chosen.sensor_origin, *chosen.frame_shape)
         self.camera.configure(region, slit_rows=settings.slit_rows, frame_rate_hz=rate_hz, gain_db=settings.gain_db)
         self.settings, self.configured = settings, True
         self.settling = SETTLING_FRAMES
 
     def require(self) -> None:
-        """Refuse to go on without settings.
+        """Refuse to go on with an unconfigured camera.
 
         Raises
         ------
         InputError
-            If the camera was not configured.
+            If the camera is not configured.
         """
         if not self.configured:
-            raise InputError("the camera has no settings", "configure the engine first")
+            raise InputError("the camera is unconfigured: it has no settings, or they failed", "configure it first")
 
     @property
     def frame_shape(self) -> tuple[int, int]:
@@ -81,7 +82,7 @@ class CameraSetup:
 
     @property
     def frame(self) -> FrameSection:
-        """The recorded region, as a calibration keeps it."""
+        """The region of the sensor, as a calibration keeps it."""
         return FrameSection(shape=self._preset.frame_shape, sensor_origin=self._preset.sensor_origin)
 
     @property
@@ -96,18 +97,18 @@ class CameraSetup:
 
     @property
     def frame_rate_hz(self) -> float:
-        """Frames per second, as the camera keeps them."""
+        """Frames per second of the camera."""
         return 1 / (self.line_periods_per_frame * self.line_period_s)
 
     @property
     def bytes_per_s(self) -> float:
-        """Of raw frames."""
+        """Data rate of raw frames."""
         rows, cols = self.frame_shape
         return rows * cols * self.frame_rate_hz
 
     @property
     def acquired_with(self) -> AcquiredWith:
-        """The rig's settings, as a calibration keeps them."""
+        """The settings, as a calibration keeps them."""
         settings, chosen = self.settings, self._preset
         return AcquiredWith(
             rig=self._rig_name,
@@ -118,7 +119,7 @@ class CameraSetup:
         )
 
     def timing(self, strobe: StrobePhase) -> ScanTiming:
-        """Say when which row is exposed."""
+        """Return the times at which rows are exposed, with respect to the strobe."""
         return ScanTiming(self.line_period_s, self.line_periods_per_frame, self.settings.slit_rows, strobe)
 
     def described(self) -> dict[str, Any]:
@@ -131,7 +132,7 @@ class CameraSetup:
         }
 
     def stale(self, calibration: Calibration | None) -> dict[str, str]:
-        """Say which sections of a calibration do not hold with these settings, and why."""
+        """Return the sections of a calibration that are stale with these settings, with the reason."""
         if calibration is None or not self.configured:
             return {}
         return calibration.stale_sections(self.acquired_with, self.frame)

@@ -1,11 +1,11 @@
-"""What is shown live: how images are made of frames, and the ring that napari looks into."""
+"""The live display: images of the newest frames in a ring from which napari copies."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from napari_elsplus.acquisition.engine.live_images import LiveImages, LiveView
-from napari_elsplus.acquisition.engine.workers import Shown
+from napari_elsplus.acquisition.engine.workers import DisplaySink
 from napari_elsplus.acquisition.streaming.ring import Ring
 
 if TYPE_CHECKING:
@@ -16,34 +16,34 @@ if TYPE_CHECKING:
 
 
 def on_the_heap(layout: Layout) -> tuple[str, Ring]:
-    """Make a display ring that only this process sees."""
+    """Make a display ring of a layout in this process alone."""
     return "", Ring(bytearray(layout.nbytes), layout)
 
 
 class Display:
-    """Images of the newest frames in a ring; another ring only where the images have another layout.
+    """Images of the newest frames in a ring, which is replaced where the images have another layout.
 
     Parameters
     ----------
     make_ring : callable
-        Makes a ring, and says its name.
+        Makes a ring of a layout, and returns its name and the ring.
 
     Attributes
     ----------
-    shown : Shown or None
-        How images are made and the ring for them; None until the first :meth:`renew`.
+    sink : DisplaySink or None
+        Makes the images, with their ring; None until the first :meth:`renew`.
     where : tuple or None
-        Name and layout of the ring, for whoever looks into it.
+        Name and layout of the ring, for readers.
     """
 
     def __init__(self, make_ring: Callable[[Layout], tuple[str, Ring]]) -> None:
         self._make_ring = make_ring
         self._retired: list[Ring] = []
-        self.shown: Shown | None = None
+        self.sink: DisplaySink | None = None
         self.where: tuple[str, Layout] | None = None
 
-    def renew(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: LiveView) -> Shown:
-        """Build how images are made anew.
+    def renew(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: LiveView) -> DisplaySink:
+        """Make the images of a frame shape by a calibration and a view from now on.
 
         Raises
         ------
@@ -51,24 +51,24 @@ class Display:
             If the calibration does not fit the frames, or lacks what the view needs; nothing has changed then.
         """
         images = LiveImages(frame_shape, calibration, view)
-        if self.shown is not None and self.where is not None and self.where[1] == images.layout:
-            ring = self.shown.ring
+        if self.sink is not None and self.where is not None and self.where[1] == images.layout:
+            ring = self.sink.ring
         else:
-            if self.shown is not None:
-                self._retired.append(self.shown.ring)
+            if self.sink is not None:
+                self._retired.append(self.sink.ring)
             name, ring = self._make_ring(images.layout)
             self.where = (name, images.layout)
-        self.shown = Shown(images, ring)
-        return self.shown
+        self.sink = DisplaySink(images, ring)
+        return self.sink
 
-    def forget_retired(self) -> None:
-        """Let go of rings that nobody fills any more; only while no frames stream."""
+    def close_retired(self) -> None:
+        """Close replaced rings; only while no frames stream."""
         while self._retired:
             self._retired.pop().close()
 
     def close(self) -> None:
-        """Let go of every ring."""
-        self.forget_retired()
-        if self.shown is not None:
-            self.shown.ring.close()
-        self.shown = self.where = None
+        """Close every ring."""
+        self.close_retired()
+        if self.sink is not None:
+            self.sink.ring.close()
+        self.sink = self.where = None

@@ -1,64 +1,71 @@
-"""The live engine: camera and mirror in step, every frame sectioned, recorded if asked, nothing lost unsaid.
+"""The live engine: camera and galvo in step, every frame sectioned and recorded if required, every loss counted.
 
-The same engine runs inside a script and, for napari, in a process of its own
-(:mod:`napari_elsplus.acquisition.link.server`).
+It runs inside a script and, for napari, in a process of its own (:mod:`napari_elsplus.acquisition.link.server`).
 """
 
 from __future__ import annotations
 
-from threading import Event, RLock, Thread
+from contextlib import contextmanager
+from dataclasses import replace
+from math import nan
+from pathlib import Path
+from threading import RLock
 from typing import TYPE_CHECKING, Final, Self
 
-from napari_elsplus.acquisition.engine.camera_setup import CameraSetup
-from napari_elsplus.acquisition.engine.display import Display, on_the_heap
+from napari_elsplus.acquisition.engine.display import on_the_heap
 from napari_elsplus.acquisition.engine.galvo import GalvoController
-from napari_elsplus.acquisition.engine.live_images import LiveView
+from napari_elsplus.acquisition.engine.imaging import Imaging
+from napari_elsplus.acquisition.engine.operations import Operations
 from napari_elsplus.acquisition.engine.run import Run
 from napari_elsplus.acquisition.engine.status import Status
+from napari_elsplus.acquisition.engine.watcher import Watcher
 from napari_elsplus.acquisition.streaming.faults import FaultLog
 from napari_elsplus.acquisition.streaming.tally import Latencies
-from napari_elsplus.acquisition.streaming.usage import Usage, usage
-from napari_elsplus.errors import DeviceError, ElsPlusError, InputError
+from napari_elsplus.errors import DeviceError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     import numpy as np
     from numpy.typing import NDArray
 
+    from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.engine.status import Settings
-    from napari_elsplus.acquisition.engine.workers import FrameConsumer
+    from napari_elsplus.acquisition.engine.workers import DisplaySink, FrameConsumer
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.acquisition.streaming.ring import Layout, Ring
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
 
 BUFFER_S: Final = 2.0
-"""Seconds of raw frames that stay in memory."""
-_WATCH_PERIOD_S: Final = 0.05
+"""Seconds of raw frames that stay in memory; chosen: disks pause for less."""
 _FRAME_TIMEOUT_S: Final = 2.0
+"""Time in which a procedure's next frame has to come; chosen: hundreds of frame periods."""
 
 
 class Engine:
-    """Runs a rig. A context manager: leaving it ends recordings, parks the mirror and closes the rig.
+    """Runs a rig. A context manager: leaving it ends recordings, parks the galvo and closes the rig.
 
-    Every method may be called from any thread; one command is executed at a time.
+    Every method may be called from any thread. `configure`, `use`, `start`, `stop`, `hold`, `scan` and the procedures
+    of a calibration are executed one at a time, and succeed or leave what was before; `park` waits for none of them.
 
     Parameters
     ----------
     rig : Rig
         Open; owned by the engine from now on.
     make_ring : callable
-        Makes the ring in which images are shown, and says its name; on the heap by default.
+        Makes the display's ring of a layout, and returns its name and the ring; on the heap by default.
     buffer_s : float
         Seconds of raw frames that stay in memory, for slow disks and for recordings that begin in the past.
 
     Attributes
     ----------
     setup : CameraSetup
-        How the camera runs.
-    mirror : GalvoController
-        The mirror and its limits; told to move by the engine's methods alone.
+        Settings of the camera.
+    galvo : GalvoController
+        The galvo and its limits; moved by the engine's methods alone.
+    operations : Operations
+        The exclusive operation that runs.
     """
 
     def __init__(
@@ -69,78 +76,77 @@ class Engine:
         buffer_s: float = BUFFER_S,
     ) -> None:
         self._rig, self._buffer_s = rig, buffer_s
-        self.setup = CameraSetup(rig)
-        self.mirror = GalvoController(rig, self.setup)
-        self._display = Display(make_ring)
+        self._run: Run | None = None
+        self.operations = Operations()
+        self._imaging = Imaging(rig, make_ring, self._replace_sink)
+        self.setup = self._imaging.setup
+        self.galvo = GalvoController(rig, self.setup, self.operations)
         self._lock = RLock()
         self._faults = FaultLog()
-        self._calibration: Calibration | None = None
-        self._view = LiveView()
         self._tracker: FrameConsumer | None = None
-        self._run: Run | None = None
         self._live = False
-        self._closing = Event()
-        self._watcher = Thread(target=self._watch, name="engine-watch", daemon=True)
-        self._watcher.start()
-
-    # what is in force
+        self._closed = False
+        self._watcher = Watcher(self._check, self._fail)
 
     def configure(self, settings: Settings) -> None:
-        """Set up camera and timing; a running stream is stopped, and started again with a ramp that fits.
+        """Configure camera and timing by settings; a running stream is stopped and started again.
 
         Raises
         ------
         InputError
-            If the camera cannot do that.
+            If the camera cannot do that, the ramp does not fit, or a recording or another operation runs.
+        CalibrationError
+            If the stream runs, and the calibration does not fit the new frames.
         DeviceError
-            If the camera does not answer.
+            If the camera does not answer. Settings and stream of before are restored, as in all cases; if that fails,
+            the engine is unconfigured.
         """
-        with self._lock:
-            again = self._live
+        with self._changing("the camera's configuration"):
+            self.refuse_while_recording()
+            before = self.setup.settings if self.setup.configured else None
+            live = self._live
             self._end_run()
-            self.setup.configure(settings)
-            self._renew_images()
-            if again:
-                self.start()
+            try:
+                self._configure(settings, live)
+            except BaseException:
+                self._restore(before, live)
+                raise
 
-    def use(self, calibration: Calibration | None) -> None:
-        """Take a calibration into force: images are made, the mirror is driven and parked by it.
+    def use(self, calibration: Calibration | None, *, scan: bool = True) -> None:
+        """Activate a calibration: images are made, and the galvo is driven and parked by it.
+
+        Parameters
+        ----------
+        calibration : Calibration or None
+            None: raw frames only, the galvo parked where the rig parks.
+        scan : bool
+            Scan by it if frames stream.
 
         Raises
         ------
         CalibrationError
-            If it does not fit the frames; the one before stays in force.
+            If it does not fit the frames; the one before stays active, as in all cases.
         InputError
-            If the ramp or the place to park that it asks for is impossible; the one before stays in force.
+            If its ramp or parking position is impossible, or a recording or another operation runs.
         """
-        with self._lock:
-            before = self._calibration
+        with self._changing("the activation of a calibration"):
+            self.refuse_while_recording()
+            before = self.calibration
             try:
-                self._take(calibration)
-                if self._live:
-                    self.mirror.follow(calibration)
-            except ElsPlusError:
-                self._take(before)
+                self._activate(calibration)
+                if self._live and scan:
+                    self.galvo.follow(self.galvo.waveform(calibration))
+            except BaseException:
+                self._activate(before, restoring=True)
                 raise
 
     def show(self, view: LiveView) -> None:
-        """Choose how live images are made.
-
-        Raises
-        ------
-        CalibrationError
-            If the calibration lacks what the view needs; the view before stays.
-        """
+        """Choose how live images are made for a view; one that lacks its calibration raises a CalibrationError."""
         with self._lock:
-            before, self._view = self._view, view
-            try:
-                self._renew_images()
-            except BaseException:
-                self._view = before
-                raise
+            self._imaging.show(view)
 
     def track(self, tracker: FrameConsumer | None) -> None:
-        """Hand every frame to a tracker, too."""
+        """Pass every frame to a tracker, too."""
         with self._lock:
             self._tracker = tracker
             if self._run is not None:
@@ -149,30 +155,39 @@ class Engine:
     @property
     def calibration(self) -> Calibration | None:
         """The active calibration."""
-        return self._calibration
+        return self._imaging.calibration
 
-    # streaming
+    def start(self, *, scan: bool = True) -> None:
+        """Scan and stream.
 
-    def start(self) -> None:
-        """Scan and stream; with a calibration that knows galvo and bundle, else with the mirror at rest.
+        Parameters
+        ----------
+        scan : bool
+            Scan if the calibration has galvo and bundle; else the galvo stays parked.
 
         Raises
         ------
         DeviceError
-            If camera or mirror fail; the mirror is parked then.
+            If camera or card fail; the galvo is parked.
         InputError
-            If the camera was not configured, or the ramp does not fit.
+            If the camera is unconfigured, the ramp does not fit, or another operation runs.
+        CalibrationError
+            If the active calibration does not fit the frames.
         """
-        with self._lock:
+        with self._changing("the start"):
             if self._live:
                 return
             self.setup.require()
+            if scan:
+                self._imaging.require_fit()
+            waveform = self.galvo.waveform(self.calibration) if scan else None
             self._faults.clear()
             self.finish_recording()
-            assert self._display.shown is not None
-            self._run = run = Run(
+            sink = self._imaging.display.sink
+            assert sink is not None
+            run = Run(
                 self.setup.camera,
-                self._display.shown,
+                sink,
                 self._faults,
                 tracker=self._tracker,
                 frame_rate_hz=self.setup.frame_rate_hz,
@@ -180,50 +195,49 @@ class Engine:
                 settling=self.setup.settling,
             )
             try:
-                self.mirror.follow(self._calibration)
+                self.galvo.follow(waveform)
                 run.start()
             except BaseException:
                 self._park()
                 run.stop()
                 raise
-            self._live, self.setup.settling = True, 0
+            self._run, self._live, self.setup.settling = run, True, 0
 
     def stop(self) -> None:
-        """Park the mirror and end the stream; a recording is finished in the background."""
-        with self._lock:
+        """Park the galvo and end the stream; a recording is finished in the background."""
+        with self._changing("the stop"):
             self._end_run()
 
     def hold(self, volts: float) -> None:
-        """Let the line stand while frames stream; the rig parks it when that goes on too long."""
-        with self._lock:
-            self.mirror.hold(volts)
+        """Hold the line still at some volts while frames stream; the rig parks it after its time limit."""
+        with self._changing("the hold"):
+            self.galvo.hold(volts)
 
     def park(self) -> None:
-        """Take the line off the bundle; frames go on streaming."""
-        with self._lock:
-            self.mirror.park()
+        """Move the line off the bundle at once, whatever else goes on; frames go on streaming.
+
+        An operation that runs in another thread ends: it does not move the galvo again.
+        """
+        self.operations.interrupt("the galvo was parked")
+        self.galvo.park()
 
     def scan(self, by: Calibration | None = None) -> None:
-        """Scan as a calibration says; as the one in force if none is given.
+        """Scan by a calibration with galvo and bundle; by the active one if none is given.
 
         Raises
         ------
-        CalibrationError
-            If galvo or bundle was not measured.
-        InputError
-            If there is no calibration, or the ramp does not fit.
+        InputError, CalibrationError
+            If there is none, a section was not measured, or the ramp does not fit.
         """
-        with self._lock:
-            calibration = by or self._calibration
+        with self._changing("the scan"):
+            calibration = by or self.calibration
             if calibration is None:
                 raise InputError("there is no calibration to scan by", "calibrate, or load a calibration")
             calibration.require("galvo", "bundle")
-            self.mirror.follow(calibration)
-
-    # recording
+            self.galvo.follow(self.galvo.waveform(calibration))
 
     def record(self, plan: RecordingPlan) -> None:
-        """Record raw frames, the calibration in force beside them.
+        """Record raw frames by a plan, the active calibration beside them.
 
         Raises
         ------
@@ -233,86 +247,77 @@ class Engine:
         with self._lock:
             if self._run is None or not self._live:
                 raise InputError("nothing to record", "start the stream first")
-            self._run.record(plan, self._calibration, self.setup.described())
+            self._run.record(plan, self.calibration, self.setup.described())
+
+    def refuse_while_recording(self) -> None:
+        """Raise an InputError while frames are recorded: what would change them has to wait."""
+        recording = self._run.recording if self._run is not None and self._live else None
+        if recording is not None and recording.running:
+            raise InputError(f"{Path(recording.path).name} is being recorded", "end the recording first")
 
     def stop_recording(self) -> None:
-        """Finish the recording with the newest frame; returns when the file is in order."""
+        """Finish the recording with the newest frame; returns when the file is complete."""
         run = self._run
         if run is not None:
             run.stop_recording()
 
     def finish_recording(self) -> None:
-        """After :meth:`stop`: wait until the recording is in order."""
+        """Wait after :meth:`stop` until the recording is complete."""
         if self._run is not None and not self._live:
             self._run.finish_recording()
 
-    # looking
-
     @property
     def display(self) -> Ring | None:
-        """The ring in which images are shown."""
-        return self._display.shown.ring if self._display.shown is not None else None
+        """The ring of the newest images."""
+        sink = self._imaging.display.sink
+        return None if sink is None else sink.ring
 
     def fresh_frames(self, count: int, after_s: float = 0.0) -> NDArray[np.uint8]:
-        """Copy the next frames, (count, rows, cols), whose exposure begins after a moment of ``time.perf_counter``.
+        """Copy a count of frames, (count, rows, cols), whose exposure begins after a time of ``time.perf_counter``.
 
         Raises
         ------
-        DeviceError
-            If nothing streams, or the frames do not come.
+        DeviceError, InputError
+            If nothing streams, or the frames do not come; if the operation was interrupted.
         """
+        self.operations.check()
         run = self._run
         if run is None or not self._live:
             raise DeviceError("no frames stream", "start the stream first")
         return run.fresh_frames(count, after_s, _FRAME_TIMEOUT_S)
 
     def status(self) -> Status:
-        """Say how it goes."""
-        run = self._run
-        if run is None:
-            return Status(display=self._display.where, faults=self._faults.all())
-        tally = run.tally
-        return Status(
+        """Return counts, faults and what is in operation."""
+        status = Status() if self._run is None else self._run.status(live=self._live)
+        return replace(
+            status,
+            configured=self.setup.configured,
             live=self._live,
-            scanning=self.mirror.scanning,
-            acquired=tally.acquired,
-            processed=tally.processed,
-            recorded=tally.recorded,
-            dropped=dict(tally.dropped),
-            camera_hz=tally.recent_hz if self._live else 0.0,
-            mean_hz=tally.mean_hz,
-            latency_ms=tally.latency.summary(),
-            measures=run.processing.measures,
-            recording=run.recording,
-            disk_bytes_per_s=self.setup.bytes_per_s,
-            display=self._display.where,
+            scanning=self.galvo.scanning,
+            disk_bytes_per_s=nan if self._run is None else self.setup.bytes_per_s,
+            display=self._imaging.display.where,
             faults=self._faults.all(),
-            stale=self.setup.stale(self._calibration),
+            stale={} if self._run is None else self.setup.stale(self.calibration),
         )
 
     def latencies(self) -> Latencies:
-        """Return how many frames of this run had which latency."""
+        """Return the number of frames of this run by latency."""
         return Latencies() if self._run is None else self._run.tally.latency.counts()
 
-    def usage(self) -> Usage:
-        """Return what the engine's process has used."""
-        return usage()
-
-    # the end
-
     def close(self) -> None:
-        """Stop, finish the recording, park, and let the rig go."""
-        if self._closing.is_set():
+        """Stop, finish the recording, park, and close the rig; an operation that runs ends."""
+        if self._closed:
             return
-        self._closing.set()
-        self._watcher.join()
+        self._closed = True
+        self.operations.interrupt("the engine was closed")
+        self._watcher.stop()
         with self._lock:
             try:
                 self._end_run()
                 self.finish_recording()
             finally:
                 self._rig.close()
-                self._display.close()
+                self._imaging.display.close()
 
     def __enter__(self) -> Self:
         return self
@@ -320,19 +325,38 @@ class Engine:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # inside
+    @contextmanager
+    def _changing(self, name: str) -> Iterator[None]:
+        with self.operations.alone(name), self._lock:
+            yield
 
-    def _take(self, calibration: Calibration | None) -> None:
-        self._calibration = calibration
-        self._renew_images()
-        self.mirror.park_by(calibration)
+    def _configure(self, settings: Settings, live: bool) -> None:
+        self._imaging.configure(settings)
+        if live:
+            self.start()
 
-    def _renew_images(self) -> None:
-        if not self.setup.configured:
-            return
-        shown = self._display.renew(self.setup.frame_shape, self._calibration, self._view)
+    def _restore(self, settings: Settings | None, live: bool) -> None:
+        try:
+            if settings is None:
+                self.setup.configured = False
+            else:
+                self._configure(settings, live)
+        except Exception as error:  # noqa: BLE001 - what is being raised already is the cause
+            self._faults.add("camera", error)
+            self.setup.configured = False
+
+    def _activate(self, calibration: Calibration | None, *, restoring: bool = False) -> None:
+        self._imaging.activate(calibration, restoring=restoring)
+        try:
+            self.galvo.park_by(calibration)
+        except DeviceError as error:
+            if not restoring:
+                raise
+            self._faults.add("scanner", error)
+
+    def _replace_sink(self, sink: DisplaySink) -> None:
         if self._run is not None:
-            self._run.processing.shown = shown
+            self._run.processing.sink = sink
 
     def _end_run(self) -> None:
         """Park first, so that the light leaves the tissue; then end the stream."""
@@ -342,29 +366,27 @@ class Engine:
         self._park()
         assert self._run is not None
         self._run.stop()
-        self._display.forget_retired()
+        self._imaging.display.close_retired()
 
     def _park(self) -> None:
         try:
-            self.mirror.park()
+            self.galvo.park()
         except DeviceError as error:
             self._faults.add("scanner", error)
 
-    def _watch(self) -> None:
-        """Notice what fails while nobody asks; stop and park then, keep the data."""
-        while not self._closing.wait(_WATCH_PERIOD_S):
-            with self._lock:
-                if not self._live:
-                    continue
-                try:
-                    self.mirror.check()
-                except DeviceError as error:
-                    self._faults.add("scanner", error)
-                    self._end_run()
-                    continue
-                if self._run is not None and self._run.broken:
-                    if not self._faults.all():
-                        self._faults.add(
-                            "engine", DeviceError("a thread of the engine ended", "start the stream again")
-                        )
-                    self._end_run()
+    def _check(self) -> None:
+        """Raise what has failed in a stream that should run."""
+        with self._lock:
+            if not self._live:
+                return
+            self.galvo.check()
+            if self._run is not None and self._run.broken:
+                raise DeviceError("a thread of the engine ended", "start the stream again")
+
+    def _fail(self, error: Exception) -> None:
+        """Stop and park after a failure; the data are kept."""
+        with self._lock:
+            broken = self._run is not None and self._run.broken
+            if not (broken and self._faults.all()):  # else the cause is there already
+                self._faults.add("engine" if broken else "scanner", error)
+            self._end_run()

@@ -1,90 +1,116 @@
-"""The mirror in step with the camera, standing, or parked."""
+"""The galvo of a rig: in step with the camera, held still, or parked."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.scan.clearance import check_parking
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from napari_elsplus.acquisition.engine.camera_setup import CameraSetup
+    from napari_elsplus.acquisition.engine.operations import Operations
     from napari_elsplus.hardware.rig import Rig
+    from napari_elsplus.hardware.scan.waveform import Waveform
     from napari_elsplus.instrument.calibration import Calibration
 
 
 class GalvoController:
-    """The scanner of a rig, driven as a calibration says.
+    """The scanner of a rig, driven by a calibration.
 
     Parameters
     ----------
     rig : Rig
         Open.
     setup : CameraSetup
-        Knows when which row is exposed.
+        Gives the times at which rows are exposed.
+    operations : Operations
+        An operation that was interrupted moves the galvo no more.
 
     Attributes
     ----------
     scanning : bool
-        Whether it was last told to scan.
+        True if the last command was to scan.
     """
 
-    def __init__(self, rig: Rig, setup: CameraSetup) -> None:
+    def __init__(self, rig: Rig, setup: CameraSetup, operations: Operations) -> None:
         self._scanner, self._strobe, self._setup = rig.scanner, rig.strobe, setup
-        self._rigs_park_v = rig.scanner.park_v
+        self._operations = operations
+        self._rig_park_v = rig.scanner.park_v
         self.limits: GalvoLimits = rig.limits
         self.scanning = False
 
-    def follow(self, calibration: Calibration | None) -> None:
-        """Scan as far as the calibration knows how; without galvo and bundle a mirror that scans is parked.
+    def waveform(self, calibration: Calibration | None) -> Waveform | None:
+        """Return the scan by a calibration; None without its galvo and bundle sections.
 
         Raises
         ------
         InputError
             If the ramp does not fit the frame or the limits.
-        DeviceError
-            If the card fails.
         """
         if calibration is None or calibration.galvo is None or calibration.bundle is None:
-            if self.scanning:
-                self.park()
-            return
-        waveform = els_waveform(calibration, self._setup.timing(self._strobe), self.limits)
-        self.scanning = False
-        self._scanner.scan(waveform)
-        self.scanning = True
+            return None
+        return els_waveform(calibration, self._setup.timing(self._strobe), self.limits)
 
-    def park_by(self, calibration: Calibration | None) -> None:
-        """Park where a calibration says from now on; where it does not say, where the rig does.
+    def follow(self, waveform: Waveform | None) -> None:
+        """Scan by a waveform; without one, park a galvo that scans.
 
         Raises
         ------
         InputError
-            If that is outside the rig's limits, or on the bundle; the place before stays.
+            If the operation was interrupted; the galvo is parked.
+        DeviceError
+            If the card fails.
+        """
+        if waveform is not None:
+            self._move(lambda: self._scanner.scan(waveform))
+            self.scanning = True
+        elif self.scanning:
+            self.park()
+
+    def park_by(self, calibration: Calibration | None) -> None:
+        """Set the parking position of a calibration; where it has none, that of the rig.
+
+        Raises
+        ------
+        InputError
+            If it is outside the rig's limits, or on the bundle; the position before stays.
         DeviceError
             If the card fails.
         """
         galvo = calibration.galvo if calibration is not None else None
-        volts = galvo.park_v if galvo is not None and galvo.park_v is not None else self._rigs_park_v
+        volts = galvo.park_v if galvo is not None and galvo.park_v is not None else self._rig_park_v
         check_parking(volts, calibration)
         self._scanner.park_at(volts)
 
     def hold(self, volts: float) -> None:
-        """Let the line stand; the rig parks it when that goes on too long."""
-        self._scanner.hold(volts)
-        self.scanning = False
+        """Hold the line still at some volts; the rig parks it after its time limit."""
+        self._move(lambda: self._scanner.hold(volts))
 
     def park(self) -> None:
-        """Take the line off the bundle."""
+        """Move the line off the bundle; waits for no lock."""
         self.scanning = False
         self._scanner.park()
 
     def check(self) -> None:
-        """Raise what has gone wrong since the mirror was told to move.
+        """Raise the fault since the last command.
 
         Raises
         ------
         DeviceError
-            If something has; the scanner has parked then.
+            If there is one; the scanner has parked then.
         """
         self._scanner.check()
+
+    def _move(self, move: Callable[[], None]) -> None:
+        self._operations.check()
+        self.scanning = False
+        move()
+        try:
+            self._operations.check()
+        except InputError:  # interrupted while it moved: parking has the last word
+            self._scanner.park()
+            raise

@@ -1,4 +1,4 @@
-"""Live images of every frame: sectioned at the camera's pace, finished and shown at the display's."""
+"""Live images of every frame: sectioned at the camera's rate, finished at the display's."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
 DISPLAY_SLOTS: Final = 6
+"""Images in the display's ring; chosen: a tenth of a second at 60 Hz for a reader to copy one."""
 RAW: Final = "raw"
 _WHITE: Final = 255
 _STEP: Final = 4
-"""Saturated pixels are counted on every fourth row and column."""
+"""Saturated pixels are counted on every fourth row and column; chosen: a sixteenth of the cost, and enough."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveView:
-    """How live images are made; raw frames are recorded whatever is chosen here.
+    """Options of the live images; raw frames are recorded regardless.
 
     Parameters
     ----------
@@ -40,9 +41,9 @@ class LiveView:
     flat_field : bool
         Divide by the calibration's flat field.
     cores : CoreFilter
-        How the core pattern is suppressed.
+        Suppression of the core pattern.
     average : int
-        Recursive averaging: each frame counts one in so many; 1 shows single frames.
+        Recursive averaging: the weight of a frame is one over this; 1 displays single frames.
 
     Raises
     ------
@@ -62,7 +63,7 @@ class LiveView:
 
 @dataclass(frozen=True, slots=True)
 class Measures:
-    """Numbers that help at the microscope.
+    """Measures of image quality at the microscope.
 
     Parameters
     ----------
@@ -77,7 +78,15 @@ class Measures:
 
 
 def display_layout(frame_shape: tuple[int, int], side: int | None) -> Layout:
-    """Say what the display's ring holds: the raw frame, and the four images where a bundle is calibrated."""
+    """Return the layout of the display's ring.
+
+    Parameters
+    ----------
+    frame_shape : tuple of int
+        Rows and columns of the raw frames.
+    side : int or None
+        Side of the four images, pixels; None without a calibrated bundle: raw frames only.
+    """
     fields: list[tuple[str, tuple[int, ...], str]] = [(RAW, frame_shape, "uint8")]
     if side is not None:
         fields += [(mode.value, (side, side), "float32") for mode in Mode]
@@ -85,16 +94,16 @@ def display_layout(frame_shape: tuple[int, int], side: int | None) -> Layout:
 
 
 class LiveImages:
-    """Makes the images of one frame after the other; built once per calibration and view.
+    """Makes the images of successive frames; built once per calibration and view.
 
     Parameters
     ----------
     frame_shape : tuple of int
         Rows and columns of the raw frames.
     calibration : Calibration, optional
-        Without its bundle section only raw frames are shown.
+        Without its bundle section only raw frames are displayed.
     view : LiveView
-        How the images are made.
+        Options of the images.
 
     Raises
     ------
@@ -130,11 +139,11 @@ class LiveImages:
 
     @property
     def averages(self) -> bool:
-        """Whether every frame counts in what is shown."""
+        """True if every frame contributes to the displayed images."""
         return self._averages
 
     def add(self, raw: NDArray[np.uint8], frame_number: int) -> None:
-        """Section a frame."""
+        """Section a raw frame of a frame number."""
         if self._sectioner is None:
             return
         now = self._now
@@ -156,7 +165,15 @@ class LiveImages:
         self._first = False
 
     def fill(self, raw: NDArray[np.uint8], arrays: Mapping[str, NDArray[np.generic]]) -> Measures:
-        """Finish the images of the frame that was added last, into a slot of the display's ring."""
+        """Finish the images of the raw frame that was added last.
+
+        Parameters
+        ----------
+        raw : numpy.ndarray
+            (rows, cols) uint8.
+        arrays : mapping of str to numpy.ndarray
+            A slot of the display's ring, filled.
+        """
         np.copyto(arrays[RAW], raw)
         saturated = float(np.count_nonzero(raw[::_STEP, ::_STEP] == _WHITE)) / raw[::_STEP, ::_STEP].size
         if self._sectioner is None:
@@ -167,7 +184,7 @@ class LiveImages:
         return Measures(saturated, focus(arrays[Mode.ELS.value]))
 
     def _warm_up(self, frame_shape: tuple[int, int]) -> None:
-        """Compile and touch everything that the first frames will use."""
+        """Compile all kernels and touch all memory before the first frames."""
         blank = np.zeros(frame_shape, np.uint8)
         slot = {name: np.empty(shape, dtype) for name, shape, dtype in self.layout.fields}
         for number in range(2):
@@ -177,7 +194,7 @@ class LiveImages:
 
 
 def focus(image: NDArray[np.generic]) -> float:
-    """Mean squared gradient over the squared mean, on every second pixel: the Tenengrad of a normalised image.
+    """Return the mean squared gradient over the squared mean, on every second pixel: the normalised Tenengrad.
 
     Parameters
     ----------

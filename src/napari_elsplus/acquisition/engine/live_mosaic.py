@@ -1,4 +1,4 @@
-"""The mosaic of a running engine, for other processes to see: begun, left at rest, undone, cleared."""
+"""The mosaic of a running engine in shared memory: begun, ended, undone, cleared."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class LiveMosaic:
     Parameters
     ----------
     engine : Engine
-        Whose frames are tracked.
+        Source of the frames.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -32,12 +32,12 @@ class LiveMosaic:
 
     @property
     def state(self) -> TrackState | None:
-        """How it goes; None while there is no track."""
+        """The track at this moment; None while there is none."""
         track = self._track
         return None if track is None else replace(track.state, running=self._runs)
 
     def track(self, plan: MosaicPlan | None) -> None:
-        """Begin a new mosaic; None lets the one there is rest, all loops closed.
+        """Begin a new mosaic by a plan; None ends tracking, all loops closed, and keeps the mosaic.
 
         Raises
         ------
@@ -70,12 +70,12 @@ class LiveMosaic:
                 before.close()
 
     def undo(self) -> bool:
-        """Forget the last segment; whether there was one."""
+        """Remove the last segment; return True if there was one."""
         track = self._track
         return track is not None and track.undo()
 
     def clear(self) -> None:
-        """End tracking, and give its memory back."""
+        """End tracking, and release its memory."""
         with self._lock:
             self._engine.track(None)
             track, self._track, self._runs = self._track, None, False

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from napari_elsplus.acquisition.engine.status import RecordingState
+from napari_elsplus.acquisition.engine.status import RecordingState, Status
 from napari_elsplus.acquisition.engine.workers import CameraWorker, ProcessingWorker
 from napari_elsplus.acquisition.streaming.recorder import Recorder
 from napari_elsplus.acquisition.streaming.stream import FrameStream
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.acquisition.engine.workers import FrameConsumer, Shown
+    from napari_elsplus.acquisition.engine.workers import DisplaySink, FrameConsumer
     from napari_elsplus.acquisition.streaming.faults import FaultLog
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.hardware.protocols import Camera
     from napari_elsplus.instrument.calibration import Calibration
 
-SHALLOWEST: Final = 64
-"""Frames that the stream holds at least."""
+MIN_DEPTH: Final = 64
+"""Frames in the stream at least; chosen: for rates at which 2 s are few frames."""
 
 
 class Run:
@@ -35,24 +35,24 @@ class Run:
     ----------
     camera : Camera
         Configured; started and stopped by the run.
-    shown : Shown
-        How live images are made and where they are shown.
+    sink : DisplaySink
+        Makes the live images.
     faults : FaultLog
-        Where faults are kept.
+        Receives faults.
     tracker : FrameConsumer, optional
-        Also gets every frame.
+        Receives every frame, too.
     frame_rate_hz : float
-        For counting in seconds.
+        Converts seconds to frames.
     buffer_s : float
-        How many seconds of raw frames are kept in memory.
+        Seconds of raw frames that are kept in memory.
     settling : int
-        Frames to throw away first.
+        Frames to discard first.
     """
 
     def __init__(
         self,
         camera: Camera,
-        shown: Shown,
+        sink: DisplaySink,
         faults: FaultLog,
         *,
         tracker: FrameConsumer | None,
@@ -63,9 +63,9 @@ class Run:
         self.tally = Tally()
         self.frame_rate_hz = frame_rate_hz
         self._camera, self._faults = camera, faults
-        self._stream = FrameStream(camera.frame_shape, max(SHALLOWEST, round(buffer_s * frame_rate_hz)))
-        self._taking = CameraWorker(camera, self._stream, self.tally, faults, settling)
-        self.processing = ProcessingWorker(self._stream, shown, self.tally, faults, tracker)
+        self._stream = FrameStream(camera.frame_shape, max(MIN_DEPTH, round(buffer_s * frame_rate_hz)))
+        self._camera_worker = CameraWorker(camera, self._stream, self.tally, faults, settling)
+        self.processing = ProcessingWorker(self._stream, sink, self.tally, faults, tracker)
         self._recorder: Recorder | None = None
 
     def start(self) -> None:
@@ -76,24 +76,28 @@ class Run:
         except BaseException:
             self._stream.end()
             raise
-        self._taking.start()
+        self._camera_worker.start()
 
     @property
     def broken(self) -> bool:
-        """Whether a thread has ended that should not have."""
-        return not (self._taking.is_alive() and self.processing.is_alive())
+        """True if a thread has ended that should not have."""
+        return not (self._camera_worker.is_alive() and self.processing.is_alive())
 
     def stop(self) -> None:
-        """End the stream; every frame that came has its result then, the recorder still writes what it has."""
-        self._taking.stop()
-        if self._taking.ident is not None:
-            self._taking.join()
-        self._camera.stop()
+        """End the stream; every frame that came has its result then, and the recorder goes on to its end."""
+        self._camera_worker.stop()
+        if self._camera_worker.ident is not None:
+            self._camera_worker.join()
+        try:
+            self._camera.stop()
+        except DeviceError as error:
+            self._faults.add("camera", error)
         self._stream.end()
-        self.processing.join()
+        if self.processing.ident is not None:
+            self.processing.join()
 
     def record(self, plan: RecordingPlan, calibration: Calibration | None, settings: Mapping[str, Any]) -> None:
-        """Begin to record.
+        """Begin to record by a plan, with calibration and settings in the file.
 
         Raises
         ------
@@ -115,13 +119,13 @@ class Run:
         self._recorder.start()
 
     def stop_recording(self) -> None:
-        """Finish the recording with the newest frame; returns when the file is in order."""
+        """Finish the recording with the newest frame; returns when the file is complete."""
         if self._recorder is not None:
             self._recorder.stop()
             self._recorder.join()
 
     def finish_recording(self) -> None:
-        """Wait until everything that the recording still wants has been written; only after :meth:`stop`."""
+        """Wait until the recording is complete; only after :meth:`stop`."""
         if self._recorder is not None:
             self._recorder.join()
 
@@ -132,17 +136,32 @@ class Run:
             return None
         return RecordingState(str(self._recorder.plan.path), self._recorder.frames, self._recorder.is_alive())
 
+    def status(self, *, live: bool) -> Status:
+        """Return the counts of the run, with the camera's rate while it is live."""
+        tally = self.tally
+        return Status(
+            acquired=tally.acquired,
+            processed=tally.processed,
+            recorded=tally.recorded,
+            dropped=dict(tally.dropped),
+            camera_hz=tally.recent_hz if live else 0.0,
+            mean_hz=tally.mean_hz,
+            latency_ms=tally.latency.summary(),
+            measures=self.processing.measures,
+            recording=self.recording,
+        )
+
     def fresh_frames(self, count: int, after_s: float, timeout_s: float) -> NDArray[np.uint8]:
-        """Copy the next frames whose exposure began after a moment, however long they were on their way.
+        """Copy the next frames whose exposure began after a moment, however long their transfer took.
 
         Parameters
         ----------
         count : int
-            How many.
+            Number of frames.
         after_s : float
             On the clock of ``time.perf_counter``.
         timeout_s : float
-            How long to wait for each.
+            Time to wait for each.
 
         Returns
         -------
@@ -162,10 +181,10 @@ class Run:
                 taken = cursor.take(timeout_s)
                 if taken is None:
                     for fault in self._faults.all():
-                        if fault.source == "camera":  # the cause, not what follows from it
+                        if fault.source == "camera":  # the cause, not its consequence
                             raise DeviceError(fault.problem, fault.remedy)
                     raise DeviceError(f"{got} of {count} frames came", "check the camera, then start again")
-                if taken[1].readout_start_s + self._taking.camera_clock_s >= after_s:
+                if taken[1].readout_start_s + self._camera_worker.camera_clock_s >= after_s:
                     frames[got] = taken[0]
                     got += 1
         finally:

@@ -1,4 +1,4 @@
-"""What the engine says of itself, a few times a second: plain values that cross processes."""
+"""Settings and status of the engine: plain values that cross processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How the rig runs.
+    """Settings of the rig.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Settings:
     frame_rate_hz : float, optional
         The preset's highest rate by default; lower rates keep the line period.
     gain_db : float
-        Of the camera.
+        Gain of the camera, dB.
     """
 
     preset: str = "240hz"
@@ -50,7 +50,7 @@ class RecordingState:
     frames : int
         Frames in it.
     running : bool
-        Whether it still grows.
+        True while frames are added.
     """
 
     path: str
@@ -60,14 +60,14 @@ class RecordingState:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a procedure is.
+    """Progress of a procedure.
 
     Parameters
     ----------
     step : str
-        What is done.
+        Name of the step.
     done, total : int
-        Of the step's parts.
+        Parts of the step that are done, and all.
     """
 
     step: str
@@ -81,38 +81,41 @@ class Status:
 
     Parameters
     ----------
+    configured : bool
+        True if the camera has settings; an unconfigured engine does not start.
     live : bool
-        Whether frames stream.
+        True while frames stream.
     scanning : bool
-        Whether the mirror scans.
+        True while the galvo scans.
     acquired, processed, recorded : int
         Frames of this run.
     dropped : mapping
         Frames lost in this run, by cause.
     camera_hz : float
-        Frames per second, lately; NaN if none.
+        Frames per second at present; NaN if there are none.
     mean_hz : float
         Frames per second over the run.
     latency_ms : Latency
         Last byte of a frame to its result.
     measures : Measures
-        Saturation and focus of the newest frame shown.
+        Saturation and focus of the newest displayed frame.
     recording : RecordingState, optional
         The newest recording.
     disk_bytes_per_s : float
-        What recording costs at this rate.
+        Data rate of a recording.
     display : tuple, optional
-        Name of the shared memory (empty if on the heap) and layout of the ring that shows images.
+        Name of the shared memory (empty if on the heap) and layout of the display's ring.
     faults : tuple of Fault
-        What went wrong, oldest first.
+        Oldest first.
     stale : mapping
-        Sections of the calibration that do not hold any more, with the reason.
+        Sections of the calibration that are stale, with the reason.
     progress : Progress, optional
         Of the procedure that runs.
     track : TrackState, optional
         The live track and mosaic, while there is one.
     """
 
+    configured: bool = False
     live: bool = False
     scanning: bool = False
     acquired: int = 0
@@ -132,7 +135,7 @@ class Status:
     track: TrackState | None = None
 
     def report(self) -> dict[str, Any]:
-        """Return the content of `acquire`'s report: frames, rate, latencies, faults; null where there is no number."""
+        """Return the report of `acquire`: frames, rate, latencies, faults; None where there is no number."""
         latency = {name: _number(getattr(self.latency_ms, name)) for name in ("p50", "p99", "max")}
         return {
             "frames": {

@@ -183,7 +183,7 @@ class EngineClient(Commands):
             how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
             error = DeviceError(
                 f"the engine's process ended ({how})",
-                "the mirror was parked and what was recorded is kept: connect again",
+                "the galvo was parked and what was recorded is kept: connect again",
             )
         with self._lock:
             self._died = error

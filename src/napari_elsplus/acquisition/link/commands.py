@@ -6,6 +6,7 @@ a method of that name with the same parameters, which returns a future of the re
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -37,7 +38,8 @@ class Turn(Enum):
 
     IMMEDIATE = "at once, past every lock"
     CONCURRENT = "beside others"
-    PROCEDURE = "for seconds, with progress, until it ends or is cancelled"
+    EXCLUSIVE = "after other exclusive ones; refused during a procedure"
+    PROCEDURE = "exclusive for seconds, with progress, until it ends or is cancelled"
 
 
 class Caller(Protocol):
@@ -59,6 +61,8 @@ class Command(Generic[P, R]):
         When it is executed, if others run.
     needs_rig : bool
         Refused while no rig is open.
+    while_recording : bool
+        Allowed while frames are recorded.
     activates : bool
         Of a procedure: the calibration that it activated stays active; else that of before is restored.
     """
@@ -66,6 +70,7 @@ class Command(Generic[P, R]):
     run: Callable[Concatenate[Session, P], R]
     turn: Turn
     needs_rig: bool
+    while_recording: bool
     activates: bool
 
     @overload
@@ -82,11 +87,12 @@ class command:
 
     turn: Turn = Turn.CONCURRENT
     needs_rig: bool = True
+    while_recording: bool = True
     activates: bool = False
 
     def __call__(self, run: Callable[Concatenate[Session, P], R]) -> Command[P, R]:
         """Return the command."""
-        return Command(run, self.turn, self.needs_rig, self.activates)
+        return Command(run, self.turn, self.needs_rig, self.while_recording, self.activates)
 
 
 class Commands:
@@ -103,32 +109,32 @@ class Commands:
         """Open a rig by its name; one that is open is closed first."""
         session.open(rig)
 
-    @command()
+    @command(Turn.EXCLUSIVE, while_recording=False)
     def configure(session: Session, settings: Settings) -> None:
         """Configure camera and timing."""
         session.engine.configure(settings)
 
-    @command()
+    @command(Turn.EXCLUSIVE, while_recording=False)
     def use(session: Session, calibration: Calibration | None) -> None:
         """Activate a calibration."""
         session.engine.use(calibration)
 
-    @command()
+    @command(Turn.EXCLUSIVE)
     def start(session: Session) -> None:
         """Scan and stream."""
         session.engine.start()
 
-    @command()
+    @command(Turn.EXCLUSIVE)
     def stop(session: Session) -> None:
         """Park the galvo and end the stream."""
         session.engine.stop()
 
-    @command()
+    @command(Turn.EXCLUSIVE)
     def hold(session: Session, volts: float) -> None:
         """Hold the laser line still at a voltage."""
         session.engine.hold(volts)
 
-    @command()
+    @command(Turn.EXCLUSIVE)
     def scan(session: Session) -> None:
         """Scan by the active calibration."""
         session.engine.scan()
@@ -160,10 +166,12 @@ class Commands:
         """Return how many frames of this run had which latency."""
         return session.engine.latencies()
 
-    @command()
+    @command(needs_rig=False)
     def usage(session: Session) -> Usage:
-        """Return what the engine's process has used."""
-        return session.engine.usage()
+        """Return processor time and memory of the engine's process."""
+        from napari_elsplus.acquisition.streaming.usage import usage
+
+        return usage()
 
     # the mosaic
 
@@ -184,7 +192,7 @@ class Commands:
 
     # calibrating
 
-    @command(needs_rig=False, turn=Turn.IMMEDIATE)
+    @command(Turn.IMMEDIATE, needs_rig=False)
     def cancel(session: Session) -> None:
         """Cancel the procedure that runs."""
         session.cancel()
@@ -196,7 +204,7 @@ class Commands:
 
         return engine_setup(session.engine)
 
-    @command(Turn.PROCEDURE)
+    @command(Turn.PROCEDURE, while_recording=False)
     def measure_step(session: Session, step: CalibrationStep[Any], draft: Draft, voltages: int) -> Any:
         """Measure a calibration step with what a draft contains, a sweep with so many voltages."""
         from napari_elsplus.acquisition.calibrating.live import LiveMeasurement
@@ -205,7 +213,7 @@ class Commands:
         with target_placed(session.rig, step.target):
             return LiveMeasurement(session.engine, voltages, session.watch).measure(step, draft)
 
-    @command(Turn.PROCEDURE)
+    @command(Turn.PROCEDURE, while_recording=False)
     def follow_offset(session: Session, draft: Draft) -> None:
         """Measure the slit offset in every frame, the line held where a draft places it, until `cancel`."""
         from napari_elsplus.acquisition.calibrating.live import follow_offset
@@ -220,7 +228,7 @@ class Commands:
         """Wait shortly for a result of `follow_offset` later than that number; return it with its number, or None."""
         return session.offsets.after(number)
 
-    @command(Turn.PROCEDURE, activates=True)
+    @command(Turn.PROCEDURE, while_recording=False, activates=True)
     def calibrate_simulated(session: Session) -> Draft:
         """Calibrate the simulated rig unattended, and activate the calibration."""
         from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
@@ -231,3 +239,35 @@ class Commands:
 COMMANDS: Final[Mapping[str, Command[..., Any]]] = {
     name: value for name, value in vars(Commands).items() if isinstance(value, Command)
 }
+
+
+def execute(session: Session, name: str, *arguments: Any, **options: Any) -> Any:
+    """Execute a command in the engine's process.
+
+    Parameters
+    ----------
+    session : Session
+        The open rig.
+    name : str
+        Of the command.
+    *arguments, **options
+        Its arguments.
+
+    Raises
+    ------
+    DeviceError
+        If it needs a rig and none is open.
+    InputError
+        If it has to wait for a recording or another operation.
+    """
+    command, title = COMMANDS[name], name.replace("_", " ")
+    with ExitStack() as held:
+        if command.needs_rig:
+            engine = session.engine
+            if not command.while_recording:
+                engine.refuse_while_recording()
+            if command.turn is Turn.EXCLUSIVE:
+                held.enter_context(engine.operations.alone(title))
+            elif command.turn is Turn.PROCEDURE:
+                held.enter_context(session.procedure(title, activates=command.activates))
+        return command.run(session, *arguments, **options)

@@ -1,4 +1,4 @@
-"""The newest of values that come faster than anybody looks."""
+"""The newest of values that come faster than they are read."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ T = TypeVar("T")
 
 
 class Newest(Generic[T]):
-    """Holds the newest value for whoever waits for one; what nobody saw in time is lost.
+    """Holds the newest value for readers that wait for one; older ones are lost.
 
     Examples
     --------
     >>> newest = Newest()
     >>> newest.put("first"); newest.put("second")
-    >>> newest.after(0), newest.after(2, patience_s=0.01)
+    >>> newest.after(0), newest.after(2, timeout_s=0.01)
     ((2, 'second'), None)
     """
 
@@ -31,9 +31,9 @@ class Newest(Generic[T]):
             self._number += 1
             self._come.notify_all()
 
-    def after(self, number: int, patience_s: float = 0.5) -> tuple[int, T] | None:
-        """Wait for a value that is newer than that number; return it with its own, None if none comes."""
+    def after(self, number: int, timeout_s: float = 0.5) -> tuple[int, T] | None:
+        """Wait for a value after a number; return it with its own number, None if none comes within the timeout."""
         with self._come:
-            if not self._come.wait_for(lambda: self._number > number, patience_s) or self._value is None:
+            if not self._come.wait_for(lambda: self._number > number, timeout_s) or self._value is None:
                 return None
             return self._number, self._value

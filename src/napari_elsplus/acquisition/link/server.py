@@ -13,14 +13,13 @@ import os
 import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from functools import partial
 from multiprocessing.connection import Connection, Listener
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.acquisition.calibrating.simulated import open_live
-from napari_elsplus.acquisition.link.commands import COMMANDS, Turn
+from napari_elsplus.acquisition.link.commands import COMMANDS, Turn, execute
 from napari_elsplus.acquisition.link.messages import QUIT, Activated, Reply, Request
 from napari_elsplus.acquisition.link.session import Session
 from napari_elsplus.acquisition.streaming import shared_memory as shared
@@ -70,7 +69,10 @@ class Server:
                         break
                     if request.name == QUIT:
                         break
-                    pool.submit(self._execute, request)
+                    if COMMANDS[request.name].turn is Turn.IMMEDIATE:
+                        self._execute(request)
+                    else:
+                        pool.submit(self._execute, request)
                 self._session.close()
         finally:
             self._ended.set()
@@ -78,14 +80,8 @@ class Server:
             self._session.close()
 
     def _execute(self, request: Request) -> None:
-        session = self._session
         try:
-            command = COMMANDS[request.name]
-            if command.needs_rig:
-                _ = session.engine
-            with session.procedure(request.name) if command.turn is Turn.PROCEDURE else nullcontext():
-                result = command.run(session, *request.arguments, **request.options)
-            reply = Reply(request.number, result)
+            reply = Reply(request.number, execute(self._session, request.name, *request.arguments, **request.options))
         except (ElsPlusError, OSError) as error:
             reply = Reply(request.number, error=error)
         except Exception as error:  # noqa: BLE001 a defect of ours: the client shall have it, and not wait for ever

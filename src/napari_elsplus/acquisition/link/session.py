@@ -109,14 +109,28 @@ class Session:
         self._cancelled.set()
 
     @contextmanager
-    def procedure(self, name: str) -> Iterator[None]:
-        """Run a procedure of that name: its progress is in the status, and it can be cancelled."""
-        self._cancelled.clear()
-        self._progress = Progress(name.replace("_", " "), 0, 1)
-        try:
-            yield
-        finally:
-            self._progress = None
+    def procedure(self, name: str, *, activates: bool) -> Iterator[None]:
+        """Run a procedure alone, with its progress in the status.
+
+        Parameters
+        ----------
+        name : str
+            For messages.
+        activates : bool
+            The calibration that it activated stays active; else, and if it fails, that of before is restored.
+        """
+        engine, before = self.engine, self.engine.calibration
+        with engine.operations.alone(name, long=True):
+            self._cancelled.clear()
+            self._progress = Progress(name, 0, 1)
+            done = False
+            try:
+                yield
+                done = activates
+            finally:
+                self._progress = None
+                if not done and engine.calibration is not before and self._opened is not None:
+                    engine.use(before, scan=False)
 
     def watch(self, step: str) -> ProgressWrapper:
         """Return what wraps the numbers of a step's parts: it counts them in the status, and ends when cancelled."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import dataclass
 from threading import Lock
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from napari_elsplus.errors import ElsPlusError
+from napari_elsplus.errors import ElsPlusError
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +50,20 @@ class FaultLog:
         self._faults: dict[tuple[str, str], Fault] = {}
         self._lock = Lock()
 
-    def add(self, source: str, error: ElsPlusError) -> None:
-        """Keep the error of a source, unless it is there already."""
+    def add(self, source: str, error: Exception) -> None:
+        """Keep the error of a source, unless it is there already; a defect is written to standard error, too."""
+        if isinstance(error, ElsPlusError):
+            problem, remedy = error.problem, error.remedy
+        else:
+            problem, remedy = (
+                f"{type(error).__name__}: {error}",
+                "this is a defect: report it with what the terminal shows",
+            )
         with self._lock:
-            self._faults.setdefault((source, error.problem), Fault(source, error.problem, error.remedy, time.time()))
+            new = (source, problem) not in self._faults
+            self._faults.setdefault((source, problem), Fault(source, problem, remedy, time.time()))
+        if new and not isinstance(error, ElsPlusError):
+            sys.excepthook(type(error), error, error.__traceback__)
 
     def all(self) -> tuple[Fault, ...]:
         """Return every fault, oldest first."""

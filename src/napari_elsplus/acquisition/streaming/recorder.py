@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
-from napari_elsplus.errors import DeviceError, ElsPlusError, InputError
+from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.io import RecordingWriter
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class Recorder(Thread):
                 "recorder",
                 DeviceError(f"{self.plan.path.name}: {reason}", "free some disk space; what was written is readable"),
             )
-        except ElsPlusError as error:
+        except Exception as error:  # noqa: BLE001 - never silently dead
             self._faults.add("recorder", error)
         finally:
             self._cursor.close()

@@ -121,7 +121,7 @@ def _write(pipeline: Pipeline, engine: Engine, mosaic: Path | None, track: Path 
 
 
 def summary(status: Status) -> str:
-    """Say in one line what happened."""
+    """Return the status in one line."""
     dropped = ", ".join(f"{count} {cause}" for cause, count in status.dropped.items()) or "none"
     latency = status.latency_ms
     return (

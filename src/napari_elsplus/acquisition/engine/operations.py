@@ -1,0 +1,79 @@
+"""Exclusive operations: one at a time changes the rig; parking interrupts it without waiting for it."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from threading import Condition, get_ident
+from typing import TYPE_CHECKING, Final
+
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+WAIT_S: Final = 5.0
+"""Time to wait for a short operation, s; chosen: longer than any takes to start or stop a stream."""
+
+
+class Operations:
+    """The operation that runs, if any; the thread that runs it may nest further ones.
+
+    Examples
+    --------
+    >>> operations = Operations()
+    >>> with operations.alone("a sweep", long=True):
+    ...     operations.running
+    'a sweep'
+    """
+
+    def __init__(self) -> None:
+        self._changed = Condition()
+        self._name: str | None = None
+        self._owner: int | None = None
+        self._long = False
+        self._interrupted: str | None = None
+
+    @property
+    def running(self) -> str | None:
+        """Name of the operation that runs."""
+        return self._name
+
+    @contextmanager
+    def alone(self, name: str, *, long: bool = False) -> Iterator[None]:
+        """Run an operation while no other one runs.
+
+        Parameters
+        ----------
+        name : str
+            With its article, for messages.
+        long : bool
+            Others are refused at once while it runs; else they wait for it.
+
+        Raises
+        ------
+        InputError
+            If another operation runs, and is long or does not end.
+        """
+        if self._owner == get_ident():
+            yield
+            return
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._name is None or self._long, WAIT_S) or self._name is not None:
+                raise InputError(f"{self._name} is running", "wait until it has ended, or cancel it")
+            self._name, self._owner, self._long, self._interrupted = name, get_ident(), long, None
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._name = self._owner = None
+                self._changed.notify_all()
+
+    def interrupt(self, reason: str) -> None:
+        """Make the operation of another thread fail at its next :meth:`check`, for a reason."""
+        if self._owner != get_ident():
+            self._interrupted = reason
+
+    def check(self) -> None:
+        """Raise an InputError if the operation of this thread was interrupted."""
+        if self._owner == get_ident() and self._interrupted is not None:
+            raise InputError(f"{self._interrupted}, so {self._name} has ended", "start it again")
