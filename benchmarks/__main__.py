@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 PAGES = ("performance.md", "stability.md", "paper.md")
 PAGE_PROGRAMS = ("calibration", "mosaicing", "physics", "line-fit", "architecture")
-"""What pages show beside the benchmarks; ``mosaicing-TABLE`` makes one table of it."""
+"""Programs of single pages; ``mosaicing-TABLE`` makes one table."""
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PACKAGE = DOCS.parent / "src" / "napari_elsplus"
 

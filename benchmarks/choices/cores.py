@@ -40,7 +40,7 @@ class View(NamedTuple):
 
 
 class Bundle(NamedTuple):
-    """What a filter may prepare itself with."""
+    """Inputs from which a filter is prepared."""
 
     rig: SimulatedRig
     sectioner: Sectioner

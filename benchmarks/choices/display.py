@@ -1,4 +1,4 @@
-"""How often napari shows live images, against the number of layers; what of it is ours and what is drawing."""
+"""Display rate of live images in napari against the number of layers, divided into update and drawing."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 PROGRAM: Final = "benchmarks.rigs.display_rate"
 SCREEN: Final = ("xvfb-run", "-a", "-s", "-screen 0 1920x1280x24")
-MOST_LAYERS: Final = 5
+MAX_LAYERS: Final = 5
 SMALL_PX, LARGE_PX = 150, 900
 _PATIENCE_S: Final = 240
 
 
 class Shown(NamedTuple):
-    """How many layers, of at most how many, each for how long."""
+    """Number of layers, its maximum, and the duration."""
 
     layers: int
     most: int
@@ -33,7 +33,7 @@ class Shown(NamedTuple):
 
 
 def _cases(quick: bool) -> list[Case]:
-    most, seconds = (1, 0.5) if quick else (MOST_LAYERS, 4.0)
+    most, seconds = (1, 0.5) if quick else (MAX_LAYERS, 4.0)
     return [
         Case(f"{layers} layer{'s' * (layers > 1)}", [Shown(layers, most, seconds)], level=layers, group="layers")
         for layers in range(1, most + 1)

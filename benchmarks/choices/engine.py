@@ -1,4 +1,4 @@
-"""How late a frame's result is: the live engine from the camera's last byte to the image in the display's ring."""
+"""Latency of the live engine, from the camera's last byte to the image in the display's ring."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ SECONDS: Final = 12.0
 QUICK_SECONDS: Final = 1.0
 QUANTILES: Final = (0.5, 0.9, 0.99, 0.999, 1.0)
 BUSY_S: Final = 12e-3
-"""How long a window draws at a time."""
+"""Time for which a window draws, s."""
 
 
 class Stream(NamedTuple):
-    """What the camera is told, and for how long it streams."""
+    """Settings of the camera, and the duration of the stream."""
 
     preset_name: str
     seconds: float

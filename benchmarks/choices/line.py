@@ -1,4 +1,4 @@
-"""Where the laser line stands: one tilted Gaussian for all columns against a profile, a mean, a centroid, a maximum.
+"""Position of the laser line: one tilted Gaussian for all columns, a profile, a mean, a centroid, a maximum.
 
 Frames are those of rigs drawn at random (:mod:`benchmarks.rigs.random_rigs`), which share nothing with the
 estimators: cores of unequal brightness, a halo, tilts up to 2 degrees.

@@ -25,7 +25,7 @@ _OFTEN: Final = 0.05
 """Methods that fail on more of the inputs than this are drawn hollow."""
 _FIELD_IN: Final = 4.6
 _STAGE: Final = " / us"
-"""How the details that are times of stages end."""
+"""Suffix of the details that are times of stages."""
 _NARROW: Final = 50
 """Logarithmic axes that span less than this factor are marked at 1, 2 and 5."""
 _LINE: Final = 0.035

@@ -135,7 +135,7 @@ def draw_errors(made: dict[str, Outcome]) -> Figure:
 
 
 def draw_gate(found: dict[tuple[int, bool], list[Judged]]) -> Figure:
-    """How wrong links are against the evidence for them, and what other limits would catch and keep."""
+    """Draw the error of registrations against their evidence, and the characteristic of the acceptance test."""
     figure = Figure(figsize=(12, 3.6), layout="constrained")
     dots, *panels = figure.subplots(1, 3)
     every = _columns(list(chain(*found.values())))
@@ -217,7 +217,7 @@ def pairs_table(found: dict[str, dict[str, Statistics]]) -> list[str]:
 
 
 def gate_table(found: dict[tuple[int, bool], Gate]) -> list[str]:
-    """Tell what the gate caught and kept."""
+    """Return the table of rejected and kept registrations."""
     lines = [
         "| scene, motion | wrong links | caught | right links | kept | without a second look: caught | kept |",
         "|---|---|---|---|---|---|---|",
@@ -236,7 +236,7 @@ def _percent(part: float) -> str:
 
 
 def turning_table(found: dict[Walk, Turned]) -> list[str]:
-    """Which rung each walk asked for, and what became of it."""
+    """Return the table of selected motion models and their errors."""
     lines = [
         "| scene, path, speed | turns at (deg/s) | up to (deg) | modelled | from frame | error of the angle (deg, rms) "
         "| median pair error (px) | error at the end (% of path) | wrong links "
@@ -263,7 +263,7 @@ def _show(axes: Axes, image: np.ndarray[tuple[int, ...], np.dtype[np.float32]], 
 
 
 def drift_table(found: dict[tuple[str, bool], Drift]) -> list[str]:
-    """Tell how far the end of the track lies from the truth."""
+    """Return the table of drift at the end of the track."""
     lines = [
         "| scene, path | length (px) | tracked | frame to frame (% of path) | loops closed live | after the graph |",
         "|---|---|---|---|---|---|",

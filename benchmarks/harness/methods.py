@@ -1,4 +1,4 @@
-"""Named methods on named cases: what each costs, how wrong it is, and whether it knows when it has failed.
+"""Records of a benchmark: methods, cases, and for each pair cost, error, and detected and silent failures.
 
 :func:`benchmarks.harness.running.run` measures them.
 """
@@ -15,12 +15,12 @@ from napari_elsplus.errors import ElsPlusError
 
 
 class Role(StrEnum):
-    """What a method is to the software."""
+    """Role of a method in the software."""
 
     DEFAULT = "default"
-    """What is done unless something else is asked for."""
+    """The default."""
     OPTION = "option"
-    """What the software can also do, or could have done."""
+    """An option of the software, or an alternative."""
     PAPER = "paper"
     """As Thrapp and Hughes describe it."""
     PEER = "peer"
@@ -28,7 +28,7 @@ class Role(StrEnum):
 
 
 class Claim(StrEnum):
-    """What a method says of its own answer."""
+    """Confidence that a method reports with its result."""
 
     SURE = "sure"
     DOUBTFUL = "doubtful"
@@ -36,7 +36,7 @@ class Claim(StrEnum):
 
 
 class Chart(StrEnum):
-    """How the result is drawn."""
+    """Type of chart."""
 
     PARETO = "cost against error"
     FAILURES = "failure map"
@@ -165,7 +165,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Result:
-    """What a benchmark found on this machine."""
+    """Result of a benchmark on this machine."""
 
     benchmark: Benchmark
     rows: tuple[Row, ...]

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 PACKAGES: Final = {"PyFibreBundle": ("PyFibreBundle", "numba")}
-"""What is installed into each peer's environment."""
+"""Requirements of each peer's environment."""
 _WORKER: Final = Path(__file__).with_name("peer_worker.py")
 
 

@@ -103,7 +103,7 @@ def markdown(result: Result) -> str:
 
 
 def breakdowns(result: Result) -> str:
-    """Tell for each stress and method how much is borne, where it breaks down, and whether it knew; markdown."""
+    """Return, for each stress and method, the level of breakdown and the silent failures, as markdown."""
     rows = [("stress", "method", "borne up to", "at the worst level, failed", "noticed", "silent"), ("---",) * 6]
     groups = dict.fromkeys((row.group, row.method) for row in result.rows)
     for group, method in groups:

@@ -1,4 +1,4 @@
-"""What results say of a default: whether another method beats it in both cost and error."""
+"""Test of a default against the Pareto front of cost and error."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def pareto(rows: Sequence[Row]) -> list[Row]:
 
 
 def verdict(result: Result, case: str) -> str:
-    """Say of one case whether the default lies on the Pareto front, and if not, what beats it on both axes."""
+    """Return a sentence on one case: if the default lies on the Pareto front, else the methods that dominate it."""
     rows = result.of_case(case)
     default = next((row for row in rows if row.role is Role.DEFAULT), None)
     if default is None:

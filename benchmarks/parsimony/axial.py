@@ -1,4 +1,4 @@
-"""How much to model of the axial response: what the paper printed, each drop-off predicted from the others.
+"""Model selection for the axial response: each printed drop-off predicted from the others.
 
 Every model is fitted to all but one of the paper's numbers and then asked for that one.
 """

@@ -1,4 +1,4 @@
-"""How much to model while calibrating: the galvo's map, and how the right view lies on the left.
+"""Model selection in calibration: the galvo map, and the view alignment.
 
 Errors are held out (the galvo's map, fitted to every second voltage) or against the truth (the pair).
 """

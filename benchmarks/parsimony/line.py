@@ -1,4 +1,4 @@
-"""How much to model of the laser line's profile: a Gaussian, its floor, the floor's slope, the halo.
+"""Model selection for the profile of the laser line: a Gaussian, its floor, the floor's slope, the halo.
 
 All models are fitted to the same mean of the middle columns of a line without tilt.
 """

@@ -1,4 +1,4 @@
-"""How much motion to model between two frames: a translation, a steady motion, all four parameters of the warp.
+"""Model selection for the motion between two frames: translation, steady motion, all four parameters of the warp.
 
 All answers are displacements of the probe from middle row to middle row, as a track needs them.
 """

@@ -50,11 +50,11 @@ class Walk(NamedTuple):
 
 
 REACH_DEG = 10.0
-_LEAST_ZOOM = 1e-9
+_MIN_ZOOM = 1e-9
 
 
 class Turned(NamedTuple):
-    """What became of a walk.
+    """Result of a walk.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def follow(walk: Walk) -> Turned:
     found = np.array([pose.angle for pose in pipeline.poses])
     known = np.isfinite([pose.row for pose in pipeline.poses])
     error = float(np.rad2deg(np.sqrt(np.mean((found - angle)[known] ** 2))))
-    forms = {(abs(pose.angle) > 0, abs(pose.scale - 1) > _LEAST_ZOOM) for pose in pipeline.poses}
+    forms = {(abs(pose.angle) > 0, abs(pose.scale - 1) > _MIN_ZOOM) for pose in pipeline.poses}
     zoomed, turned = any(zoom for _, zoom in forms), any(turn for turn, _ in forms)
     rung = MotionModel.SIMILARITY if zoomed else MotionModel.RIGID if turned else MotionModel.TRANSLATION
     largest, errors = float(np.rad2deg(np.abs(angle).max())), track_errors(pipeline.rows, place)

@@ -40,7 +40,7 @@ PREDICTED, LOST = 3, 2
 
 
 def where(frames):
-    """Where the probe is, camera pixels: rounds that go over the same places again and again."""
+    """Return positions of the probe, camera pixels: rounds over the same places."""
     turn = SPEED_PX / FIELD_PX * frames
     return np.column_stack([FIELD_PX * np.sin(turn), FIELD_PX * np.sin(1.37 * turn)])
 

@@ -35,7 +35,7 @@ LINES_APART = 0.6
 FRAMES_PER_LOOK = 12
 WHOLE_LOOKS = 10
 LIMIT_MB = 2000
-LEAST_HZ = 10
+MIN_HZ = 10
 
 
 def resident_mb() -> float:
@@ -120,8 +120,8 @@ def main(side_mm: float, insertion: str) -> None:
         f"median {1e3 * np.median(close):.1f} ms"
     )
     viewer.close()
-    if peak_mb > LIMIT_MB or np.median(tail) > 1 / LEAST_HZ:
-        raise SystemExit(f"more than {LIMIT_MB} MB, or slower than {LEAST_HZ} Hz")
+    if peak_mb > LIMIT_MB or np.median(tail) > 1 / MIN_HZ:
+        raise SystemExit(f"more than {LIMIT_MB} MB, or slower than {MIN_HZ} Hz")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How often live images are shown: ``python -m benchmarks.rigs.display_rate --seconds S --canvas PX [PX ...]``.
+"""Display rate of live images: ``python -m benchmarks.rigs.display_rate --seconds S --canvas PX [PX ...]``.
 
 A window of its own with the Live panel, the engine in its process, the simulated rig at 240 Hz; one layer, then two, up
 to five, on a canvas of each size. Prints a line of JSON for each.

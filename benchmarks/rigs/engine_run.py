@@ -28,7 +28,7 @@ _MEMORY_EVERY_S: Final = 1.0
 
 @dataclass(frozen=True)
 class EngineRun:
-    """What a run of the engine came to.
+    """Result of a run of the engine.
 
     Parameters
     ----------

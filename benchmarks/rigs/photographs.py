@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 PHOTOGRAPHS: Final = {"bundle1": None, "tissue_paper": "tissue_paper_back", "usaf1": "usaf1_background"}
 """Names of photographs, and of the flat fields that were taken with them."""
 _FINE_PX: Final = 4.0
-"""What varies within so many pixels is honeycomb."""
+"""Scale of the core pattern, px."""
 
 
 @dataclass(frozen=True, slots=True)
 class Photograph:
-    """What was found in one photograph.
+    """Result on one photograph.
 
     Parameters
     ----------

@@ -127,7 +127,7 @@ class Rig:
 
     @property
     def residual_to_confocal(self) -> Floats:
-        """What :func:`napari_elsplus.processing.calibration.bundle.view_alignment.align_views` should find."""
+        """True result of :func:`napari_elsplus.processing.calibration.bundle.view_alignment.align_views`."""
         back = np.linalg.inv(self.left_to_right)
         return np.column_stack([back, np.array(self.left) - back @ np.array(self.right)])
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     Image = NDArray[np.float32]
 
-LEAST_ELECTRONS_PER_DN_OF_FLAT: Final = 1.0
+MIN_ELECTRONS_PER_DN_OF_FLAT: Final = 1.0
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class SimulatedRig:
         return np.arange(frames, dtype=np.float64) + self.instrument.confocal_centre[0] / line_periods_per_frame
 
     def positions_px(self, path: Trajectory, frames: int) -> NDArray[np.float64]:
-        """Where the probe was, in camera pixels (T, 2), when the bundle's middle row was read."""
+        """Return positions of the probe, camera pixels (T, 2), when the middle row of the bundle was read."""
         times_s = self.periods_at_middle(frames) * self.instrument.optics.frame_period_s
         return np.asarray(path.positions_um(times_s) / self.um_per_px, np.float64)
 
@@ -81,7 +81,7 @@ def measured(instrument: Instrument) -> SimulatedRig:
     lit = replace(
         instrument,
         light_dn=instrument.light_dn * min(1.0, REFERENCE_SLIT_ROWS / instrument.slit_rows),
-        electrons_per_dn=max(instrument.electrons_per_dn, LEAST_ELECTRONS_PER_DN_OF_FLAT),
+        electrons_per_dn=max(instrument.electrons_per_dn, MIN_ELECTRONS_PER_DN_OF_FLAT),
     )
     flat = measure_flat_field(list(transmission(lit, seed=2)), known)
     return SimulatedRig(instrument, known.model_copy(update={"flat": flat}))

@@ -1,1 +1,1 @@
-"""Where methods fail, how soon, and whether they know it: a failure map for each estimator."""
+"""Failure maps: levels of stress at which each estimator fails, detected or silently."""

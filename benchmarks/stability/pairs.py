@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 SCENES: Final = ("fibres", "nuclei", "paper")
 ELECTRONS_OF_WHITE: Final = 100.0
-FARTHEST_PERCENT: Final = 60
+MAX_PERCENT: Final = 60
 _BINS: Final = 3
 _FIELD_UM: Final = 1500.0
 _SHOWN: Final = ("link, predicted", "link, searched", "template", "OpenCV phaseCorrelate", "PyFibreBundle")
@@ -61,7 +61,7 @@ def cases(quick: bool, count: int = 1000) -> list[Case]:
     """As many pairs as that altogether, in cases of one scene and a third of the shifts each."""
     rig = measured(Instrument.of("240hz"))
     each = 2 if quick else -(-count // (len(SCENES) * _BINS))
-    edges = np.linspace(0, FARTHEST_PERCENT, _BINS + 1)
+    edges = np.linspace(0, MAX_PERCENT, _BINS + 1)
     return [
         Case(
             f"{name}, shift up to {high:.0f} % of the disc", pairs(name, low / 100, high / 100, each),
@@ -73,7 +73,7 @@ def cases(quick: bool, count: int = 1000) -> list[Case]:
 
 
 class Statistics(NamedTuple):
-    """What a method made of many pairs of one scene.
+    """Statistics of a method over many pairs of one scene.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.io import TrackPoint
 
-LEAST_TRACKED = 0.9
+MIN_TRACKED = 0.9
 _SHOWN = ("tracker", "tracker, rolling shutter ignored", "the paper's, in OpenCV, float32", "PyFibreBundle Mosaic")
 
 
@@ -34,8 +34,8 @@ def judge(item: Recorded, answer: Sequence[TrackPoint]) -> Judgement:
     errors = track_errors(answer, item.true_px)
     tracked = errors.tracked / errors.frames
     details = {"wrong links": float(errors.wrong_links), "tracked / %": 100 * tracked}
-    claim = Claim.SURE if errors.wrong_links else Claim.DOUBTFUL if tracked < LEAST_TRACKED else Claim.SURE
-    failed = errors.wrong_links > 0 or tracked < LEAST_TRACKED
+    claim = Claim.SURE if errors.wrong_links else Claim.DOUBTFUL if tracked < MIN_TRACKED else Claim.SURE
+    failed = errors.wrong_links > 0 or tracked < MIN_TRACKED
     return Judgement(errors.end_error_percent_of_path, failed, claim, details)
 
 

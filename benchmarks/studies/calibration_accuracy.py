@@ -1,4 +1,4 @@
-"""How true a calibration is, and whether its stated uncertainties are: over many rigs drawn at random."""
+"""Accuracy of calibrations, and of their stated uncertainties, over many random rigs."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Accuracy:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What came of calibrating many rigs.
+    """Results of calibrating many rigs.
 
     Parameters
     ----------

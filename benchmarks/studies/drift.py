@@ -1,4 +1,4 @@
-"""How far the track strays over thousands of pixels: from frame to frame, with loops closed live, and by the graph."""
+"""Drift of the track over thousands of pixels: frame to frame, with live loop closure, and after the pose graph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the tracker's gate tells wrong links from right ones, where there is little to see."""
+"""Acceptance test of registrations in low-texture scenes: wrong ones rejected, right ones kept."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 SMOOTH_PX: Final = 4.0
 JERKY_PX: Final = 12.0
-"""How far links start from the truth, root mean square in each direction, pixels of the tracking grid."""
+"""Error of the starting shift, root mean square in each direction, pixels of the tracking grid."""
 _SCENE_UM: Final = 4800.0
 _SCENE_UM_PER_PX: Final = 2.0
 _HALF_WIDTH_UM: Final = 4.0
@@ -45,11 +45,11 @@ _SPEED_UM_S: Final = 3000.0
 _SMOOTH_SPREAD_PX: Final = 2.7
 """Spread of the velocity that the tracker learns from smooth motion."""
 _VELOCITY_SIGMA_PX: Final = 0.3
-"""How well it knows the velocity of the earlier frame."""
+"""Standard deviation of the earlier frame's velocity."""
 _JERK_FRAMES: Final = 2
 _JERK_PX: Final = 30.0
 _UNEVEN_PX: Final = WRONG_PX / 4
-"""What unevenness of the motion alone may add to a link, camera pixels, up to which links are judged."""
+"""Error from within-frame acceleration, camera pixels, up to which registrations are judged."""
 _CORE_PX: Final = 1.2
 TOLD: Final = 0.1
 """Least change of the view for a wrong shift: see :func:`change_of_view`. The blunt end of one fibre makes 0.3."""
@@ -87,7 +87,7 @@ class Judged(NamedTuple):
 
 
 class Gate(NamedTuple):
-    """What the gate made of many links.
+    """Result of the acceptance test on many registrations.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def _velocities(rig: SimulatedRig, path: Trajectory, frames: int, grid: Grid) ->
 
 
 def change_of_view(looked_at: Scene, places: NDArray[np.float64], grid: Grid, um_per_px: float) -> NDArray[np.float64]:
-    """How much a shift that is just wrong changes what successive frames share, in the direction that shows it least.
+    """Change of the overlap of successive frames by a shift that is just wrong, in the least constrained direction.
 
     Parameters
     ----------

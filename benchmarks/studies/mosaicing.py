@@ -48,7 +48,7 @@ class Scenario(NamedTuple):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a method made of a scenario.
+    """Result of a method on a scenario.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ def _correlation(
 
 
 class SeenAtRest:
-    """What the instrument shows of a scene, without noise and motion: ELS+ from many resting places, put together.
+    """Reference image of a scene without noise and motion: ELS+ at rest at many positions, combined.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the paper prints of the axial response: the numbers that ours are held against.
+"""Axial response as printed in the paper: the reference of these benchmarks.
 
 A. D. Thrapp and M. R. Hughes, "Reduced motion artifacts and speed improvements in enhanced line-scanning fiber bundle
 endomicroscopy", J. Biomed. Opt. (2021), "Optical Sectioning and Signal Drop".

@@ -1,4 +1,4 @@
-"""Where the time of a frame goes, from the raw frame to the mosaic: this software's stages, and the paper's."""
+"""Processor time of each stage from the raw frame to the mosaic, of this software and of the paper's method."""
 
 from __future__ import annotations
 
