@@ -82,7 +82,7 @@ class Peer:
 
     def __init__(self, name: str) -> None:
         if not _python(name).exists():
-            raise Absent(f"{name} is not installed", "run `napari-elsplus bench peers`")
+            raise Absent(f"{name} is not installed", "run `python3 run.py bench peers`")
         environ = {key: value for key, value in os.environ.items() if key not in {"PYTHONPATH", "PYTHONHOME"}}
         # a pipe that nobody reads would hold the peer up once it is full
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
@@ -113,7 +113,7 @@ class Peer:
             self._process.wait()
             self._said.seek(0)
             said = self._said.read().decode(errors="replace").strip().splitlines() or ["no word"]
-            raise Absent(f"{self.name} stopped ({said[-1]})", "run `napari-elsplus bench peers` again") from None
+            raise Absent(f"{self.name} stopped ({said[-1]})", "run `python3 run.py bench peers` again") from None
         if "error" in answer:
             raise MeasurementError(f"{self.name}: {answer['error']}", "that is its own error")
         return TimedElsewhere(answer["answer"], float(answer["seconds"]))
