@@ -1,6 +1,6 @@
 """From raw frames to the mosaic: each stage, all of them on one thread and on two.
 
-Run with asv, or compare with the paper and its peers by hand: ``napari-elsplus bench live --out DIR``.
+Run with asv, or compare with the paper and its peers by hand: ``python3 run.py bench live --out DIR``.
 """
 
 from __future__ import annotations

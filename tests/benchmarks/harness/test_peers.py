@@ -58,7 +58,7 @@ def test_a_peer_that_dies_is_absent(foreign: peers.Peer) -> None:
 
 def test_a_peer_that_was_never_installed_is_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ELSPLUS_PEERS", str(tmp_path))
-    with pytest.raises(Absent, match="not installed: run `python3 run.py bench peers`"):
+    with pytest.raises(Absent, match=r"not installed: run `python3 run\.py bench peers`"):
         peers.Peer("PyFibreBundle")
 
 
