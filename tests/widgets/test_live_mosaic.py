@@ -51,7 +51,7 @@ def test_the_live_mosaic_grows_rests_is_undone_saved_and_cleared(viewer, panel, 
     qtbot.waitUntil(lambda: np.asarray(layer.data[0]).max() > 50, timeout=30_000)
     assert layer.scale == pytest.approx([2.66, 2.66])
     assert panel.live
-    qtbot.waitUntil(lambda: "mm/s of at most" in panel.form.speed.text, timeout=30_000)
+    qtbot.waitUntil(lambda: "mm/s (limit" in panel.form.speed.text, timeout=30_000)
     qtbot.waitUntil(lambda: panel.form.going_live.text == "Stop live" and panel.form.going_live.enabled, timeout=30_000)
     panel.save(tmp_path / "live.ome.tif")
     qtbot.waitUntil(lambda: not panel.work.busy and panel.form.going_live.enabled, timeout=30_000)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import weakref
 from concurrent.futures import Future
 from threading import Lock, Thread
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.errors import DeviceError
@@ -53,7 +55,7 @@ class Connection:
         active = client.calibration if client is not None else None
         if active is not self._received:
             self._received = active  # a copy from the engine's process: the panels go on sharing one object
-            if active is not None and active != self._applied[0]:
+            if active is not None and not _same(active, self._applied[0]):
                 self._applied = active, None
         return self._applied[0]
 
@@ -163,6 +165,17 @@ class Connection:
     def _enter(self) -> Connection:
         self._users += 1
         return self
+
+
+def _same(one: Calibration, other: Calibration | None) -> bool:
+    """Return True if two calibrations have equal numbers and equal arrays."""
+    return other is not None and _equal(vars(one), vars(other)) and _equal(one.model_extra, other.model_extra)
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_equal(value, other[key]) for key, value in one.items())
+    return np.array_equal(one, other) if isinstance(one, np.ndarray) else bool(one == other)
 
 
 def join() -> Connection:
