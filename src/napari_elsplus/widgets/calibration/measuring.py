@@ -116,7 +116,7 @@ class OffsetFollowing:
         Raises
         ------
         DeviceError
-            If camera or mirror fail.
+            If camera or galvo fail.
         """
         setup, begun_s = self._guided.setup(), perf_counter()
         for count, found in self._guided.follow_offset(self._draft, lambda: self._running):
