@@ -22,7 +22,7 @@ PACKAGE = PROJECT / "src" / "napari_elsplus"
 RETIRED = [line for line in (PROJECT / "docs" / "retired-names.txt").read_text("utf-8").splitlines() if line[:1] != "#"]
 DOCUMENTED: tuple[str, ...] = (
     "acquisition",
-    "cli/files",
+    "cli",
     "diagnosis",
     "errors.py",
     "hardware",
