@@ -35,8 +35,8 @@ ALL_OF_IT_S = 3600.0
 
 
 @click.command()
-@click.option("--rig", "rig_name", default=SIMULATED, show_default=True, help="Which rig; `doctor` lists them.")
-@click.option("-c", "--calibration", type=FILE, help="The rig's calibration; the simulated rig calibrates itself.")
+@click.option("--rig", "rig_name", default=SIMULATED, show_default=True, help="Name of the rig; `doctor` lists them.")
+@click.option("-c", "--calibration", type=FILE, help="Calibration file; without one the simulated rig is calibrated.")
 @click.option("--preset", type=click.Choice(list(PRESETS)), default="240hz", show_default=True, help="Camera region.")
 @click.option("--slit-rows", type=click.IntRange(1), default=3, show_default=True, help="Width of the rolling slit.")
 @click.option("--rate-hz", type=POSITIVE, help="Frames per second; the preset's by default.")
@@ -59,7 +59,7 @@ def command(
     report: Path,
     force: bool,
 ) -> None:
-    """Run the live engine for some seconds: section every frame, record, track, lay the mosaic, report."""
+    """Run the live engine for some seconds: section every frame, record, track, insert into the mosaic, report."""
     beside_record = () if record is None else [beside(record, f".calibration{ending}") for ending in (".json", ".npz")]
     refuse_outputs(record, *beside_record, mosaic, track, report, force=force)
     keep_pace()
