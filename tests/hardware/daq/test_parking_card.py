@@ -1,0 +1,255 @@
+"""Parking on the virtual card through the real driver: each fault that was found, by the card's own clock."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+
+from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.daq.scanner import DaqScanner
+from napari_elsplus.hardware.parking import LASER_OFF, ParkStage
+from napari_elsplus.hardware.scan.timing import ScanTiming
+from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform, els_waveform
+from napari_elsplus.hardware.virtual.card.card import POWER_ON_V, VirtualCard
+from napari_elsplus.hardware.virtual.timeline import StrobeTrain
+
+PARK_V = -0.7
+PERIOD_S = 1 / 240
+TIMING = ScanTiming(1 / 130_750.6, 130_750.6 / 240, 3)
+LASER = "port0/line0"
+
+
+@pytest.fixture
+def ramp(calibration) -> Waveform:
+    return els_waveform(calibration(), TIMING, GalvoLimits())
+
+
+def parked_s(card: VirtualCard) -> float:
+    """When the output came to stand at the parking voltage, by the card's clock; it has to stand there."""
+    since_s = None
+    for program in card.programs():
+        at_rest = not len(program.samples) and program.resting_v == PARK_V
+        since_s = (program.since_s if since_s is None else since_s) if at_rest else None
+    assert since_s is not None, "it is not parked"
+    return since_s
+
+
+def sweep(scanner: DaqScanner, bench, ramp, wait_for) -> StrobeTrain:
+    scanner.scan(ramp)
+    train = bench.strobe_now()
+    wait_for(lambda: scanner.ramps_begun > 2)
+    return train
+
+
+def fault_of(scanner: DaqScanner) -> str:
+    try:
+        scanner.check()
+    except DeviceError as fault:
+        return str(fault)
+    return ""
+
+
+def test_a_card_that_refuses_while_it_is_closed_is_parked_as_soon_as_it_accepts(cards, ramp, wait_for) -> None:
+    """Before: counted as parked, and the line stayed on the bundle."""
+    bench = cards()
+    scanner = DaqScanner(bench.settings, bench.limits)
+    sweep(scanner, bench, ramp, wait_for)
+    states = []
+    scanner.on_park_state(lambda state: states.append((state, bench.card.last_volts)))
+    bench.card.inject(refuse_s=0.3)
+    accepts_s = bench.card.faults.refuse_until_s
+    scanner.close()
+    assert scanner.park_state.parked
+    assert 0 <= parked_s(bench.card) - accepts_s < 0.5
+    assert states[-1][0].parked
+    assert not [state for state, volts in states if state.parked and volts != PARK_V]
+    assert any(state.message.startswith(LASER_OFF) for state, _ in states)
+
+
+def test_a_card_that_refuses_longer_is_not_called_parked_and_nothing_hangs(cards, ramp, wait_for) -> None:
+    bench = cards()
+    scanner = DaqScanner(bench.settings, bench.limits)
+    sweep(scanner, bench, ramp, wait_for)
+    bench.card.inject(refuse_s=4.0)
+    begun_s = time.perf_counter()
+    with pytest.raises(DeviceError, match="^NOT PARKED: switch the laser off"):
+        scanner.park()
+    with pytest.raises(DeviceError, match="NOT PARKED"):
+        scanner.hold(0.1)
+    assert time.perf_counter() - begun_s < 3
+    scanner.close()
+    assert scanner.park_state.stage is ParkStage.NOT_PARKED
+    wait_for(lambda: scanner.park_state.parked, 10)  # it goes on by itself
+    assert parked_s(bench.card) - bench.card.faults.refuse_until_s < 0.5
+
+
+@pytest.mark.parametrize("power_up", [True, False])
+def test_an_error_of_clear_task_ends_with_a_reset(cards, ramp, wait_for, power_up) -> None:
+    """Before: a raw error of nidaqmx, and the watching thread was dead."""
+    bench = cards(laser_line=LASER)
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        sweep(scanner, bench, ramp, wait_for)
+        bench.card.inject(clear_errors=2, reset_to_power_up=power_up, reset_s=0.03)
+        begun_s = bench.card.clock.now_s()
+        scanner.park()
+        assert parked_s(bench.card) - begun_s < 0.5
+        state = scanner.park_state
+        assert state.resets >= 1
+        assert state.reset_s >= 0.03
+        assert "power-up" in state.message
+        volts = {program.resting_v for program in bench.card.programs() if program.since_s > begun_s}
+        assert (POWER_ON_V in volts) == power_up
+        scanner.hold(0.1)  # and it can go on
+        scanner.check()
+
+
+def test_the_watching_thread_survives_what_nobody_thought_of(cards, ramp, wait_for, monkeypatch) -> None:
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        sweep(scanner, bench, ramp, wait_for)
+        monkeypatch.setattr(scanner._output, "samples_done", lambda: 1 // 0)
+        begun_s = bench.card.clock.now_s()
+        wait_for(lambda: "ZeroDivisionError" in fault_of(scanner))
+        wait_for(lambda: scanner.park_state.parked)
+        assert parked_s(bench.card) - begun_s < 0.5
+        monkeypatch.undo()
+        scanner.hold(0.2)
+        scanner.check()
+
+
+def test_a_strobe_that_was_never_wired_parks_and_the_wire_is_named(cards, ramp, wait_for) -> None:
+    """Before: the line stood on one row of the bundle until the hold limit of 20 s."""
+    bench = cards()
+    bench.card.inject(strobe_unwired=True)
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        begun_s = time.perf_counter()
+        scanner.watch_frames(lambda: int((time.perf_counter() - begun_s) / PERIOD_S))
+        scanner.scan(ramp)
+        bench.strobe_now()
+        wait_for(lambda: "no strobe reaches PFI0" in fault_of(scanner))
+        wait_for(lambda: scanner.park_state.parked)
+        assert parked_s(bench.card) - begun_s < 0.5 + 0.2  # frames come from the beginning
+
+
+def test_ramps_without_frames_park(cards, ramp, wait_for) -> None:
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        scanner.watch_frames(lambda: 7)
+        sweep(scanner, bench, ramp, wait_for)
+        wait_for(lambda: "no frame has come" in fault_of(scanner))
+        wait_for(lambda: scanner.park_state.parked)
+
+
+def test_an_output_that_does_not_follow_is_not_called_parked(cards) -> None:
+    """The card accepts every write, but reads another voltage back."""
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        scanner.hold(0.3)
+        bench.card.inject(stuck=True)
+        with pytest.raises(DeviceError, match=r"at 0.3 V instead of -0.7 V|at 0 V instead"):
+            scanner.park()
+        assert not scanner.park_state.parked
+        bench.card.inject(stuck=False)
+
+
+def test_a_card_without_the_internal_channel_confirms_by_its_task(cards) -> None:
+    bench = cards()
+    bench.card.inject(reads_back=False)
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        scanner.hold(0.3)
+        scanner.park()
+        assert scanner.park_state.parked
+        assert scanner.park_state.read_back_v is None
+        assert bench.card.last_volts == PARK_V
+
+
+def test_parking_goes_around_a_call_that_does_not_return(cards) -> None:
+    """Another thread is stuck in the card, with every lock; parking resets the card, which aborts that call."""
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        scanner.hold(0.3)
+        bench.card.inject(hangs=True)
+        errors: list[DeviceError] = []
+
+        def stuck() -> None:
+            try:
+                scanner.hold(0.2)
+            except DeviceError as error:
+                errors.append(error)
+
+        thread = threading.Thread(target=stuck)
+        thread.start()
+        time.sleep(0.1)
+        begun_s = bench.card.clock.now_s()
+        scanner.park()
+        assert bench.card.clock.now_s() - begun_s < 2
+        assert scanner.park_state.parked
+        assert bench.card.last_volts == PARK_V
+        thread.join(5)
+        assert len(errors) == 1
+
+
+def test_parking_from_any_thread_ends_a_slow_move_at_once(cards) -> None:
+    bench = cards()
+    with DaqScanner(bench.settings, GalvoLimits(max_slew_v_per_s=0.5)) as scanner:  # two seconds from park to 0.3 V
+        errors: list[DeviceError] = []
+
+        def move() -> None:
+            try:
+                scanner.hold(0.3)
+            except DeviceError as error:
+                errors.append(error)
+
+        thread = threading.Thread(target=move)
+        thread.start()
+        time.sleep(0.3)
+        begun_s = bench.card.clock.now_s()
+        scanner.park()
+        assert parked_s(bench.card) - begun_s < 0.5
+        thread.join(5)
+        assert "being parked" in str(errors[0])
+
+
+@pytest.mark.parametrize("on_high", [True, False])
+def test_the_laser_is_on_only_while_the_galvo_is_driven(cards, ramp, wait_for, on_high) -> None:
+    bench = cards(laser_line=LASER, laser_on_high=on_high)
+
+    def laser() -> bool:
+        return bench.card.laser_on is on_high
+
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        assert not laser()
+        scanner.hold(0.2)
+        assert laser()
+        scanner.park()
+        assert not laser()
+        train = sweep(scanner, bench, ramp, wait_for)
+        assert laser()
+        bench.card.strobe(StrobeTrain(train.start_s, PERIOD_S, time.perf_counter()))
+        wait_for(lambda: not laser())
+        wait_for(lambda: scanner.park_state.parked)
+    assert not laser()
+
+
+def test_a_parking_voltage_on_the_bundle_is_refused_before_anything_moves(cards, ramp) -> None:
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        scanner.park_at(0.2)  # nobody knows yet where the bundle is
+        before = bench.card.version
+        with pytest.raises(InputError, match="parking voltage 0.2 V is on the bundle"):
+            scanner.scan(ramp)
+        assert bench.card.version == before
+
+
+def test_every_error_of_the_driver_is_ours(cards, ramp, wait_for) -> None:
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        for clear_errors in (1, 3):
+            sweep(scanner, bench, ramp, wait_for)
+            bench.card.inject(clear_errors=clear_errors)
+            try:
+                scanner.scan(ramp)
+            except DeviceError:
+                wait_for(lambda: scanner.park_state.parked)
