@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.daq.output import MAX_HOLD_S, CardSettings
 from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
@@ -82,11 +82,13 @@ class CardTable(_Table):
 
     park_v: Volts
     device: str = "Dev1"
-    output: str = "ao0"
-    counter: str = "ctr0"
+    output: Annotated[str, Field(pattern=r"^ao\d+$")] = "ao0"
+    counter: Annotated[str, Field(pattern=r"^ctr\d+$")] = "ctr0"
     strobe: str = "PFI0"
     falling: bool = True
-    hold_limit_s: Annotated[float, Field(gt=0, le=600)] = 20.0
+    hold_limit_s: Annotated[float, Field(gt=0, le=MAX_HOLD_S)] = 20.0
+    laser_line: Annotated[str, Field(pattern=r"^(port\d+/line\d+)?$")] = ""
+    laser_on_high: bool = True
     address: str = ""
 
 
@@ -100,6 +102,12 @@ class GalvoTable(_Table):
     card_samples: Annotated[int, Field(gt=0)] = 8191
     natural_hz: Positive | None = None
     damping: Positive = 0.7
+
+    @model_validator(mode="after")
+    def _range_is_not_empty(self) -> Self:
+        if not self.min_v < self.max_v:
+            raise ValueError(f"min_v {self.min_v:g} is not below max_v {self.max_v:g}")
+        return self
 
 
 class RigSettings(_Table):
@@ -115,6 +123,13 @@ class RigSettings(_Table):
     camera: CameraTable = CameraTable()
     scanner: ScannerTable = ScannerTable()
     mirror: GalvoTable = GalvoTable()
+
+    @model_validator(mode="after")
+    def _parking_is_within_the_range(self) -> Self:
+        low, park_v, high = self.mirror.min_v, self.card.park_v, self.mirror.max_v
+        if not low <= park_v <= high:
+            raise ValueError(f"the parking position park_v {park_v:g} is outside min_v {low:g} to max_v {high:g}")
+        return self
 
     @classmethod
     def parse(cls, content: dict[str, Any], name: str) -> RigSettings:
@@ -134,12 +149,12 @@ class RigSettings(_Table):
         """
         try:
             settings = cls.model_validate(content)
-            settings.limits().check(settings.card.park_v, "the parking position")
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])
-            value = "" if isinstance(first["input"], dict) else f" (value {first['input']!r:.60})"
-            raise InputError(f"rig {name}: {where}: {first['msg']}{value}", "correct it in the rig's file") from None
+            value = "" if isinstance(first["input"], (dict, BaseModel)) else f" (value {first['input']!r:.60})"
+            problem = ": ".join(filter(None, (f"rig {name}", where, first["msg"].removeprefix("Value error, "))))
+            raise InputError(f"{problem}{value}", "correct it in the rig's file") from None
         return settings
 
     def card_settings(self) -> CardSettings:

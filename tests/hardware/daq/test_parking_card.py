@@ -74,7 +74,7 @@ def test_a_card_that_refuses_longer_is_not_called_parked_and_nothing_hangs(cards
     sweep(scanner, bench, ramp, wait_for)
     bench.card.inject(refuse_s=4.0)
     begun_s = time.perf_counter()
-    with pytest.raises(DeviceError, match="^NOT PARKED: switch the laser off"):
+    with pytest.raises(DeviceError, match=r"^NOT PARKED: switch the laser off"):
         scanner.park()
     with pytest.raises(DeviceError, match="NOT PARKED"):
         scanner.hold(0.1)
@@ -238,7 +238,7 @@ def test_a_parking_voltage_on_the_bundle_is_refused_before_anything_moves(cards,
     with DaqScanner(bench.settings, bench.limits) as scanner:
         scanner.park_at(0.2)  # nobody knows yet where the bundle is
         before = bench.card.version
-        with pytest.raises(InputError, match="parking voltage 0.2 V is on the bundle"):
+        with pytest.raises(InputError, match=r"parking voltage 0\.2 V is on the bundle"):
             scanner.scan(ramp)
         assert bench.card.version == before
 
