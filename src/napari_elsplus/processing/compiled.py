@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
+import hashlib
+from functools import cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import numba
@@ -40,9 +42,22 @@ def lean_kernel(function: Function) -> Function:
 
 def _cached(compile_with: Callable[..., Any], function: Function) -> Function:
     try:
-        return cast("Function", compile_with(cache=True)(function))
+        dispatcher = compile_with(cache=True)(function)
     except RuntimeError:  # raised by numba where no cache folder is writable
         return cast("Function", compile_with()(function))
+    dispatcher._cache._cache_file._source_stamp = _sources_of_kernels()  # noqa: SLF001 - numba has no public way
+    return cast("Function", dispatcher)
+
+
+@cache
+def _sources_of_kernels() -> str:
+    """Return a hash of the sources of all kernels of the package.
+
+    Machine code of a kernel contains that of the kernels it calls, whereas numba compares the kernel's own file only.
+    """
+    package = Path(__file__).parents[1]
+    texts = (path.read_bytes() for path in sorted(package.rglob("*.py")))
+    return hashlib.sha256(b"".join(text for text in texts if b"processing.compiled import" in text)).hexdigest()
 
 
 def _prefetch(_: Any, array: Any, row: Any, col: Any) -> Any:

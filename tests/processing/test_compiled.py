@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import napari_elsplus
+
+CALLER = """
+from napari_elsplus.processing.compiled import kernel
+from napari_elsplus.processing.inner import twice
+
+@kernel
+def outer(x):
+    return twice(x) + 1.0
+"""
+INNER = """
+from napari_elsplus.processing.compiled import kernel
+
+@kernel
+def twice(x):
+    return {factor} * x
+"""
+
+
+def answer(package: Path) -> str:
+    """What the outer kernel returns in a process of its own, from the cache where there is one."""
+    code = "from napari_elsplus.processing.outer import outer; print(outer(3.0), sum(outer.stats.cache_hits.values()))"
+    environment = {**os.environ, "PYTHONPATH": str(package.parent)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A copy of what a kernel needs of the package, with two kernels of which one calls the other."""
+    source, copy = Path(napari_elsplus.__file__).parent, tmp_path / "napari_elsplus"
+    (copy / "processing").mkdir(parents=True)
+    for name in ("__init__.py", "processing/__init__.py", "processing/compiled.py"):
+        shutil.copy(source / name, copy / name)
+    (copy / "processing" / "outer.py").write_text(CALLER)
+    (copy / "processing" / "inner.py").write_text(INNER.format(factor="2.0"))
+    return copy
+
+
+def test_an_edited_kernel_is_compiled_again_into_those_that_call_it(package: Path) -> None:
+    """numba alone compares the caller's own file, and would go on running the old callee."""
+    assert answer(package) == "7.0 0"
+    assert answer(package) == "7.0 1"
+    (package / "processing" / "inner.py").write_text(INNER.format(factor="5.0"))
+    assert answer(package) == "16.0 0"
+    assert answer(package) == "16.0 1"
