@@ -10,7 +10,7 @@ import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 
 import pytest
@@ -18,13 +18,18 @@ import pytest
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.daq.takeover import ParkOrder
 from napari_elsplus.hardware.guardian import Guardian, guard
+from napari_elsplus.hardware.rigs import open_rig
+from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
 from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
 from napari_elsplus.hardware.virtual.card.process import RemoteCard
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.specimen.scenes import empty
+from napari_elsplus.simulation.truth import park_volts
 
 PRESET = PRESETS["240hz"]
+PARK_V = park_volts(Instrument.of(PRESET.name))
 DRIVE = """
     import json, time
     from napari_elsplus.hardware.rigs import open_rig
@@ -46,10 +51,10 @@ DRIVE = """
 """
 
 
-def seconds_until(condition: Callable[[], bool]) -> float:
+def seconds_until(condition: Callable[[], bool], within_s: float = 5.0) -> float:
     begin = time.perf_counter()
     while not condition():
-        assert time.perf_counter() - begin < 5, "it never came to that"
+        assert time.perf_counter() - begin < within_s, "it never came to that"
     return time.perf_counter() - begin
 
 
@@ -127,3 +132,102 @@ def test_a_guardian_that_is_killed_is_replaced_with_the_newest_order_and_that_is
 def test_a_guardian_that_cannot_reach_the_card_does_not_pretend_to_watch() -> None:
     with pytest.raises(DeviceError, match="guardian did not start"):
         Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, "127.0.0.1:9"))
+
+
+SCRIPT = """
+    import json, sys, time
+    from napari_elsplus.acquisition.engine.engine import Engine
+    from napari_elsplus.acquisition.engine.status import Settings
+    from napari_elsplus.hardware.rigs import open_rig
+    from napari_elsplus.hardware.virtual.bench import Simulation
+    from napari_elsplus.instrument.optics import PRESETS
+    from napari_elsplus.simulation.specimen.scenes import empty
+
+    rig = open_rig("simulated", Simulation(scene=empty(), own_process=True))
+    with Engine(rig) as engine:
+        engine.configure(Settings("240hz"))
+        engine.use(rig.bench.optics.calibration(PRESETS["240hz"]))
+        engine.start()
+        print(json.dumps([rig.bench.card.place, rig.guardian.pid]), flush=True)
+        while True:
+            guardian = rig.guardian
+            state = rig.scanner.park_state
+            reports = [str(report) for report in guardian.reports]
+            print(json.dumps([guardian.pid, guardian.on_guard, state.stage, reports]), flush=True)
+            time.sleep(0.05)
+"""
+
+
+@pytest.fixture
+def script() -> Iterator[tuple[subprocess.Popen[str], RemoteCard, int]]:
+    """A script that opens a rig by itself and scans; its card, and its guardian."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(SCRIPT)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    place, guardian = json.loads(process.stdout.readline())
+    with RemoteCard(place) as card:
+        seconds_until(lambda: len(card.programs()[-1].samples) > 0, 20)
+        yield process, card, guardian
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+        process.stdout.close()
+        card.inject(refuse_until_s=0.0)
+        seconds_until(lambda: is_parked(card), 20)
+
+
+def is_parked(card: RemoteCard) -> bool:
+    """Whether the output stands where the simulated rig parks."""
+    newest = card.programs()[-1]
+    return not len(newest.samples) and abs(newest.resting_v - PARK_V) < 0.2
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_a_script_that_opens_a_rig_has_a_guardian(script) -> None:
+    """Before: only the engine's process and the command line had one."""
+    process, card, _ = script
+    killed_s = time.perf_counter()
+    process.kill()
+    seconds_until(lambda: is_parked(card), 10)
+    assert card.programs()[-1].since_s - killed_s < 0.5
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_a_guardian_takes_over_a_card_that_refuses_as_soon_as_it_accepts(script) -> None:
+    """Before: it gave up after two seconds."""
+    process, card, _ = script
+    card.inject(refuse_s=4.0)
+    accepts_s = time.perf_counter() + 4.0
+    process.kill()
+    seconds_until(lambda: is_parked(card), 10)
+    assert -0.1 < card.programs()[-1].since_s - accepts_s < 0.5
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_a_guardian_killed_while_scanning_is_replaced_or_the_galvo_parks_and_both_are_reported(script) -> None:
+    """Before: six seconds later it was still scanning with nothing on guard, and no fault."""
+    process, card, guardian = script
+    killed_s = time.perf_counter()
+    os.kill(guardian, signal.SIGKILL)
+    while True:
+        pid, on_guard, _, reports = json.loads(process.stdout.readline())
+        if (pid != guardian and on_guard) or is_parked(card):
+            break
+    assert time.perf_counter() - killed_s < 1.5  # to see it takes a moment; the card's clock follows
+    if is_parked(card):
+        assert card.programs()[-1].since_s - killed_s < 1.0
+    while not reports:
+        *_, reports = json.loads(process.stdout.readline())
+    assert "guardian" in reports[0]
+
+
+def test_a_guardian_is_dismissed_only_when_the_galvo_is_parked() -> None:
+    """Before: the rig was closed, and with it the guardian, while the card refused."""
+    with open_rig("simulated", Simulation(scene=empty(), own_process=True)) as rig:
+        rig.scanner.hold(0.1)
+        rig.bench.card.inject(refuse_s=3.0)
+    assert not rig.scanner.park_state.parked
+    assert rig.scanner.park_state.message.startswith("NOT PARKED")
+    assert rig.guardian.on_guard
+    seconds_until(lambda: rig.scanner.park_state.parked, 10)
+    seconds_until(lambda: not rig.guardian.on_guard, 10)

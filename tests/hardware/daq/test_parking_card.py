@@ -191,6 +191,17 @@ def test_parking_goes_around_a_call_that_does_not_return(cards) -> None:
         assert len(errors) == 1
 
 
+def test_a_card_that_hangs_while_it_is_watched_is_a_fault(cards, ramp, wait_for, monkeypatch) -> None:
+    monkeypatch.setattr("napari_elsplus.hardware.daq.scanner.STUCK_AFTER_S", 0.5)
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        sweep(scanner, bench, ramp, wait_for)
+        bench.card.inject(hangs=True)
+        wait_for(lambda: "has not answered" in fault_of(scanner))
+        scanner.park()
+        assert bench.card.last_volts == PARK_V
+
+
 def test_parking_from_any_thread_ends_a_slow_move_at_once(cards) -> None:
     bench = cards()
     with DaqScanner(bench.settings, GalvoLimits(max_slew_v_per_s=0.5)) as scanner:  # two seconds from park to 0.3 V

@@ -30,6 +30,8 @@ PARK_TIMEOUT_S: Final = 1.5
 """Seconds that `DaqScanner.park` waits for the card; chosen: no call takes longer than 2 s."""
 BYPASS_AFTER_S: Final = 0.3
 """Seconds after which parking goes around a call to the card that does not return; chosen: far above a call's time."""
+STUCK_AFTER_S: Final = 2.5
+"""Seconds without a check of the card after which `check` is a fault; chosen: above the time limit of a call."""
 
 
 class DaqScanner:
@@ -68,9 +70,10 @@ class DaqScanner:
         self._volts = card.park_v
         self._parks = threading.Event()
         """Set from the command to park until the card has confirmed it; hold and scan give way to it."""
-        self._attempting = threading.Event()
+        self._attempt_begun_s: float | None = None
         self._wake = threading.Event()
         self._closing = False
+        self._alive_s = time.perf_counter()
         self._first_attempt()
         self._watch = threading.Thread(target=self._run, name="galvo watch", daemon=True)
         self._watch.start()
@@ -131,18 +134,22 @@ class DaqScanner:
 
     def check(self) -> None:
         """Raise what has gone wrong since the last `hold` or `scan`."""
+        silent_s = time.perf_counter() - self._alive_s
+        if self._fault is None and silent_s > STUCK_AFTER_S and not self._closing:
+            self.interrupt(
+                DeviceError(f"the card has not answered for {silent_s:.1f} s", "switch the laser off, plug it in again")
+            )
         fault = self._fault
         if fault is not None:
             raise fault
-        if not (self._watch.is_alive() or self._closing):
-            raise DeviceError("the thread that watches the galvo has ended", "switch the laser off, open the rig again")
 
     def park(self) -> None:
         """Stop the scan and take the line off the bundle; returns once the card has confirmed it."""
         self._command_parking()
         if self._parking.wait(BYPASS_AFTER_S):
             return
-        if not self._attempting.is_set():  # a call to the card does not return
+        begun_s = self._attempt_begun_s
+        if begun_s is None or time.perf_counter() - begun_s > BYPASS_AFTER_S:  # a call to the card does not return
             with contextlib.suppress(RuntimeError):  # no thread starts while the interpreter ends
                 threading.Thread(target=self._bypass, name="galvo parking", daemon=True).start()
         if not self._parking.wait(PARK_TIMEOUT_S - BYPASS_AFTER_S):
@@ -224,6 +231,7 @@ class DaqScanner:
         while True:
             self._wake.wait(self._parking.state.retry_s if self._parks.is_set() else WATCH_EVERY_S)
             self._wake.clear()
+            self._alive_s = time.perf_counter()
             if self._closing and not self._parks.is_set():
                 break
             try:
@@ -242,7 +250,7 @@ class DaqScanner:
             self._attempt()
 
     def _attempt(self) -> None:
-        self._attempting.set()
+        self._attempt_begun_s = time.perf_counter()
         try:
             self._waveform = None
             if self._parking.attempt().parked:
@@ -250,7 +258,7 @@ class DaqScanner:
                 self._interlock.rest()
                 self._parks.clear()
         finally:
-            self._attempting.clear()
+            self._attempt_begun_s = None
 
     def _fault_now(self) -> DeviceError | None:
         try:
