@@ -354,16 +354,16 @@ def test_a_camera_that_does_not_start_leaves_the_mirror_parked(
     assert not engine.status().live
 
 
-def steep(calibration: Calibration) -> Calibration:
-    """A calibration whose ramp is beyond the limits."""
+def fast(calibration: Calibration) -> Calibration:
+    """A calibration whose ramp leaves no time to fly back."""
     assert calibration.galvo is not None
-    return calibration.model_copy(
-        update={"galvo": calibration.galvo.model_copy(update={"volts_per_row": 0.1, "volts_at_row_zero": -25.0})}
-    )
+    galvo = {"volts_per_row": -0.005, "volts_at_row_zero": 1.3, "park_v": -1.9}
+    return calibration.model_copy(update={"galvo": calibration.galvo.model_copy(update=galvo)})
 
 
 def test_a_ramp_that_does_not_fit_is_refused_with_its_remedy(engine: Engine, calibration: Calibration) -> None:
-    engine.use(steep(calibration))
+    engine.use(fast(calibration))
+    engine.configure(Settings("240hz"))
     with pytest.raises(InputError, match="fly back"):
         engine.start()
     status = engine.status()
