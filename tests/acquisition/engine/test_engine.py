@@ -517,7 +517,9 @@ def test_park_is_at_once_while_a_view_is_made(
     thread = Thread(target=show)
     thread.start()
     making.wait(20)
+    begun_s = time.monotonic()
     engine.park()
+    assert time.monotonic() - begun_s < 1.0
     assert rig.scanner.calls[-1] == "park"
     made.set()
     thread.join()

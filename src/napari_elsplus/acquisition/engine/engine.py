@@ -80,9 +80,9 @@ class Engine:
         self.operations = Operations()
         self._imaging = Imaging(rig, make_ring, self._replace_sink)
         self.setup = self._imaging.setup
-        self.galvo = GalvoController(rig, self.setup, self.operations)
-        self._lock = RLock()
         self._faults = FaultLog()
+        self.galvo = GalvoController(rig, self.setup, self.operations, self._faults)
+        self._lock = RLock()
         self._tracker: FrameConsumer | None = None
         self._live = False
         self._closed = False
@@ -195,10 +195,11 @@ class Engine:
                 settling=self.setup.settling,
             )
             try:
+                self.galvo.watch_frames(lambda: run.received)
                 self.galvo.follow(waveform)
                 run.start()
             except BaseException:
-                self._park()
+                self.galvo.try_to_park()
                 run.stop()
                 raise
             self._run, self._live, self.setup.settling = run, True, 0
@@ -220,6 +221,14 @@ class Engine:
         """
         self.operations.interrupt("the galvo was parked")
         self.galvo.park()
+
+    def secure(self, error: DeviceError) -> None:
+        """Park, and end a recording, because of an error found elsewhere; frames go on streaming. Waits for no lock."""
+        self._faults.add("engine", error)
+        self.operations.interrupt(error.problem)
+        self.galvo.try_to_park()
+        if self._run is not None:
+            self._run.end_recording()
 
     def scan(self, by: Calibration | None = None) -> None:
         """Scan by a calibration with galvo and bundle; by the active one if none is given.
@@ -294,6 +303,7 @@ class Engine:
             configured=self.setup.configured,
             live=self._live,
             scanning=self.galvo.scanning,
+            park_state=self.galvo.park_state,
             disk_bytes_per_s=nan if self._run is None else self.setup.bytes_per_s,
             display=self._imaging.display.where,
             faults=self._faults.all(),
@@ -318,6 +328,7 @@ class Engine:
             finally:
                 self._rig.close()
                 self._imaging.display.close()
+                self.galvo.close()
 
     def __enter__(self) -> Self:
         return self
@@ -363,16 +374,11 @@ class Engine:
         if not self._live:
             return
         self._live = False
-        self._park()
+        self.galvo.try_to_park()
+        self.galvo.watch_frames(None)
         assert self._run is not None
         self._run.stop()
         self._imaging.display.close_retired()
-
-    def _park(self) -> None:
-        try:
-            self.galvo.park()
-        except DeviceError as error:
-            self._faults.add("scanner", error)
 
     def _check(self) -> None:
         """Raise what has failed in a stream that should run."""

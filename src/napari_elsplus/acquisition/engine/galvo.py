@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING
 
-from napari_elsplus.errors import InputError
+from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.parking import ParkStage
 from napari_elsplus.hardware.scan.clearance import check_parking
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
 
@@ -13,9 +15,13 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.engine.camera_setup import CameraSetup
     from napari_elsplus.acquisition.engine.operations import Operations
+    from napari_elsplus.acquisition.streaming.faults import FaultLog
+    from napari_elsplus.hardware.parking import ParkState
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.hardware.scan.waveform import Waveform
     from napari_elsplus.instrument.calibration import Calibration
+
+_log = logging.getLogger(__name__)
 
 
 class GalvoController:
@@ -29,6 +35,8 @@ class GalvoController:
         Gives the times at which rows are exposed.
     operations : Operations
         An operation that was interrupted moves the galvo no more.
+    faults : FaultLog
+        Receives failures to park.
 
     Attributes
     ----------
@@ -36,12 +44,14 @@ class GalvoController:
         True if the last command was to scan.
     """
 
-    def __init__(self, rig: Rig, setup: CameraSetup, operations: Operations) -> None:
+    def __init__(self, rig: Rig, setup: CameraSetup, operations: Operations, faults: FaultLog) -> None:
         self._scanner, self._strobe, self._setup = rig.scanner, rig.strobe, setup
         self._operations = operations
         self._rig_park_v = rig.scanner.park_v
         self.limits: GalvoLimits = rig.limits
         self.scanning = False
+        self._faults = faults
+        self._end_subscription = rig.scanner.on_park_state(self._note)
 
     def waveform(self, calibration: Calibration | None) -> Waveform | None:
         """Return the scan by a calibration; None without its galvo and bundle sections.
@@ -95,6 +105,28 @@ class GalvoController:
         self.scanning = False
         self._scanner.park()
 
+    def try_to_park(self) -> None:
+        """Park; a failure is noted, and parking goes on."""
+        try:
+            self.park()
+        except DeviceError as error:
+            self._faults.add("scanner", error)
+
+    def close(self) -> None:
+        """Log what to do by hand if the closed scanner is not parked."""
+        self._end_subscription()
+        if self.park_state.stage is ParkStage.NOT_PARKED:
+            _log.critical(self.park_state.message)
+
+    @property
+    def park_state(self) -> ParkState:
+        """State of parking, read without any lock."""
+        return self._scanner.park_state
+
+    def watch_frames(self, received: Callable[[], int] | None) -> None:
+        """Park when ramps come without frames, or frames without ramps, by a count of `received` frames, if any."""
+        self._scanner.watch_frames(received)
+
     def check(self) -> None:
         """Raise the fault since the last command.
 
@@ -104,6 +136,10 @@ class GalvoController:
             If there is one; the scanner has parked then.
         """
         self._scanner.check()
+
+    def _note(self, state: ParkState) -> None:
+        if state.stage is ParkStage.NOT_PARKED:
+            self._faults.add("scanner", DeviceError(state.message, "parking goes on until the card confirms it"))
 
     def _move(self, move: Callable[[], None]) -> None:
         self._operations.check()

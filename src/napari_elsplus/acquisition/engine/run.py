@@ -79,6 +79,11 @@ class Run:
         self._camera_worker.start()
 
     @property
+    def received(self) -> int:
+        """Number of frames that the camera has delivered since its start, lost ones included."""
+        return self._camera_worker.received
+
+    @property
     def broken(self) -> bool:
         """True if a thread has ended that should not have."""
         return not (self._camera_worker.is_alive() and self.processing.is_alive())
@@ -120,12 +125,16 @@ class Run:
 
     def stop_recording(self) -> None:
         """Finish the recording with the newest frame; returns when the file is complete."""
+        self.end_recording()
+        self.finish_recording()
+
+    def end_recording(self) -> None:
+        """End the recording with the newest frame; returns at once."""
         if self._recorder is not None:
             self._recorder.stop()
-            self._recorder.join()
 
     def finish_recording(self) -> None:
-        """Wait until the recording is complete; only after :meth:`stop`."""
+        """Wait until the recording is complete; only after :meth:`stop` or :meth:`end_recording`."""
         if self._recorder is not None:
             self._recorder.join()
 

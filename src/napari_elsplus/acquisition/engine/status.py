@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from napari_elsplus.acquisition.engine.live_images import Measures
 from napari_elsplus.acquisition.streaming.tally import Latency
+from napari_elsplus.hardware.parking import ParkState
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -87,6 +88,8 @@ class Status:
         True while frames stream.
     scanning : bool
         True while the galvo scans.
+    park_state : ParkState
+        State of parking, with what to do by hand in its message.
     acquired, processed, recorded : int
         Frames of this run.
     dropped : mapping
@@ -118,6 +121,7 @@ class Status:
     configured: bool = False
     live: bool = False
     scanning: bool = False
+    park_state: ParkState = field(default_factory=ParkState)
     acquired: int = 0
     processed: int = 0
     recorded: int = 0
@@ -135,7 +139,7 @@ class Status:
     track: TrackState | None = None
 
     def report(self) -> dict[str, Any]:
-        """Return the report of `acquire`: frames, rate, latencies, faults; None where there is no number."""
+        """Return the report of `acquire`: frames, galvo, rate, latencies, faults; None where there is no number."""
         latency = {name: _number(getattr(self.latency_ms, name)) for name in ("p50", "p99", "max")}
         return {
             "frames": {
@@ -144,6 +148,7 @@ class Status:
                 "recorded": self.recorded,
                 "dropped": dict(self.dropped),
             },
+            "galvo": {"stage": self.park_state.stage.value, "message": self.park_state.message},
             "camera_hz": _number(self.mean_hz),
             "latency_ms": latency,
             "faults": [

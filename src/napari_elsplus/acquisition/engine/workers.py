@@ -71,12 +71,15 @@ class CameraWorker(Thread):
     camera_clock_s : float
         Earliest time of zero of the camera's clock, on the clock of ``time.perf_counter``: its first frame was not
         exposed before it was started. So a frame that comes late is not taken for a newer one.
+    received : int
+        Frames that the camera has delivered since its start, lost ones included.
     """
 
     def __init__(self, camera: Camera, stream: FrameStream, tally: Tally, faults: FaultLog, settling: int) -> None:
         super().__init__(name="camera", daemon=True)
         self._camera, self._stream, self._tally, self._faults = camera, stream, tally, faults
         self.camera_clock_s = -inf
+        self.received = 0
         self._settling = settling
         self._stopping = Event()
 
@@ -113,6 +116,7 @@ class CameraWorker(Thread):
                     ) from None
                 continue
             last_s = info.received_s
+            self.received = info.frame_number + 1
             if self.camera_clock_s == -inf:
                 first_exposed_s = info.readout_start_s - info.frame_number * frame_period_s
                 self.camera_clock_s = started_s - _START_TAKES_S - first_exposed_s

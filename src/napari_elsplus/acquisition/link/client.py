@@ -11,17 +11,17 @@ from concurrent.futures import Future
 from contextlib import suppress
 from itertools import count
 from multiprocessing.connection import Client, Connection
-from threading import Lock, Thread
+from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from napari_elsplus.acquisition.engine.status import Status
 from napari_elsplus.acquisition.link.commands import Commands
-from napari_elsplus.acquisition.link.messages import QUIT, Activated, Reply, Request
+from napari_elsplus.acquisition.link.messages import HEARTBEAT_S, QUIT, Activated, Heartbeat, Reply, Request
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
 from napari_elsplus.errors import DeviceError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from napari_elsplus.instrument.calibration import Calibration
 
@@ -60,8 +60,12 @@ class EngineClient(Commands):
         self._died: DeviceError | None = None
         self._closing = False
         self._ring: SharedRing | None = None
+        self._attended: Callable[[], bool] = lambda: True
+        self._ended = Event()
         self._reader = Thread(target=self._receive, name="engine-client", daemon=True)
         self._reader.start()
+        self._heart = Thread(target=self._beat, name="engine-heartbeat", daemon=True)
+        self._heart.start()
 
     def call(self, name: str, *arguments: Any, **options: Any) -> Future[Any]:
         """Return the future result of a command, by its name."""
@@ -99,7 +103,7 @@ class EngineClient(Commands):
     def display(self) -> SharedRing | None:
         """Return the ring of the newest images; to be used by one thread, until the next call."""
         where = self._status.display
-        if where is None or self._died is not None:
+        if where is None or self._closing or self._died is not None:
             return None
         name, layout = where
         if self._ring is None or self._ring.name != name:
@@ -123,7 +127,20 @@ class EngineClient(Commands):
             self._process.kill()
         self._process.communicate()
         self._reader.join()
+        self._heart.join()
         self._connection.close()
+        self._detach()
+
+    def beat_while(self, attended: Callable[[], bool]) -> None:
+        """Send heartbeats only while a function returns True: that the window's events are processed, for instance.
+
+        Parameters
+        ----------
+        attended : callable
+            Called twice a second in a thread of the client. True always by default: then only a process that is stopped
+            sends no heartbeats.
+        """
+        self._attended = attended
 
     def __enter__(self) -> Self:
         return self
@@ -167,6 +184,12 @@ class EngineClient(Commands):
                     self._answer(message)
         self._end()
 
+    def _beat(self) -> None:
+        while not self._ended.wait(HEARTBEAT_S):
+            if self._attended():
+                with self._lock, suppress(OSError):
+                    self._connection.send(Heartbeat())
+
     def _answer(self, reply: Reply) -> None:
         with self._lock:
             future = self._waiting.pop(reply.number)
@@ -177,6 +200,7 @@ class EngineClient(Commands):
 
     def _end(self) -> None:
         """Note why the process ended, and raise that from every future that waits."""
+        self._ended.set()
         error = DeviceError("the engine was closed", "connect again")
         if not self._closing:
             code = self._process.wait()

@@ -139,6 +139,11 @@ class Commands:
         """Scan by the active calibration."""
         session.engine.scan()
 
+    @command(Turn.IMMEDIATE, needs_rig=False)
+    def set_heartbeat_timeout(session: Session, timeout_s: float) -> None:
+        """Park the galvo and end a recording after this time without a heartbeat of the client; see `Supervision`."""
+        session.supervision.set_timeout(timeout_s)
+
     @command(Turn.IMMEDIATE)
     def park(session: Session) -> None:
         """Move the laser line off the bundle."""

@@ -10,6 +10,10 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
 
+HEARTBEAT_S: Final = 0.5
+"""Interval of heartbeats; chosen: a tenth of the default timeout."""
+HEARTBEAT_TIMEOUT_S: Final = 5.0
+"""Default time without a heartbeat until the galvo is parked; chosen: a window at work pauses for less."""
 QUIT: Final = "quit"
 """Name of the request that ends the process; closing the connection ends it, too."""
 
@@ -22,6 +26,11 @@ class Request:
     name: str
     arguments: tuple[Any, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat:
+    """The client is alive."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.acquisition.calibrating.simulated import open_live
 from napari_elsplus.acquisition.link.commands import COMMANDS, Turn, execute
-from napari_elsplus.acquisition.link.messages import QUIT, Activated, Reply, Request
+from napari_elsplus.acquisition.link.messages import QUIT, Activated, Heartbeat, Reply, Request
 from napari_elsplus.acquisition.link.session import Session
 from napari_elsplus.acquisition.streaming import shared_memory as shared
 from napari_elsplus.acquisition.streaming.priority import keep_pace
@@ -60,6 +60,7 @@ class Server:
         """Execute commands until the connection ends; then close the rig."""
         sender = Thread(target=self._send_status, name="status", daemon=True)
         sender.start()
+        self._session.supervision.start()
         try:
             with ThreadPoolExecutor(_THREADS, "command") as pool:
                 while True:
@@ -67,6 +68,9 @@ class Server:
                         request = self._connection.recv()
                     except (EOFError, OSError):
                         break
+                    self._session.supervision.beat()
+                    if isinstance(request, Heartbeat):
+                        continue
                     if request.name == QUIT:
                         break
                     if COMMANDS[request.name].turn is Turn.IMMEDIATE:
@@ -76,8 +80,9 @@ class Server:
                 self._session.close()
         finally:
             self._ended.set()
-            sender.join()
+            self._session.supervision.stop()
             self._session.close()
+            sender.join()
 
     def _execute(self, request: Request) -> None:
         try:

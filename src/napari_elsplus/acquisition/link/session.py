@@ -11,6 +11,7 @@ from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.live_mosaic import LiveMosaic
 from napari_elsplus.acquisition.engine.status import Progress, Status
 from napari_elsplus.acquisition.link.newest import Newest
+from napari_elsplus.acquisition.link.supervision import Supervision
 from napari_elsplus.acquisition.streaming.priority import settle_memory
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
 from napari_elsplus.errors import DeviceError, InputError, MeasurementError
@@ -35,6 +36,8 @@ class Session:
 
     Attributes
     ----------
+    supervision : Supervision
+        Parks the galvo when the client is frozen.
     offsets : Newest
         Results of the procedure that follows the slit offset.
     """
@@ -44,6 +47,7 @@ class Session:
         self._opened: tuple[Rig, Engine, LiveMosaic] | None = None
         self._cancelled = Event()
         self._progress: Progress | None = None
+        self.supervision = Supervision(self._secure)
         self.offsets: Newest[SlitOffset | MeasurementError] = Newest()
 
     def open(self, rig: str) -> None:
@@ -107,6 +111,16 @@ class Session:
     def cancel(self) -> None:
         """Cancel the procedure that runs."""
         self._cancelled.set()
+
+    def _secure(self, fault: DeviceError) -> None:
+        """Park and end a recording for a fault, unless the galvo is parked and nothing is recorded."""
+        opened = self._opened
+        if opened is None:
+            return
+        status = opened[1].status()
+        if not status.park_state.parked or (status.recording is not None and status.recording.running):
+            self._cancelled.set()
+            opened[1].secure(fault)
 
     @contextmanager
     def procedure(self, name: str, *, activates: bool) -> Iterator[None]:

@@ -1,0 +1,224 @@
+"""What a client may do while something else runs, and what becomes of a client that is frozen or disconnects."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from pathlib import Path
+from threading import Event, Thread
+
+import numpy as np
+import pytest
+
+from napari_elsplus.acquisition.engine.live_images import LiveView
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.link.client import EngineClient
+from napari_elsplus.acquisition.link.commands import COMMANDS, Commands, Turn
+from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
+from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.virtual.card.process import start_card
+from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.io import open_recording
+from napari_elsplus.processing.calibration.draft import Draft
+from napari_elsplus.processing.calibration.steps import GALVO
+
+HERE = Path(__file__).parents[1]
+SLOW = Settings("240hz", frame_rate_hz=100.0)
+TIMEOUT_S = 1.0
+FROZEN = f"""
+import os, sys, time
+from pathlib import Path
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.link.client import EngineClient
+from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
+path, *command = sys.argv[1:]
+client = EngineClient(command)
+client.open("small").result()
+client.set_heartbeat_timeout({TIMEOUT_S}).result()
+client.configure(Settings("240hz", frame_rate_hz=100.0)).result()
+client.start().result()
+client.record(RecordingPlan(Path(path))).result()
+client.hold(0.25).result()
+print(client.pid, flush=True)
+while not client.status.faults:
+    time.sleep(0.05)
+print(client.status.faults[0], flush=True)
+while client.status.recording.running:
+    time.sleep(0.05)
+live = client.status.live
+client.close()
+print(live, flush=True)
+"""
+
+
+def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """What the galvo was commanded."""
+    path = tmp_path / "mirror.log"
+    path.touch()
+    return path
+
+
+@pytest.fixture
+def command(log: Path) -> tuple[str, ...]:
+    return (sys.executable, str(HERE / "engine_process.py"), str(log))
+
+
+@pytest.fixture
+def client(command: tuple[str, ...]) -> Iterator[EngineClient]:
+    with EngineClient(command) as client:
+        client.open("small").result(60)
+        client.configure(SLOW).result(60)
+        yield client
+
+
+def sweep(client: EngineClient) -> Future[object]:
+    """Start a sweep, and return once it runs."""
+    sweeping = client.measure_step(GALVO, Draft(), 2000)
+    until(lambda: client.status.progress is not None and client.status.progress.done > 3)
+    return sweeping
+
+
+def test_client_and_server_have_the_same_commands_from_one_table() -> None:
+    assert {name for name in vars(EngineClient) if name in COMMANDS} == set()
+    assert all(getattr(Commands, name) is command for name, command in COMMANDS.items())
+    assert {name for name, command in COMMANDS.items() if command.turn is Turn.IMMEDIATE} >= {"park", "cancel"}
+    assert not any(c.while_recording for c in COMMANDS.values() if c.turn is Turn.PROCEDURE)
+
+
+def test_what_would_disturb_a_procedure_is_refused_and_told_what_runs(client: EngineClient) -> None:
+    sweeping = sweep(client)
+    for refused in (client.configure(SLOW), client.start(), client.use(None), client.measure_step(GALVO, Draft(), 50)):
+        with pytest.raises(InputError, match="measure step is running"):
+            refused.result(5)
+    assert not sweeping.done()
+    client.show(LiveView(average=2)).result(5)
+    client.cancel().result(5)
+    with pytest.raises(InputError, match="cancelled"):
+        sweeping.result(20)
+    client.configure(SLOW).result(20)
+
+
+def test_park_ends_a_procedure_at_once(client: EngineClient, log: Path) -> None:
+    sweeping = sweep(client)
+    begun_s = time.monotonic()
+    client.park().result(5)
+    assert time.monotonic() - begun_s < 1.0
+    with pytest.raises(InputError, match="the galvo was parked"):
+        sweeping.result(20)
+    assert log.read_text().split()[-1] == "park"
+
+
+def test_a_procedure_leaves_the_calibration_of_before(client: EngineClient, calibration: Calibration) -> None:
+    client.use(calibration).result(20)
+    sweeping = sweep(client)
+    client.cancel().result(5)
+    assert sweeping.exception(20) is not None
+    assert client.calibration == calibration
+
+
+def test_nothing_that_changes_frames_is_done_while_they_are_recorded(client: EngineClient, tmp_path: Path) -> None:
+    client.start().result(20)
+    client.record(RecordingPlan(tmp_path / "r.ome.tif")).result(20)
+    for refused in (client.configure(SLOW), client.measure_step(GALVO, Draft(), 50)):
+        with pytest.raises(InputError, match="end the recording first"):
+            refused.result(20)
+    before = client.status.recorded
+    until(lambda: client.status.recorded > before + 5)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="stops processes as POSIX does")
+def test_a_frozen_window_leaves_the_galvo_parked_the_frames_kept_and_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "r.ome.tif"
+    with start_card() as card:
+        window = subprocess.Popen(
+            [sys.executable, "-c", FROZEN, str(path), sys.executable, str(HERE / "engine_process.py"),
+             str(tmp_path / "log"), card.address],
+            stdout=subprocess.PIPE,
+            text=True,
+        )  # fmt: skip
+        assert window.stdout is not None
+        window.stdout.readline()
+        assert card.last_volts == pytest.approx(0.25)
+        os.kill(window.pid, signal.SIGSTOP)
+        stopped_s = time.perf_counter()  # the card's clock
+        try:
+            until(lambda: card.last_volts == pytest.approx(-0.7))
+            parked = next(output for output in reversed(card.programs()) if output.resting_v == pytest.approx(-0.7))
+            assert parked.since_s - stopped_s < TIMEOUT_S + 0.5
+            time.sleep(2.0)
+        finally:
+            os.kill(window.pid, signal.SIGCONT)
+        said, _ = window.communicate(timeout=60)
+    assert "the window was frozen for 1 s: the galvo was parked" in said
+    assert said.split()[-1] == "True"  # frames went on streaming
+    with open_recording(path) as recording:
+        assert len(recording) > 0.5 * TIMEOUT_S * 100
+        assert (np.diff(recording.frame_numbers) == 1).all()
+
+
+def test_a_heartbeat_timeout_is_refused_if_it_is_none(client: EngineClient) -> None:
+    for timeout_s in (0.0, -1.0, float("inf"), float("nan")):
+        with pytest.raises(InputError, match="heartbeat timeout"):
+            client.set_heartbeat_timeout(timeout_s).result(20)
+
+
+def test_a_window_that_processes_no_events_counts_as_frozen(client: EngineClient) -> None:
+    client.set_heartbeat_timeout(TIMEOUT_S).result(20)
+    client.start().result(20)
+    client.hold(0.25).result(20)
+    client.beat_while(lambda: False)
+    until(lambda: bool(client.status.faults))
+    assert "frozen" in client.status.faults[0].problem
+    assert client.status.park_state.parked
+    assert client.status.live
+
+
+@pytest.mark.parametrize("rounds", [20, pytest.param(300, marks=pytest.mark.slow)])
+def test_disconnecting_while_images_are_copied(client: EngineClient, calibration: Calibration, rounds: int) -> None:
+    out = {"raw": np.empty((524, 1328), np.uint8)}
+    out |= {name: np.empty((466, 466), np.float32) for name in ("ls", "residual", "els", "elsa")}
+    reading, stopping = Event(), Event()
+    raised: list[Exception] = []
+
+    def read() -> None:
+        while not stopping.is_set():
+            try:
+                ring = client.display()
+                while ring is not None and len(ring.layout.fields) == 5 and not stopping.is_set():
+                    reading.set()
+                    if ring.newest_after(-1, out) is None:
+                        break
+            except Exception as error:  # noqa: BLE001
+                raised.append(error)
+                reading.set()
+                return
+
+    reader = Thread(target=read)
+    reader.start()
+    for _ in range(rounds):
+        client.open("small").result(60)
+        client.configure(SLOW).result(60)
+        client.use(calibration).result(60)
+        client.start().result(60)
+        until(lambda: client.status.processed > 2)
+        reading.clear()
+        assert reading.wait(20)
+        client._detach()  # as `close` does, in a thread beside the one that copies
+    stopping.set()
+    client.close()
+    reader.join(20)
+    assert not raised
+    assert not reader.is_alive()
