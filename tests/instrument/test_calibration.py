@@ -22,7 +22,7 @@ RECORD: dict[str, Any] = {
         "volts_at_row_zero": -0.459,
         "r_squared": 0.9999,
         "rms_rows": 0.05,
-        "lag_s": 0.0,
+        "lag_s": 2e-4,
         "park_v": -0.7,
     },
     "bundle": {
@@ -114,3 +114,11 @@ def test_copies_are_equal_with_their_arrays() -> None:
     assert one != one.model_copy(update={"background": None})
     assert one != one.model_copy(update={"flat": background})
     assert one != "calibration"
+
+
+@pytest.mark.parametrize("absent", [{}, {"lag_s": 0.0}])
+def test_a_scan_lag_that_was_not_measured_is_absent_and_not_zero(absent):
+    galvo = {"volts_per_row": 1e-3, "volts_at_row_zero": 0.0, "r_squared": 1.0, "rms_rows": 0.0, **absent}
+    calibration = Calibration.parse({"galvo": galvo})
+    assert calibration.galvo.lag_s is None
+    assert "lag_s" not in calibration.content()["galvo"]

@@ -27,7 +27,7 @@ FULL = {
     "acquired_with": {"rig": "simulated", "objective": "10x", "slit_rows": 3.0, "frame_rate_hz": 240.0, "gain_db": 0.0},
     "offset": {"rows": -12.03, "uncertainty_rows": 0.01, "tilt_deg": 0.2},
     "galvo": {
-        "volts_per_row": 0.00126, "volts_at_row_zero": -0.459, "r_squared": 0.9999, "rms_rows": 0.05, "lag_s": 0.0,
+        "volts_per_row": 0.00126, "volts_at_row_zero": -0.459, "r_squared": 0.9999, "rms_rows": 0.05, "lag_s": 2e-4,
         "park_v": -0.7,
     },
     "bundle": {

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from napari_elsplus.errors import CalibrationError
 
@@ -68,16 +68,24 @@ class OffsetSection(Section):
 
 
 class GalvoSection(Section):
-    """Galvo map: voltage that puts the line onto a row of the confocal view, at the confocal centre's column."""
+    """Galvo map: voltage that puts the line onto a row of the confocal view, at the confocal centre's column.
+
+    ``lag_s`` is None where it was not measured; files of version 1 with exactly 0 are read as that.
+    """
 
     volts_per_row: Finite
     volts_at_row_zero: Finite
     r_squared: Annotated[float, Field(ge=0, le=1)]
     rms_rows: NonNegative
-    lag_s: Finite = 0.0
+    lag_s: Finite | None = None
     park_v: Finite | None = None
     volts_per_row_uncertainty: NonNegative | None = None
     volts_at_row_zero_uncertainty: NonNegative | None = None
+
+    @field_validator("lag_s")
+    @classmethod
+    def _zero_was_not_measured(cls, lag_s: float | None) -> float | None:
+        return lag_s or None
 
     @model_validator(mode="after")
     def _slope_moves_the_line(self) -> Self:

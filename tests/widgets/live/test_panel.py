@@ -7,6 +7,7 @@ import runpy
 import signal
 import sys
 import time
+from concurrent.futures import Future
 from pathlib import Path
 from threading import Event
 
@@ -22,7 +23,9 @@ from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration, recall
+from napari_elsplus.processing.calibration.lag import ScanLag
 from napari_elsplus.widgets.live.layers import LiveLayers
+from napari_elsplus.widgets.shared.calibration_state import AMBER
 from processes import exists
 
 PLUGIN = "napari-elsplus"
@@ -328,3 +331,22 @@ def test_what_is_filled_in_place_is_what_the_canvas_shows(make_napari_viewer_pro
     assert shown(100, whole=True) == 255
     assert shown(20, whole=False) == pytest.approx(51, abs=2)
     assert shown(80, whole=False) == pytest.approx(204, abs=2)
+
+
+def test_a_missing_scan_lag_is_amber_in_rig_and_live_and_measured_by_one_click(viewer, panel, qtbot, monkeypatch):
+    _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
+    advice = "scan lag not measured: the image is off the slit"
+    client = panel.connection.client
+    qtbot.waitUntil(lambda: advice in panel.form.status.text() and advice in rig.status.text(), timeout=30_000)
+    assert AMBER in panel.form.status.text()
+    assert AMBER in rig.status.text()
+    found = Future()
+    found.set_result(ScanLag(215e-6, 1e-6, np.zeros(1), np.zeros(1)))
+    monkeypatch.setattr(client, "measure_step", lambda step, draft, voltages: found, raising=False)
+    for button in (panel.form.lag, rig.lag):
+        qtbot.waitUntil(lambda button=button: not button.native.isHidden() and button.enabled, timeout=30_000)
+    rig.lag.native.click()
+    qtbot.waitUntil(lambda: client.calibration.galvo.lag_s == 215e-6, timeout=30_000)
+    qtbot.waitUntil(lambda: advice not in panel.form.status.text() + rig.status.text(), timeout=30_000)
+    qtbot.waitUntil(lambda: panel.form.lag.native.isHidden() and rig.lag.native.isHidden(), timeout=30_000)
+    assert "not saved, measured" in panel.form.status.text()

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from napari_elsplus.acquisition.engine.status import Status
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.widgets.live.status import status_text
 
 GALVO = {"volts_per_row": 1e-3, "volts_at_row_zero": 0.0, "r_squared": 1.0, "rms_rows": 0.0}
-ADVICE = "Scan lag not measured"
+ADVICE = "scan lag not measured: the image is off the slit"
 
 
 def test_a_scan_whose_lag_is_unknown_comes_with_advice():
     late = Calibration.parse({"galvo": {**GALVO, "lag_s": 2e-4}})
     unknown = Calibration.parse({"galvo": GALVO})
     scanning, at_rest = Status(live=True, scanning=True), Status(live=True)
-    assert ADVICE in status_text(scanning, unknown, 30.0, busy=False)
-    assert ADVICE not in status_text(at_rest, unknown, 30.0, busy=False)
+    zero = Calibration.parse({"galvo": {**GALVO, "lag_s": 0.0}})
+    for status in (scanning, at_rest, Status()):
+        assert ADVICE in status_text(status, unknown, 30.0, busy=False)
+        assert ADVICE in status_text(status, zero, 30.0, busy=False)
     for known in (late, None):
         assert ADVICE not in status_text(scanning, known, 30.0, busy=False)
 
@@ -23,3 +27,12 @@ def test_a_scan_whose_lag_is_unknown_comes_with_advice():
 def test_what_does_not_hold_any_more_is_said_with_its_reason():
     status = Status(live=True, stale={"background": "gain_db was 0.0, is 6.0"})
     assert "stale: background (gain_db was 0.0, is 6.0)" in status_text(status, None, 30.0, busy=False)
+
+
+def test_the_active_calibration_is_named_with_what_was_not_measured():
+    known = Calibration.parse({"created": "2026-01-31T12:00:00Z", "galvo": GALVO})
+    text = status_text(Status(live=True), known, 30.0, busy=False, calibration_file=Path("bench.json"))
+    assert "calibration: bench.json, measured 2026-01-31 12:00:00 UTC" in text
+    assert "background not measured" in text
+    assert "flat field not measured" in text
+    assert "no calibration" in status_text(Status(live=True), None, 30.0, busy=False)

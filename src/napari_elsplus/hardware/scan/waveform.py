@@ -243,11 +243,12 @@ def ramp_waveform(
     carried = 2 * limits.damping / natural if natural else 0.0  # the lag that the resonance itself causes
     begin, end = timing.time_s(rows[0] - 0.5 * timing.slit_rows), timing.time_s(rows[1] + 0.5 * timing.slit_rows)
     spare = period - (end - begin) - TURN_S - LEAD_IN_S
-    guard = min(max(galvo.lag_s, 0.0), max(spare, 0.0) / 5)  # the ramp goes on until the flyback has no influence
+    lag_s = galvo.lag_s or 0.0  # not measured: the line is late
+    guard = min(max(lag_s, 0.0), max(spare, 0.0) / 5)  # the ramp goes on until the flyback has no influence
     path = ScanPath(begin - 4 * guard, end + guard, timing, shifts_rows)
     fine = ceil(period * rate)  # samples of a card that were never deaf
     middles = (np.arange(fine) + 0.5) / rate  # a sample's value stands for its middle
-    times = (np.arange(count)[:, None] * period + middles).ravel() + galvo.lag_s - carried
+    times = (np.arange(count)[:, None] * period + middles).ravel() + lag_s - carried
     where, speed, acceleration = path(times)
     slope = galvo.volts_per_row
     drive = where + (carried * speed + acceleration / natural**2 if natural else 0.0)

@@ -114,7 +114,7 @@ def _estimate_pair(inputs: StepInputs, _draft: Draft) -> BundlePair:
 
 def _lag_is_measured(draft: Draft) -> bool:
     galvo = draft.calibration.galvo
-    return galvo is not None and (galvo.lag_s != 0 or draft.lag is not None)
+    return galvo is not None and galvo.lag_s is not None
 
 
 def _estimate_lag(inputs: StepInputs, draft: Draft) -> ScanLag:

@@ -17,6 +17,7 @@ from napari_elsplus.io.settings import recall, remember
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.widgets.live.layers import KINDS
+from napari_elsplus.widgets.shared.calibration_state import lag_button
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -104,6 +105,7 @@ class LiveForm:
             label="pre-trigger (s)",
             tooltip="Include the last seconds before Record is pressed, 0 to 1.9 s",
         )
+        self.lag = lag_button()
         self.status = QLabel()
         self.status.setWordWrap(True)
         self._panel = panel
@@ -201,6 +203,7 @@ class LiveForm:
         layout.addWidget(Container(widgets=form, labels=True).native)
         layout.addWidget(self.script.native)
         layout.addWidget(self.status)
+        layout.addWidget(self.lag.native)
         layout.addStretch(1)
 
 

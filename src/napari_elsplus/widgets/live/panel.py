@@ -17,6 +17,7 @@ from napari_elsplus.widgets.live.form import CONTINUOUS, FIXED, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers
 from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.live.status import status_text
+from napari_elsplus.widgets.shared.calibration_state import lag_advice
 from napari_elsplus.widgets.shared.canvas_monitor import CanvasMonitor
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.layer_list import LayerListModels
@@ -60,6 +61,7 @@ class LivePanel(EnginePanel):
         self.form = LiveForm(self)
         self.form.connect({"start": self.toggle, "record": self.toggle_recording, "snap": self.snap}, self.change_view)
         self.form.contrast.changed.connect(self._contrast_chosen)
+        self.form.lag.clicked.connect(self.measure_lag)
         self.form.script.clicked.connect(self.copy_script)
         self._timer = QTimer(self)
         self._timer.setInterval(TICK_MS)
@@ -141,7 +143,10 @@ class LivePanel(EnginePanel):
         calibrating = status is not None and status.progress is not None
         recording = status is not None and status.recording is not None and status.recording.running
         self.form.set_enabled(live=live, busy=busy, calibrating=calibrating, recording=recording)
-        self.form.status.setText(status_text(status, self.connection.calibration, self._display_hz, busy=busy))
+        calibration, file = self.connection.calibration, self.connection.calibration_file
+        self.form.lag.visible = status is not None and not calibrating and bool(lag_advice(calibration))
+        self.form.lag.enabled = not busy and not recording
+        self.form.status.setText(status_text(status, calibration, self._display_hz, busy=busy, calibration_file=file))
         self._show_new_faults(status)
 
     def rescale_contrast(self) -> None:

@@ -18,6 +18,7 @@ from napari_elsplus.instrument.optics import PRESETS, preset
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.formats.registry import CALIBRATION, dialog_filter
 from napari_elsplus.io.settings import recall, remember, set_active_calibration
+from napari_elsplus.widgets.shared.calibration_state import calibration_lines, lag_advice, lag_button
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import notify_errors
 
@@ -155,6 +156,8 @@ class RigPanel(EnginePanel):
             if connected
             else "Connect first"
         )
+        self.lag.visible = connected and bool(lag_advice(self.connection.calibration))
+        self.lag.enabled = not busy
         self.optics.setText(self._optics())
         self.status.setText(self._status_text(client, busy))
 
@@ -192,6 +195,7 @@ class RigPanel(EnginePanel):
         self.connect, self.parking = PushButton(text="Connect"), PushButton(text="Park")
         self.calibrate_simulated = PushButton(text="Calibrate simulated rig")
         self.open_file, self.save_file = PushButton(text="Load calibration..."), PushButton(text="Save calibration...")
+        self.lag = lag_button()
         self.optics, self.status = QLabel(), QLabel()
         for label in (self.optics, self.status):
             label.setWordWrap(True)
@@ -200,12 +204,13 @@ class RigPanel(EnginePanel):
         files = [self.calibrate_simulated, self.open_file, self.save_file]
         calibration = Container(widgets=files, layout="horizontal", labels=False)
         layout = QVBoxLayout(self)
-        for part in (form.native, self.optics, buttons.native, calibration.native, self.status):
+        for part in (form.native, self.optics, buttons.native, calibration.native, self.status, self.lag.native):
             layout.addWidget(part)
         layout.addStretch(1)
         self.connect.clicked.connect(self.toggle)
         self.parking.clicked.connect(self.park)
         self.calibrate_simulated.clicked.connect(self.calibrate)
+        self.lag.clicked.connect(self.measure_lag)
         self.open_file.clicked.connect(self._ask_for_file)
         self.save_file.clicked.connect(self._ask_where_to_save)
         for choice in (self.preset, self.slit_rows, self.rate_hz, self.gain_db):
@@ -240,8 +245,7 @@ class RigPanel(EnginePanel):
         if status.progress is not None:
             return f"Calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
         lines = [f"<b>{self.connection.rig}</b> is connected, {'live' if status.live else 'idle'}."]
-        if client.calibration is None:
-            lines.append("No calibration.")
+        lines += calibration_lines(self.connection.calibration, self.connection.calibration_file)
         lines += [f"Stale: {section} ({reason})" for section, reason in status.stale.items()]
         lines += [str(fault) for fault in status.faults]
         return "<br>".join(lines)

@@ -6,6 +6,8 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from napari_elsplus.widgets.shared.calibration_state import calibration_lines
+
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.instrument.calibration import Calibration
@@ -14,20 +16,14 @@ SATURATION_WARNING_SHARE: Final = 0.001
 """Share of saturated pixels above which a warning is shown; chosen, ten times the paper's 0.01 %."""
 
 
-def lag_advice(calibration: Calibration | None) -> str:
-    """Return a hint if the scan lag of a calibration was not measured; else an empty string.
-
-    Parameters
-    ----------
-    calibration : Calibration or None
-        The active calibration.
-    """
-    if calibration is None or calibration.galvo is None or calibration.galvo.lag_s != 0:
-        return ""
-    return "Scan lag not measured: the image may lie off the slit. Measure it in step 4 of Calibration."
-
-
-def status_text(status: Status | None, calibration: Calibration | None, display_hz: float, *, busy: bool) -> str:
+def status_text(
+    status: Status | None,
+    calibration: Calibration | None,
+    display_hz: float,
+    *,
+    busy: bool,
+    calibration_file: Path | None = None,
+) -> str:
     """Return the state of the stream as rich text.
 
     Parameters
@@ -40,13 +36,15 @@ def status_text(status: Status | None, calibration: Calibration | None, display_
         Displayed images per second.
     busy : bool
         A request to the engine is outstanding.
+    calibration_file : pathlib.Path, optional
+        File of the active calibration.
     """
     if status is None:
         return "Connecting..." if busy else "Not connected: Start connects to the rig."
     if status.progress is not None:
         return f"Calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
     if not status.live:
-        return "Starting..." if busy else "Stopped."
+        return "<br>".join(["Starting..." if busy else "Stopped.", *calibration_lines(calibration, calibration_file)])
     lost = ", ".join(f"{count} {cause}" for cause, count in status.dropped.items()) or "none"
     lines = [
         f"camera {status.camera_hz:.0f} Hz, display {display_hz:.0f} Hz, latency {status.latency_ms.p50:.1f} ms",
@@ -60,6 +58,5 @@ def status_text(status: Status | None, calibration: Calibration | None, display_
     if measures.saturated > SATURATION_WARNING_SHARE:
         lines.append("<b>Saturated</b>: reduce laser power or gain.")
     lines += [f"stale: {section} ({reason})" for section, reason in status.stale.items()]
-    if status.scanning and (advice := lag_advice(calibration)):
-        lines.append(advice)
+    lines += calibration_lines(calibration, calibration_file)
     return "<br>".join(lines)

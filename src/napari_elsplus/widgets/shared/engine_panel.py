@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from napari.utils.notifications import show_info
+
+from napari_elsplus.errors import InputError
 from napari_elsplus.io.calibration_lookup import active_calibration_for_rig
+from napari_elsplus.widgets.shared.calibration_state import measured_lag
 from napari_elsplus.widgets.shared.connection import join
 from napari_elsplus.widgets.shared.panel import Panel, notify_errors
 from napari_elsplus.widgets.shared.requests import PendingRequests
@@ -16,6 +20,7 @@ if TYPE_CHECKING:
     import napari.viewer
 
     from napari_elsplus.acquisition.link.client import EngineClient
+    from napari_elsplus.instrument.calibration import Calibration
 
 
 class EnginePanel(Panel):
@@ -66,6 +71,20 @@ class EnginePanel(Panel):
             then()
         else:
             self.requests.follow(self.connection.apply(active, path), lambda _: then(), failed=then)
+
+    def measure_lag(self) -> None:
+        """Measure the scan lag of the active calibration on the connected rig, and activate the result."""
+        with notify_errors():
+            client, active = self.connection.require(), self.connection.calibration
+            if active is None:
+                raise InputError("there is no calibration to complete", "calibrate, or load a calibration")
+            self.requests.run(measured_lag(client, active), self._activate_measured)
+
+    def _activate_measured(self, calibration: Calibration) -> None:
+        self.requests.follow(
+            self.connection.apply(calibration),
+            lambda _: show_info("scan lag measured and active; save the calibration to keep it"),
+        )
 
     def cleanup(self) -> None:
         """Release the engine and disconnect from the viewer."""

@@ -1,0 +1,105 @@
+"""The active calibration as panels display it: its name, when it was measured, and what was not measured."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from magicgui.widgets import PushButton
+
+from napari_elsplus.processing.calibration.draft import Draft
+from napari_elsplus.processing.calibration.steps import LAG
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from napari_elsplus.acquisition.link.client import EngineClient
+    from napari_elsplus.instrument.calibration import Calibration
+
+AMBER: Final = "#e69f00"
+"""Orange of the palette of Okabe and Ito (2008); legible on dark and light themes."""
+
+
+def amber(text: str) -> str:
+    """Return rich text of a warning, in bold amber."""
+    return f"<b style='color:{AMBER}'>{text}</b>"
+
+
+def lag_advice(calibration: Calibration | None) -> str:
+    """Return a warning if the scan lag of a calibration was not measured; else an empty string.
+
+    Parameters
+    ----------
+    calibration : Calibration or None
+        The active calibration.
+    """
+    if calibration is None or calibration.galvo is None or calibration.galvo.lag_s is not None:
+        return ""
+    return "scan lag not measured: the image is off the slit"
+
+
+def calibration_name(calibration: Calibration | None, file: Path | None) -> str:
+    """Return the name of a calibration: its file, and when it was measured.
+
+    Parameters
+    ----------
+    calibration : Calibration or None
+        The active calibration.
+    file : pathlib.Path or None
+        Its file; None if it was not saved.
+    """
+    if calibration is None:
+        return "no calibration"
+    measured = calibration.created.replace("T", " ").removesuffix("Z")
+    return f"{file.name if file is not None else 'not saved'}, measured {measured} UTC"
+
+
+def calibration_lines(calibration: Calibration | None, file: Path | None) -> list[str]:
+    """Return lines of rich text: the calibration's name, and in amber what was not measured.
+
+    Parameters
+    ----------
+    calibration : Calibration or None
+        The active calibration.
+    file : pathlib.Path or None
+        Its file; None if it was not saved.
+    """
+    lines = [f"calibration: {calibration_name(calibration, file)}"]
+    if calibration is None:
+        return lines
+    if advice := lag_advice(calibration):
+        lines.append(amber(advice))
+    if calibration.background is None:
+        lines.append(amber("background not measured: none is subtracted"))
+    if calibration.flat is None:
+        lines.append(amber("flat field not measured: brightness is uneven"))
+    return lines
+
+
+def lag_button() -> PushButton:
+    """Return the hidden button that measures a missing scan lag."""
+    return PushButton(
+        text="Measure scan lag",
+        tooltip="Measure the delay of the scan and activate it; probe on an evenly fluorescent target, laser on",
+        visible=False,
+    )
+
+
+def measured_lag(client: EngineClient, calibration: Calibration) -> Callable[[], Calibration]:
+    """Return a slow function that measures the scan lag on the rig and returns the calibration with it.
+
+    Parameters
+    ----------
+    client : EngineClient
+        Of the connected rig, its probe on an evenly fluorescent target.
+    calibration : Calibration
+        With galvo map and bundle pair.
+    """
+
+    def measure() -> Calibration:
+        draft = Draft(calibration, bundle_um=None)
+        setup = client.setup().result()
+        found = client.measure_step(LAG, draft, 0).result()
+        return LAG.accept(draft, found, setup).calibration
+
+    return measure
