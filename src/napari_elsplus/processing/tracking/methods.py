@@ -54,13 +54,35 @@ class TrackingMethod(Protocol):
     scale: float
 
     def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
-        """Return the pose of the next raw frame, and its image, which is valid until the next call."""
+        """Return the pose of the next raw frame, and its image, which is valid until the next call.
+
+        Parameters
+        ----------
+        raw : numpy.ndarray
+            (rows, cols) frame with the confocal view.
+        raw_residual : numpy.ndarray
+            Frame with the residual view: the same one, but for ELSA.
+        """
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the image of a raw frame, which is valid until the next call."""
+        """Return the image of a raw frame, which is valid until the next call.
+
+        Parameters
+        ----------
+        raw, raw_residual : numpy.ndarray
+            As in :meth:`track`.
+        """
 
     def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        """Write the image of a raw frame into `out`, (n, n); may run while another thread is in `estimate_pose`."""
+        """Write the image of a raw frame into `out`, (n, n); may run while another thread is in `estimate_pose`.
+
+        Parameters
+        ----------
+        raw, raw_residual : numpy.ndarray
+            As in :meth:`track`.
+        out : numpy.ndarray
+            (side, side) float32, filled.
+        """
 
     def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
         """Return the pose of the next frame from its prepared image."""

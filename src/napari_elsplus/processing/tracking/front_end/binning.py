@@ -244,7 +244,19 @@ def _smooth_row(
 
 @lean_kernel
 def is_blank(raw: NDArray[Any], top: int, left: int, reach: int, limit: float) -> bool:
-    """Whether most of a square part of a frame is at a limit, or all at one level; every eighth pixel is looked at."""
+    """Return True if most of a square part of a frame is at a limit, or all at one level; every eighth pixel counts.
+
+    Parameters
+    ----------
+    raw : numpy.ndarray
+        (rows, cols) raw frame.
+    top, left : int
+        First row and column of the part.
+    reach : int
+        Its rows and columns.
+    limit : float
+        Grey level at which the camera saturates.
+    """
     full, alike, seen = 0, 0, 0
     for r in range(top, top + reach, _EVERY_PX):
         for c in range(left, left + reach, _EVERY_PX):

@@ -117,6 +117,11 @@ class FrontEnd:
         """Whether the confocal view shows nothing, so that only background and flat field have structure.
 
         Most of it is at the camera's limit, or all of it at one level.
+
+        Parameters
+        ----------
+        raw : numpy.ndarray
+            (rows, cols) raw frame.
         """
         grid = self.grid
         top, left = grid.origin

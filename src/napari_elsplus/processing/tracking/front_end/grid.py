@@ -53,7 +53,15 @@ class Grid:
 
     @classmethod
     def of(cls, calibration: Calibration, diameter_px: float = GRID_DIAMETER_PX) -> Grid:
-        """Return the grid on which a calibrated bundle is tracked."""
+        """Return the grid on which a calibrated bundle is tracked.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            With the bundle section; without line periods per frame the shutter counts as global.
+        diameter_px : float
+            Diameter of the bundle on the grid that is aimed at; the binning is a whole number.
+        """
         calibration.require("bundle")
         assert calibration.bundle is not None
         bundle = calibration.bundle
@@ -89,7 +97,13 @@ class Grid:
         return inside[0].astype(np.int32), np.maximum(inside[0], inside[1]).astype(np.int32)
 
     def middle(self, level: int = 0) -> float:
-        """Row of the bundle's centre on the grid halved so often."""
+        """Row of the bundle's centre on the grid halved so often.
+
+        Parameters
+        ----------
+        level : int
+            Level of the pyramid: 0 is full resolution, each next one half of it.
+        """
         scale = 2.0**level
         return (self.centre[0] - (scale - 1) / 2) / scale
 

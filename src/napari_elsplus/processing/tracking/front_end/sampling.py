@@ -34,6 +34,19 @@ def row_shift(
 
     Returns the image row above and the fraction below it, the whole column shift and its fraction, and the first column
     and the one after the last; nothing overlaps where these are equal.
+
+    Parameters
+    ----------
+    row : int
+        Row of the template.
+    height : int
+        Rows of the image.
+    middle : float
+        Row of the bundle's centre.
+    warp : numpy.ndarray
+        (4,) a, b, s, d.
+    first, last : numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
     """
     y = row - middle
     at = warp[0] * y + warp[1] + middle
@@ -49,7 +62,19 @@ def row_shift(
 
 @lean_kernel
 def neighbours(image: NDArray[np.float32], above: int, left: int, size: int) -> tuple[NDArray[np.float32], ...]:
-    """Return the four runs of pixels between which a row of samples lies: upper, right of it, lower, right of it."""
+    """Return the four runs of pixels between which a row of samples lies: upper, right of it, lower, right of it.
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        (n, n) float32.
+    above : int
+        Row above the sampled one.
+    left : int
+        First column.
+    size : int
+        Number of columns.
+    """
     end = left + size
     return (
         image[above, left:end],
@@ -61,7 +86,13 @@ def neighbours(image: NDArray[np.float32], above: int, left: int, size: int) -> 
 
 @lean_kernel
 def bilinear(down: float, across: float) -> tuple[np.float32, ...]:
-    """Weights of these four."""
+    """Weights of these four.
+
+    Parameters
+    ----------
+    down, across : float
+        Fractions of a pixel, 0 to 1, below the upper row and right of the left column.
+    """
     return (
         np.float32((1 - down) * (1 - across)),
         np.float32((1 - down) * across),
@@ -72,7 +103,17 @@ def bilinear(down: float, across: float) -> tuple[np.float32, ...]:
 
 @lean_kernel
 def between(corners: tuple[NDArray[np.float32], ...], weights: tuple[np.float32, ...], k: int) -> np.float32:
-    """Sample k of such a row."""
+    """Sample k of such a row.
+
+    Parameters
+    ----------
+    corners : tuple
+        From :func:`neighbours`.
+    weights : tuple
+        From :func:`bilinear`.
+    k : int
+        Index of the column.
+    """
     sample: np.float32 = (
         weights[0] * corners[0][k]
         + weights[1] * corners[1][k]

@@ -85,6 +85,13 @@ class Motion:
         The rolling shutter's warp is exact for even motion within each frame, and stays so under a steady acceleration.
         What remains grows with the change of the acceleration from frame to frame; where no acceleration is known yet,
         with what the velocity gained from the frame `before`.
+
+        Parameters
+        ----------
+        before, velocity : Velocity
+            Of the earlier and of the later frame, pixels per frame period.
+        successive : bool
+            True if no frame lies between them.
         """
         if not (successive and isfinite(self._shutter.line_periods_per_frame)):
             return 0.0
@@ -160,5 +167,11 @@ def needed_times(spread_px: float) -> float:
 
 
 def unevenly(surprise_px: float) -> float:
-    """Return how far mean velocities may be from what the velocities of the frames around make them."""
+    """Return how far mean velocities may be from what the velocities of the frames around make them.
+
+    Parameters
+    ----------
+    surprise_px : float
+        How far velocities were from their prediction lately, pixels per frame period.
+    """
     return _UNEVENLY * surprise_px

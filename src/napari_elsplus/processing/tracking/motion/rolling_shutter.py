@@ -75,11 +75,24 @@ class RollingShutter:
         """Displacement between the middle rows of successive frames: the mean of their velocities.
 
         Each velocity is that at the middle row, so this holds for every steady acceleration, at any frame rate.
+
+        Parameters
+        ----------
+        before, after : Velocity
+            Of the earlier and of the later frame, pixels per frame period.
         """
         return Displacement((before.row + after.row) / 2, (before.col + after.col) / 2)
 
     def warp(self, before: Velocity, after: Velocity, displacement: Displacement) -> Warp:
-        """Warp from one frame to another that are any number of frames apart."""
+        """Warp from one frame to another that are any number of frames apart.
+
+        Parameters
+        ----------
+        before, after : Velocity
+            Of the earlier and of the later frame, pixels per frame period.
+        displacement : Displacement
+            Between their middle rows.
+        """
         r = self.line_periods_per_frame
         stretch = 1 + after.row / r
         a = (1 + before.row / r) / stretch
@@ -102,16 +115,40 @@ class RollingShutter:
         )
 
     def later_velocity(self, warp: Warp, before: Velocity) -> Velocity:
-        """Velocity during the later of two frames, from stretch, shear and the earlier one's; any number apart."""
+        """Velocity during the later of two frames, from stretch, shear and the earlier one's; any number apart.
+
+        Parameters
+        ----------
+        warp : Warp
+            From the earlier to the later frame.
+        before : Velocity
+            Of the earlier frame.
+        """
         r = self.line_periods_per_frame
         return Velocity(r * ((1 + before.row / r) / warp.a - 1), (before.col - warp.s * r) / warp.a)
 
     def displacement(self, warp: Warp, after: Velocity) -> Displacement:
-        """Displacement of the probe over any number of frames, from the warp and the later frame's velocity."""
+        """Displacement of the probe over any number of frames, from the warp and the later frame's velocity.
+
+        Parameters
+        ----------
+        warp : Warp
+            From the earlier to the later frame.
+        after : Velocity
+            Of the later frame.
+        """
         r = self.line_periods_per_frame
         return Displacement(-warp.b * (1 + after.row / r), -warp.d - after.col / r * warp.b)
 
     def steady(self, warp: Warp, frames_apart: int = 1) -> Velocity:
-        """Velocity of a steady motion that explains a shift between frames that lie so many frame periods apart."""
+        """Velocity of a steady motion that explains a shift between frames that lie so many frame periods apart.
+
+        Parameters
+        ----------
+        warp : Warp
+            Of which the shift is used.
+        frames_apart : int
+            Frame periods between the frames.
+        """
         periods = frames_apart + warp.b / self.line_periods_per_frame
         return Velocity(-warp.b / periods, -warp.d / periods)

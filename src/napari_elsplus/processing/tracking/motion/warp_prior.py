@@ -48,13 +48,25 @@ class WarpPrior(NamedTuple):
         return self.stiffness, self.tie, *self.slopes
 
     def at(self, b: float, d: float) -> tuple[float, float, float, float]:
-        """Warp of another shift, whose stretch and shear follow."""
+        """Warp of another shift, whose stretch and shear follow.
+
+        Parameters
+        ----------
+        b, d : float
+            Shift in rows and columns, pixels.
+        """
         a, b0, s, d0 = self.expected
         follows = self.tie / (self.tie + self.stiffness)
         return a + follows * self.slopes[0] * (b - b0), b, s + follows * self.slopes[1] * (d - d0), d
 
     def misfit(self, warp: Warp) -> float:
-        """How far stretch and shear are from what is expected of them at this shift, in standard deviations."""
+        """How far stretch and shear are from what is expected of them at this shift, in standard deviations.
+
+        Parameters
+        ----------
+        warp : Warp
+            Registered warp.
+        """
         a, _, s, _ = self.at(warp.b, warp.d)
         return sqrt(self.stiffness + self.tie) * hypot(warp.a - a, warp.s - s)
 

@@ -93,7 +93,13 @@ class Corrections:
             )
 
     def newest(self, segment: int) -> Correction:
-        """Return that of frames to come."""
+        """Return that of frames to come.
+
+        Parameters
+        ----------
+        segment : int
+            As the tracker numbers them.
+        """
         return self._newest.get(segment) or Correction(segment)
 
     def without(self, segments: Container[int]) -> Corrections:
@@ -166,7 +172,15 @@ class Path:
         self._where = np.zeros((1 << 10, 2))
 
     def add(self, segment: int, row: float, col: float) -> int:
-        """Add a frame; return its index."""
+        """Add a frame; return its index.
+
+        Parameters
+        ----------
+        segment : int
+            As the tracker numbers them.
+        row, col : float
+            Tracked position, pixels of the grid.
+        """
         index = self._count
         if index == len(self._segment):
             self._segment = np.concatenate([self._segment, np.zeros_like(self._segment)])

@@ -183,7 +183,13 @@ class LiveGraph:
         return Corrections(known)
 
     def forget(self, group: int) -> None:
-        """Let go of all that lies in one segment."""
+        """Let go of all that lies in one segment.
+
+        Parameters
+        ----------
+        group : int
+            Segment, as the graph numbers them, whose nodes and edges are removed.
+        """
         gone = self._group[: len(self.nodes)] == group
         self._group[: len(self.nodes)][gone] = _NOWHERE
         for number in np.flatnonzero(gone).tolist():

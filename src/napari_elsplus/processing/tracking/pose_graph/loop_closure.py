@@ -46,7 +46,15 @@ _AGREEMENT_RAD: Final = 0.02
 
 
 def select_keyframes(poses: Sequence[Pose], spacing_px: float) -> list[int]:
-    """Tracked frames of one segment, about so far apart along the path."""
+    """Tracked frames of one segment, about so far apart along the path.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        Of one segment.
+    spacing_px : float
+        Path between keyframes, pixels.
+    """
     keys: list[int] = []
     gone = 0.0
     last: tuple[float, float] | None = None
@@ -115,7 +123,13 @@ class LoopCloser:
         return edges
 
     def join(self, earlier_segment: int, later_segment: int) -> list[Edge]:
-        """Links between two segments; none unless two pairs of frames agree on how these lie."""
+        """Links between two segments; none unless two pairs of frames agree on how these lie.
+
+        Parameters
+        ----------
+        earlier_segment, later_segment : int
+            Segments of the track.
+        """
         spacing = KEY_SPACING * self._registrar.grid.diameter
         before, after = (
             select_keyframes(
@@ -133,7 +147,13 @@ class LoopCloser:
         return []
 
     def offset(self, edge: Edge) -> tuple[float, float, float]:
-        """Where the later segment's origin lies in the earlier segment, and how it is turned there."""
+        """Where the later segment's origin lies in the earlier segment, and how it is turned there.
+
+        Parameters
+        ----------
+        edge : Edge
+            Between frames of two segments.
+        """
         a, b = self._poses[edge.earlier], self._poses[edge.later]
         if self.rung is MotionModel.TRANSLATION:
             return a.row + edge.displacement[0] - b.row, a.col + edge.displacement[1] - b.col, 0.0
@@ -143,7 +163,15 @@ class LoopCloser:
         return a.row + float(row - down), a.col + float(col - across), angle - b.angle
 
     def revisit(self, earlier: int, later: int, path_px: float) -> Edge | None:
-        """Register two frames of a segment, `path_px` apart along it, at their tracked places; None if rejected."""
+        """Register two frames of a segment, `path_px` apart along it, at their tracked places; None if rejected.
+
+        Parameters
+        ----------
+        earlier, later : int
+            Frames.
+        path_px : float
+            Path between them along the track, pixels.
+        """
         a, b = self._poses[earlier], self._poses[later]
         expected = Displacement(b.row - a.row, b.col - a.col)
         if self.rung is not MotionModel.TRANSLATION:
@@ -178,7 +206,15 @@ class LoopCloser:
         return found if miss < _AGREEMENT_PX + abs(found.turn) * hypot(*there) else None
 
     def recognise(self, earlier: int, later: int, before: int, after: int) -> Edge | None:
-        """Compare two frames over all shifts; `before` and `after` are the frames around the gap, turned alike."""
+        """Compare two frames over all shifts; `before` and `after` are the frames around the gap, turned alike.
+
+        Parameters
+        ----------
+        earlier, later : int
+            Frames of two segments.
+        before, after : int
+            Last frame of the earlier segment, and first one of the later segment.
+        """
         a, b = self._poses[earlier], self._poses[later]
         reach = REACH * self._registrar.grid.diameter
         link: PairRegistration | None
@@ -224,7 +260,15 @@ class Bridge:
         self._found: list[tuple[tuple[float, float, float], Edge]] = []
 
     def add(self, offset: tuple[float, float, float], edge: Edge) -> list[Edge]:
-        """Take in a link between the segments; return those that agree once two have no frame in common, else none."""
+        """Take in a link between the segments; return those that agree once two have no frame in common, else none.
+
+        Parameters
+        ----------
+        offset : tuple of float
+            From :meth:`LoopCloser.offset`: row, col (pixels) and angle (radians).
+        edge : Edge
+            Between frames of the two segments.
+        """
         partners = [e for o, e in self._found if _agree(o, offset)]
         self._found.append((offset, edge))
         independent = any(e.later != edge.later and e.earlier != edge.earlier for e in partners)
@@ -237,6 +281,14 @@ def _agree(one: tuple[float, float, float], other: tuple[float, float, float]) -
 
 
 def edge_covariance(link: PairRegistration, stretch_sigma: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Covariance of a displacement: the shift's own, what the later frame's velocity adds, and a floor."""
+    """Covariance of a displacement: the shift's own, what the later frame's velocity adds, and a floor.
+
+    Parameters
+    ----------
+    link : PairRegistration
+        Registration of the two frames.
+    stretch_sigma : float
+        Standard deviation of the stretch that the later velocity leaves open.
+    """
     shift = link.warp.b**2 * stretch_sigma**2
     return link.covariance + (shift + 1e-4) * np.eye(2)

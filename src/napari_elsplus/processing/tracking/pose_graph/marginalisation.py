@@ -106,6 +106,11 @@ def linked_anew(
 def joined(first: Edge, second: Edge) -> Edge:
     """Return what two links, one after the other, say of the frames at their ends.
 
+    Parameters
+    ----------
+    first, second : Edge
+        Edges of which the first ends at the node at which the second begins.
+
     Examples
     --------
     >>> from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge

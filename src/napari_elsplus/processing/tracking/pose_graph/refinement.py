@@ -104,6 +104,13 @@ def settle(poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, 
 
     That is what was predicted and never linked to a later frame of its segment; and a first frame to which nothing was
     linked, where anything was to another: the probe was lifted then, or elsewhere.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        One for every frame.
+    links : sequence of tuple
+        The tracker's registrations.
     """
     last = {pose.segment: k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED}
     linked = {frame for earlier, later, *_ in links for frame in (earlier, later)}
@@ -123,6 +130,15 @@ def with_origins(
 
     While frames came in nothing was known of them. One that is lost becomes the segment's first frame if another lost
     frame comes before it, so that segments stay apart.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        One for every frame.
+    links : sequence of tuple
+        The tracker's registrations.
+    shutter : RollingShutter
+        Timing of the rows.
     """
     result = list(poses)
     for earlier, later, moved, link in links:
@@ -139,7 +155,13 @@ def with_origins(
 
 
 def interpolate(poses: Sequence[Pose]) -> list[Pose]:
-    """Put predicted frames onto the line between the tracked frames around them."""
+    """Put predicted frames onto the line between the tracked frames around them.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        One for every frame; no predicted one is the first or the last of its segment.
+    """
     result = list(poses)
     known = np.array([k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED])
     for k, pose in enumerate(poses):

@@ -60,7 +60,21 @@ def turned_links(
     view: Callable[[int], PreparedFrame],
     rung: MotionModel,
 ) -> list[Found]:
-    """Tell links that were made without it how far they are turned; correct their later frames' velocities."""
+    """Tell links that were made without it how far they are turned; correct their later frames' velocities.
+
+    Parameters
+    ----------
+    links : sequence of tuple
+        The tracker's registrations.
+    poses : list of Pose
+        Modified in place.
+    registrar : Registrar
+        Of the same grid.
+    view : callable
+        Returns the prepared frame of an index.
+    rung : MotionModel
+        Model beside translations.
+    """
     scratch = registrar.view()
     return [_turned(found, poses, registrar, view, rung, scratch) for found in links]
 

@@ -104,7 +104,17 @@ def rival_evidence(
 
 @lean_kernel
 def in_pixels_of(px: float, warp: tuple[float, ...], out: NDArray[np.float64]) -> None:
-    """Write a warp in pixels of another size."""
+    """Write a warp in pixels of another size.
+
+    Parameters
+    ----------
+    px : float
+        Size of the other pixels, in present ones.
+    warp : tuple of float
+        a, b, s, d.
+    out : numpy.ndarray
+        (4,) float64, filled.
+    """
     out[0], out[1], out[2], out[3] = warp[0], warp[1] / px, warp[2], warp[3] / px
 
 
@@ -113,6 +123,11 @@ def evidence_between(found: float, other: float) -> float:
     """Evidence of one correlation against another, nats per pixel.
 
     Better agreement than what is left of the core pattern allows is chance, and not counted.
+
+    Parameters
+    ----------
+    found, other : float
+        Correlations under a warp and under its rival.
     """
     explained, rival = min(max(found, 0.0), _BEST_CORRELATION), min(max(other, 0.0), _BEST_CORRELATION)
     return float(0.5 * np.log((1 - rival**2) / (1 - explained**2)))
@@ -124,6 +139,11 @@ def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, f
 
     Returns one standard deviation in pixels, the direction (rows, cols), and what stretch and shear do per pixel along
     it; infinite and zero where nothing is known.
+
+    Parameters
+    ----------
+    information : numpy.ndarray
+        (4, 4) inverse covariance of a, b, s, d.
     """
     aa, shear, ss = information[0, 0], information[0, 2], information[2, 2]
     determinant = aa * ss - shear * shear
@@ -152,7 +172,13 @@ def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, f
 
 @lean_kernel
 def stretch_and_shear_variance(information: NDArray[np.float64]) -> tuple[float, float]:
-    """How well the stretch a and the shear s are known, whatever the shift is; infinite where they are not."""
+    """How well the stretch a and the shear s are known, whatever the shift is; infinite where they are not.
+
+    Parameters
+    ----------
+    information : numpy.ndarray
+        (4, 4) inverse covariance of a, b, s, d.
+    """
     bb, bd, dd = information[1, 1], information[1, 3], information[3, 3]
     determinant = bb * dd - bd * bd
     if not determinant > 0:

@@ -138,7 +138,25 @@ def look_at_half(
     warp: NDArray[np.float64],
     work: Workspace,
 ) -> tuple[float, float]:
-    """Refine a warp, in pixels of full resolution, on frames of half resolution; return correlation and pixels."""
+    """Refine a warp, in pixels of full resolution, on frames of half resolution; return correlation and pixels.
+
+    Parameters
+    ----------
+    earlier, later : numpy.ndarray
+        (n, n) float32 frames of half resolution.
+    first, last : numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
+    middle : float
+        Row of the bundle's centre.
+    expected : numpy.ndarray
+        (4,) a, b, s, d of the prior.
+    prior : tuple of float
+        :attr:`WarpPrior.terms`.
+    warp : numpy.ndarray
+        (4,) a, b, s, d; modified in place.
+    work : Workspace
+        For frames of this size or larger.
+    """
     equations = work.equations
     stiff, middle_of_prior, scaled = equations[3], equations[5, 0], equations[5, 1]
     hold(2.0, prior, stiff)
@@ -154,7 +172,17 @@ def look_at_half(
 
 @lean_kernel
 def hold(px: float, prior: tuple[float, float, float, float], out: NDArray[np.float64]) -> None:
-    """Write a prior's information on a, b, s, d, in pixels of another size."""
+    """Write a prior's information on a, b, s, d, in pixels of another size.
+
+    Parameters
+    ----------
+    px : float
+        Size of the other pixels, in pixels of full resolution.
+    prior : tuple of float
+        :attr:`WarpPrior.terms`.
+    out : numpy.ndarray
+        (4, 4) float64 or larger, filled.
+    """
     stiffness, tie, row_slope, col_slope = prior
     out[:] = 0.0
     for k in range(2):
@@ -228,6 +256,13 @@ def unlikelihood(
     """Nats by which stretch and shear of a warp speak against its shift; pixels of full resolution.
 
     What is known of a velocity may be wrong by more than is thought: the tails are heavy, those of Student's t.
+
+    Parameters
+    ----------
+    warp, expected : numpy.ndarray
+        (4,) a, b, s, d.
+    prior : tuple of float
+        :attr:`WarpPrior.terms`.
     """
     _, tie, row_slope, col_slope = prior
     stretch = warp[0] - expected[0] - row_slope * (warp[1] - expected[1])

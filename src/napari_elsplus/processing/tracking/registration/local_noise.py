@@ -97,7 +97,17 @@ def fill_blocks(
     rival: NDArray[np.float64],
     sums: NDArray[np.float64],
 ) -> None:
-    """Sum over each block, where two warps have the frames overlap: pixels, what each leaves squared, and template."""
+    """Sum over each block, where two warps have the frames overlap: pixels, what each leaves squared, and template.
+
+    Parameters
+    ----------
+    template, image, first, last, middle
+        As in :func:`local_evidence`.
+    found, rival : numpy.ndarray
+        (4,) warps in pixels of half resolution.
+    sums : numpy.ndarray
+        From :func:`blocks`, filled.
+    """
     gain, offset = _tone(template, image, first, last, middle, found)
     other_gain, other_offset = _tone(template, image, first, last, middle, rival)
     height = template.shape[0]

@@ -54,7 +54,13 @@ class Workspace(NamedTuple):
 
     @classmethod
     def of(cls, side: int) -> Workspace:
-        """Return one for frames of so many pixels squared."""
+        """Return one for frames of so many pixels squared.
+
+        Parameters
+        ----------
+        side : int
+            Rows and columns of the frames.
+        """
         return cls(np.zeros((7, _UNKNOWNS, _UNKNOWNS)), np.zeros((2, side), np.float32), np.array([1.0, 0.0, 1.0]))
 
 
@@ -77,6 +83,27 @@ def accumulate(
 
     Returns the number of pixels; the variances of template and image and their covariance, times that number; and the
     mean squared difference between the frames, weighted by the squared gradient: noise counts where structure is.
+
+    Parameters
+    ----------
+    template, image : numpy.ndarray
+        (n, n) float32 frames: the earlier one, and the later one that is sampled under the warp.
+    first, last : numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
+    middle : float
+        Row of the bundle's centre.
+    warp : numpy.ndarray
+        (4,) a, b, s, d.
+    tone : numpy.ndarray
+        Gain and offset of the image against the template.
+    row_step : int
+        Every how many rows are used.
+    finely : bool
+        Sample through six by six pixels, else between four.
+    normal, right : numpy.ndarray
+        (6, 6) and (6,) float64, filled: warp, gain, offset.
+    samples : numpy.ndarray
+        (2, n) float32 scratch.
     """
     normal[:] = 0.0
     right[:] = 0.0
@@ -171,7 +198,15 @@ def accumulate(
 
 @lean_kernel
 def fitted_tone(count: float, t1: float, i1: float, tt: float, ti: float) -> tuple[float, float]:
-    """Gain and offset of an image i against a template t, from sums over pixels; 1 and 0 where these are even."""
+    """Gain and offset of an image i against a template t, from sums over pixels; 1 and 0 where these are even.
+
+    Parameters
+    ----------
+    count : float
+        Number of pixels.
+    t1, i1, tt, ti : float
+        Sums over them of the template, the image, and of products.
+    """
     spread = tt * count - t1 * t1
     if not spread > 0:
         return 1.0, 0.0
@@ -189,7 +224,21 @@ def tone_between(
     warp: NDArray[np.float64],
     row_step: int,
 ) -> tuple[float, float]:
-    """Estimate gain and offset of an image against a template by regression, from some rows and the nearest pixels."""
+    """Estimate gain and offset of an image against a template by regression, from some rows and the nearest pixels.
+
+    Parameters
+    ----------
+    template, image : numpy.ndarray
+        (n, n) float32 frames: the earlier one, and the later one that is sampled under the warp.
+    first, last : numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
+    middle_row : float
+        Row of the bundle's centre.
+    warp : numpy.ndarray
+        (4,) a, b, s, d.
+    row_step : int
+        Every how many rows are used.
+    """
     height = template.shape[0]
     count, t1, i1, tt, ti = 0.0, 0.0, 0.0, 0.0, 0.0
     for row in range(1, height - 1, row_step):
@@ -215,7 +264,21 @@ def correlation(
     warp: NDArray[np.float64],
     row_step: int,
 ) -> tuple[float, float]:
-    """Zero-mean normalised correlation of the overlap under a warp, and the number of its pixels."""
+    """Zero-mean normalised correlation of the overlap under a warp, and the number of its pixels.
+
+    Parameters
+    ----------
+    template, image : numpy.ndarray
+        (n, n) float32 frames: the earlier one, and the later one that is sampled under the warp.
+    first, last : numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
+    middle : float
+        Row of the bundle's centre.
+    warp : numpy.ndarray
+        (4,) a, b, s, d.
+    row_step : int
+        Every how many rows are used.
+    """
     height = template.shape[0]
     count, sum_t, sum_i, sum_tt, sum_ti, sum_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for row in range(0, height, row_step):
@@ -360,6 +423,15 @@ def solve(normal: NDArray[np.float64], right: NDArray[np.float64], rest: NDArray
     """Solve symmetric equations in place, gain and offset first; leave the warp's Schur complement in `normal`.
 
     `rest` is scratch of the size of `normal`.
+
+    Parameters
+    ----------
+    normal : numpy.ndarray
+        (n, n) float64; left with the Schur complement of the warp.
+    right : numpy.ndarray
+        (n,) float64; the solution in return.
+    rest : numpy.ndarray
+        (n, n) float64 scratch.
     """
     size = len(right)
     for pivot in range(size - 1, PARAMETERS - 1, -1):

@@ -43,6 +43,11 @@ def asked_for(found: Sequence[Remainder]) -> MotionModel:
     How much a sum may be off is learnt from how the links scatter about their mean, and from how alike the errors of
     successive ones are: where little is in view, the same few things mislead many links in a row.
 
+    Parameters
+    ----------
+    found : Remainder
+        Score test of a registration.
+
     Examples
     --------
     >>> step = np.zeros((3, 6)) + np.array([0, 0, 0, 0, 2e-4, 0])
@@ -184,7 +189,15 @@ class ModelSelection:
         self._links = 0
 
     def weigh(self, found: Remainder, *, keep: bool = True) -> MotionModel:
-        """Weigh a link with those before; return the rung that is asked for. It is remembered if it is to be kept."""
+        """Weigh a link with those before; return the rung that is asked for. It is remembered if it is to be kept.
+
+        Parameters
+        ----------
+        found : Remainder
+            Score test of a registration.
+        keep : bool
+            Add its evidence to that of the earlier ones.
+        """
         if self._links == _REMEMBERED:
             for kept in (self._steps, self._sigmas, self._values):
                 kept[:-1] = kept[1:]

@@ -115,7 +115,15 @@ def upright(
 
 
 def unsheared(velocity: Velocity, line_periods_per_frame: float) -> Matrix:
-    """Return the matrix that frees a frame of the stretch and shear that its motion gave it."""
+    """Return the matrix that frees a frame of the stretch and shear that its motion gave it.
+
+    Parameters
+    ----------
+    velocity : Velocity
+        Of the probe while the frame is read.
+    line_periods_per_frame : float
+        In rows of the grid.
+    """
     return np.array([[1 + velocity.row / line_periods_per_frame, 0.0], [velocity.col / line_periods_per_frame, 1.0]])
 
 
@@ -232,6 +240,21 @@ def unexplained(
     `tilt` is scratch of three rows of an image.
 
     Returns the number of pixels, and the mean squared difference weighted by the squared gradient.
+
+    Parameters
+    ----------
+    template, image : numpy.ndarray
+        (n, n) float32 frames: the earlier one, and the later one that is sampled under the warp.
+    first, last : numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
+    middle_row, middle_col : float
+        Bundle's centre.
+    warp : numpy.ndarray
+        (4,) a, b, s, d.
+    tilt : numpy.ndarray
+        (3, n) float32 scratch.
+    normal, right : numpy.ndarray
+        (8, 8) and (8,) float64, filled.
     """
     normal[:] = 0.0
     right[:] = 0.0

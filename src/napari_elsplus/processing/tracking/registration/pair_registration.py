@@ -160,7 +160,13 @@ class Registrar:
         return PreparedFrame(tuple(np.zeros((side >> level, side >> level), np.float32) for level in range(LEVELS)))
 
     def prepare(self, view: PreparedFrame) -> PreparedFrame:
-        """Fill the coarser levels from the image at full resolution."""
+        """Fill the coarser levels from the image at full resolution.
+
+        Parameters
+        ----------
+        view : PreparedFrame
+            Of which the image was filled.
+        """
         view.spectra = view.bare = None
         fill_coarser(view.levels)
         return view
@@ -198,6 +204,17 @@ class Registrar:
         """Ask what rotation and scale would add to a warp, where such a rotation is expected, give or take as much.
 
         None where the frames say nothing.
+
+        Parameters
+        ----------
+        earlier, later : PreparedFrame
+            Prepared frames.
+        warp : Warp
+            Registered warp.
+        spread : tuple of float
+            As in :meth:`link`.
+        turn : tuple of float
+            Rotation that is expected, radians, and its standard deviation.
         """
         first, last = self._spans[1]
         stiffness = spread[0] ** -2, spread[1] ** -2
@@ -327,7 +344,17 @@ class Registrar:
     def candidates(
         self, earlier: PreparedFrame, later: PreparedFrame, expected: Warp, reach_px: float
     ) -> NDArray[np.float64]:
-        """Return the few shifts (b, d) that are most likely among all, best first."""
+        """Return the few shifts (b, d) that are most likely among all, best first.
+
+        Parameters
+        ----------
+        earlier, later : PreparedFrame
+            Prepared frames.
+        expected : Warp
+            Predicted warp.
+        reach_px : float
+            Scale of the prior about it, pixels.
+        """
         return self._everywhere.peaks(self._spectra(earlier), self._spectra(later), expected, reach_px)
 
     def _spectra(self, view: PreparedFrame) -> NDArray[np.complex64]:

@@ -30,14 +30,28 @@ class RecentFrames:
         self._views: OrderedDict[int, PreparedFrame] = OrderedDict()
 
     def get(self, index: int) -> PreparedFrame | None:
-        """Return a frame's view if it is held."""
+        """Return a frame's view if it is held.
+
+        Parameters
+        ----------
+        index : int
+            Of the frame.
+        """
         if index not in self._views:
             return None
         self._views.move_to_end(index)
         return self._views[index]
 
     def add(self, index: int, fill: Callable[[NDArray[np.float32]], object]) -> PreparedFrame:
-        """Prepare and hold the view of a frame, whose image `fill` writes into an array."""
+        """Prepare and hold the view of a frame, whose image `fill` writes into an array.
+
+        Parameters
+        ----------
+        index : int
+            Of the frame.
+        fill : callable
+            Writes its image into an array.
+        """
         view = self._views.popitem(last=False)[1] if len(self._views) >= self._most else self._registrar.view()
         fill(view.image)
         self._views[index] = self._registrar.prepare(view)

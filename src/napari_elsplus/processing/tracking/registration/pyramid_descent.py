@@ -117,6 +117,19 @@ def align_candidate(
     """Refine the shift of a warp in pixels of full resolution, on frames of half resolution.
 
     Returns the correlation of the overlap and the number of its pixels.
+
+    Parameters
+    ----------
+    earlier, later : numpy.ndarray
+        (n, n) float32 frames of half resolution.
+    first, last : numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
+    middle : float
+        Row of the bundle's centre.
+    warp : numpy.ndarray
+        (4,) a, b, s, d in pixels of full resolution, modified in place.
+    work : Workspace
+        For frames of this size or larger.
     """
     equations = work.equations
     stiff, expected, scaled = equations[3], equations[5, 0], equations[5, 1]

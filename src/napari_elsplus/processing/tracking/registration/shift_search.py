@@ -90,12 +90,28 @@ class ShiftSearch:
 
 
 def support(ncc: NDArray[np.float64], cells: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Log-likelihood of a shift, from its correlation over so many cells of quarter resolution."""
+    """Log-likelihood of a shift, from its correlation over so many cells of quarter resolution.
+
+    Parameters
+    ----------
+    ncc : numpy.ndarray
+        Correlation at each shift.
+    cells : numpy.ndarray
+        Pixels of the overlap there.
+    """
     result: NDArray[np.float64] = -0.05 * cells * np.log1p(-(np.clip(ncc, 0, 0.999) ** 2))
     return result
 
 
 def prior(rows: NDArray[np.float64], cols: NDArray[np.float64], reach_px: float) -> NDArray[np.float64]:
-    """Log-probability of a shift that misses what was expected by so much; hands jerk, so its tails are heavy."""
+    """Log-probability of a shift that misses what was expected by so much; hands jerk, so its tails are heavy.
+
+    Parameters
+    ----------
+    rows, cols : numpy.ndarray
+        Distance of each shift from the predicted one, pixels.
+    reach_px : float
+        Scale of the prior, pixels.
+    """
     result: NDArray[np.float64] = -1.5 * np.log1p((rows**2 + cols**2) / reach_px**2)
     return result
