@@ -13,8 +13,8 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from napari_elsplus.processing.tracking.pose_graph.live_graph import LiveGraph
+from napari_elsplus.processing.tracking.pose_graph.prepared_frames import RecentFrames
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
-from napari_elsplus.processing.tracking.registration.prepared_frames import RecentFrames
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

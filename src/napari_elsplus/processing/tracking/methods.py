@@ -12,9 +12,9 @@ import numpy as np
 
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
+from napari_elsplus.processing.tracking.pose_graph.prepared_frames import RecentFrames
 from napari_elsplus.processing.tracking.pose_graph.refinement import refine
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
-from napari_elsplus.processing.tracking.registration.prepared_frames import RecentFrames
 from napari_elsplus.processing.tracking.registration.shutter_timing import (
     LinePeriodsPerFrame,
     estimate_line_periods_per_frame,

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.registration.lucas_kanade import align, correlation
+from napari_elsplus.processing.tracking.registration.lucas_kanade import align
+from napari_elsplus.processing.tracking.registration.similarity import correlation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

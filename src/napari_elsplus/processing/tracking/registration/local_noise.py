@@ -13,8 +13,9 @@ import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
-from napari_elsplus.processing.tracking.registration.lucas_kanade import PARAMETERS, fitted_tone, solve
+from napari_elsplus.processing.tracking.registration.lucas_kanade import PARAMETERS, solve
 from napari_elsplus.processing.tracking.registration.pyramid_descent import CORRELATED_PX
+from napari_elsplus.processing.tracking.registration.similarity import fitted_tone
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -18,7 +18,7 @@ import numpy as np
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-from napari_elsplus.processing.tracking.registration.lucas_kanade import tone_between
+from napari_elsplus.processing.tracking.registration.similarity import tone_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
