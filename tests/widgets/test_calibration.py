@@ -366,3 +366,33 @@ def test_what_another_panel_changes_makes_steps_stale(live, qtbot):
     assert "✓" in live.form.steps["pair"].text()
     live.connection.client.configure(Settings("240hz")).result()
     qtbot.waitUntil(lambda: "✓" in button.text(), timeout=LONG_MS)
+
+
+def test_micrometres_and_times_are_absent_until_they_are_entered_and_read_from_a_file(
+    viewer, panel, qtbot, open_recording, tmp_path, monkeypatch
+):
+    form = panel.form
+    from_file(qtbot, panel, "pair", open_recording / "transmission.tif")
+    assert "micrometres unknown" in form.numbers.text()
+    form.accept.click()
+    assert panel.draft.um_per_px is None
+    assert {form.bundle_um.text(), form.line_period_us.text(), form.periods_per_frame.text()} == {"unknown"}
+    form.bundle_um.setValue(1000.0)
+    form.line_period_us.setValue(10.0)
+    form.periods_per_frame.setValue(400.0)
+    known = panel.draft.calibration
+    assert known.um_per_px == pytest.approx(1000 / known.bundle.diameter_px)
+    assert known.frame_period_s == pytest.approx(4e-3)
+    form.script.click()
+    monkeypatch.chdir(tmp_path)
+    exec(compile(QApplication.clipboard().text(), "script.py", "exec"), {"__name__": "__main__"})
+    assert read_calibration(tmp_path / "calibration.json").optics == known.optics
+    panel.save(tmp_path / "cal.json")
+    form.bundle_um.setValue(0)
+    assert panel.draft.um_per_px is None
+    form.undo.click()
+    assert form.bundle_um.value() == 1000
+    panel.session = type(panel.session)()
+    panel.load(tmp_path / "cal.json")
+    assert (form.bundle_um.value(), form.line_period_us.value(), form.periods_per_frame.value()) == (1000, 10, 400)
+    assert panel.draft.um_per_px == known.um_per_px

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from napari_elsplus.instrument.calibration import OpticsSection
+
 IMPORTS: Final = (
     "from napari_elsplus.acquisition.engine.status import Settings",
     "from napari_elsplus.acquisition.link.client import EngineClient",
@@ -47,15 +49,19 @@ class MeasurementSource:
     voltages: int = 0
 
 
-def calibration_script(sources: Sequence[MeasurementSource], bundle_um: float | None) -> str:
+def calibration_script(
+    sources: Sequence[MeasurementSource], bundle_um: float | None, optics: OpticsSection | None = None
+) -> str:
     """Return a script that makes the same calibration from the same sources.
 
     Parameters
     ----------
     sources : sequence of MeasurementSource
         The steps that were accepted, in order.
-    bundle_um : float
-        Diameter of the bundle's image in micrometres.
+    bundle_um : float or None
+        Diameter of the bundle's image in micrometres; None if it is unknown.
+    optics : OpticsSection, optional
+        Contains the timing.
 
     Raises
     ------
@@ -76,11 +82,18 @@ def calibration_script(sources: Sequence[MeasurementSource], bundle_um: float | 
     body = "\n".join(
         [
             f"draft = Draft(bundle_um={bundle_um!r})",
+            *_timing(optics),
             *inside,
             'elsplus.save_calibration("calibration.json", draft.calibration)',
         ]
     )
     return write_script(f"Calibration: {', '.join(source.step for source in sources)}.", body, IMPORTS)
+
+
+def _timing(optics: OpticsSection | None) -> list[str]:
+    timing = {} if optics is None else optics.model_dump(include={"line_period_s", "line_periods_per_frame"})
+    given = ", ".join(f"{name}={value!r}" for name, value in timing.items() if value is not None)
+    return [f"draft = draft.with_timing({given})"] if given else []
 
 
 def _step(source: MeasurementSource) -> list[str]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from napari_elsplus.instrument.calibration import AcquiredWith, Calibration, FrameSection, OpticsSection
-from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.calibration.galvo import GalvoMap
 from napari_elsplus.processing.calibration.lag import ScanLag
 from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
@@ -67,7 +66,7 @@ class Draft:
     calibration: Calibration = field(default_factory=Calibration)
     found: Mapping[str, Any] = field(default_factory=dict)
     outdated: Mapping[str, str] = field(default_factory=dict)
-    bundle_um: float | None = BUNDLE_UM
+    bundle_um: float | None = None
 
     @property
     def offset(self) -> SlitOffset | None:
@@ -112,6 +111,26 @@ class Draft:
         if known.frame is not None and known.frame.shape != setup.frame.shape:
             update |= {"background": None, "flat": None, "quality": None}
         return replace(self, calibration=known.model_copy(update=update))
+
+    def with_bundle_um(self, bundle_um: float | None) -> Draft:
+        """Return the draft with a diameter of the bundle, and the scale that follows if the bundle is located.
+
+        Parameters
+        ----------
+        bundle_um : float or None
+            In micrometres. None: unknown; a located bundle then has no scale.
+        """
+        known, bundle = self.calibration, self.calibration.bundle
+        if bundle is not None:
+            scale = None if bundle_um is None else bundle_um / bundle.diameter_px
+            optics = (known.optics or OpticsSection()).model_copy(update={"um_per_px": scale})
+            known = known.model_copy(update={"optics": optics})
+        return replace(self, calibration=known, bundle_um=bundle_um)
+
+    def with_timing(self, **seconds_or_periods: float | None) -> Draft:
+        """Return the draft with `line_period_s` (seconds) or `line_periods_per_frame`; None where it is unknown."""
+        optics = (self.calibration.optics or OpticsSection()).model_copy(update=seconds_or_periods)
+        return replace(self, calibration=self.calibration.model_copy(update={"optics": optics}))
 
     def with_calibration(self, calibration: Calibration) -> Draft:
         """Return the draft with another calibration."""

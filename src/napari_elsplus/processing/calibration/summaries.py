@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
 from napari_elsplus.processing.calibration.step import StepSummary
@@ -43,7 +42,8 @@ def summarize_offset(offset: SlitOffset, draft: Draft, setup: Setup) -> StepSumm
     """Summarize a slit offset: rows and micrometres, tilt, rows at the rim; see :class:`CalibrationStep`."""
     scale, slit_rows = draft.um_per_px or setup.um_per_px, setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
     line, headline, warnings = offset.confocal, f"{with_uncertainty(offset.rows, offset.uncertainty_rows)} rows", []
-    radius_px = (BUNDLE_UM / scale if scale else line.columns[1] - line.columns[0]) / 2
+    lit_px = line.columns[1] - line.columns[0]
+    radius_px = (draft.bundle_um / scale if scale and draft.bundle_um else lit_px) / 2
     cost = abs(np.tan(np.radians(line.tilt_deg))) * radius_px
     if scale is not None:
         headline += f"\n{with_uncertainty(offset.rows * scale, offset.uncertainty_rows * scale)} µm"
@@ -85,6 +85,8 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
     lines.append(f"gain of the residual view {with_uncertainty(alignment.gain, alignment.gain_uncertainty)}")
     if not pair.shows_flat_field:
         warnings.append(f"{100 * pair.saturated:.0f} % of the image is saturated: it gives no flat field")
+    if known.um_per_px is None:
+        warnings.append("micrometres unknown: enter the diameter of the bundle")
     if known.offset is not None:
         lines.append(
             f"offset: {with_uncertainty(known.offset.rows, known.offset.uncertainty_rows)} rows by the line, "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from qtpy.QtCore import Qt
+from qtpy.QtCore import QSignalBlocker, Qt
 from qtpy.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
@@ -29,6 +29,7 @@ from napari_elsplus.widgets.shared.plots import ThemedPlot
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from napari_elsplus.instrument.calibration import OpticsSection
     from napari_elsplus.processing.calibration.step import CalibrationStep
     from napari_elsplus.widgets.calibration.picture import Picture
 
@@ -79,6 +80,9 @@ class Form:
         self.voltages.setRange(20, 4000)
         self.voltages.setValue(SWEEP_VOLTAGES)
         self.voltages.setToolTip("Voltages of the sweep, 20 to 4000; the paper takes at least 400")
+        self.bundle_um = _number("µm", 1, 10_000, "Diameter of the imaged part of the bundle; it gives the micrometres")
+        self.line_period_us = _number("µs", 4, 1000, "Time from the readout of one row to that of the next")
+        self.periods_per_frame = _number("", 2, 100_000, "Line periods from one frame to the next, idle time included")
         self.measure, self.follow_button, self.from_file = QPushButton(), QPushButton(), QPushButton("From file...")
         self.accept, self.discard, self.undo = QPushButton("Accept"), QPushButton("Discard"), QPushButton("Undo")
         self.load, self.save = QPushButton("Load..."), QPushButton("Save...")
@@ -92,6 +96,18 @@ class Form:
     def target_um(self) -> float:
         """Target slit offset in micrometres."""
         return float(self.target.value())
+
+    def show_optics(self, bundle_um: float | None, optics: OpticsSection | None) -> None:
+        """Display the diameter of the bundle (micrometres) and the timing of the optics; unknown where absent."""
+        line_period_s = None if optics is None else optics.line_period_s
+        values = (
+            (self.bundle_um, bundle_um),
+            (self.line_period_us, None if line_period_s is None else 1e6 * line_period_s),
+            (self.periods_per_frame, None if optics is None else optics.line_periods_per_frame),
+        )
+        for field, value in values:
+            with QSignalBlocker(field):
+                field.setValue(value or 0.0)
 
     def restore(self, rig: str, preset: str) -> None:
         """Choose the rig and preset of the last time, where they still exist."""
@@ -240,6 +256,11 @@ class Form:
         for index, button in enumerate(self.steps.values()):
             grid.addWidget(button, index // 2, index % 2)
         layout.addLayout(grid)
+        given = QFormLayout()
+        given.addRow("bundle diameter", self.bundle_um)
+        given.addRow("line period", self.line_period_us)
+        given.addRow("line periods per frame", self.periods_per_frame)
+        layout.addLayout(given)
         layout.addWidget(self.explanation)
         self._options = QFormLayout()
         self._options.addRow("target", self.target)
@@ -265,6 +286,18 @@ def _html(text: str) -> str:
 def _allow(button: QPushButton, why_not: str, tooltip: str) -> None:
     button.setEnabled(not why_not)
     button.setToolTip(why_not or tooltip)
+
+
+def _number(unit: str, decimals: int, largest: float, tooltip: str) -> QDoubleSpinBox:
+    """Return a field of a positive number, displayed as unknown at 0."""
+    field = QDoubleSpinBox()
+    field.setDecimals(decimals)
+    field.setRange(0, largest)
+    field.setSuffix(f" {unit}" if unit else "")
+    field.setSpecialValueText("unknown")
+    field.setKeyboardTracking(False)
+    field.setToolTip(f"{tooltip}; unknown at 0")
+    return field
 
 
 def _text() -> QLabel:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.calibration.summaries import DEFAULT_SLIT_ROWS
 from napari_elsplus.widgets.calibration.picture import Picture, Plot
 from napari_elsplus.widgets.shared.plots import Band, Curve
@@ -62,8 +61,9 @@ def _predicted_performance(found: SlitOffset, draft: Draft, setup: Setup, scale:
     slit_rows = setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
     line = line_as_seen(found.confocal, slit_rows, scale)
     light_dn, gain_db = found.confocal.amplitude, setup.acquired_with.gain_db or 0.0
+    bundle_um = draft.bundle_um or (found.confocal.columns[1] - found.confocal.columns[0]) * scale  # the lit columns
     given = predict_performance(
-        found.rows * scale, slit_rows * scale, line, light_dn, gain_db=gain_db, bundle_um=draft.bundle_um or BUNDLE_UM
+        found.rows * scale, slit_rows * scale, line, light_dn, gain_db=gain_db, bundle_um=bundle_um
     )
     return [
         f"predicted drop-offs {given.drop_3db_um:.0f} µm (3 dB), {given.drop_10db_um:.0f} µm (10 dB)",

@@ -13,6 +13,7 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.rig import SIMULATED
+from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.settings import recall, remember, set_active_calibration
 from napari_elsplus.processing.calibration.step import StepState
@@ -201,7 +202,9 @@ class CalibrationPanel(Panel):
     def copy_script(self) -> None:
         """Copy Python that makes this calibration again to the clipboard."""
         with notify_errors():
-            copy_as_script(calibration_script(self.session.sources, self.draft.bundle_um))
+            copy_as_script(
+                calibration_script(self.session.sources, self.draft.bundle_um, self.draft.calibration.optics)
+            )
 
     def cleanup(self) -> None:
         """Stop measuring, remove the layers, release the engine and the viewer."""
@@ -222,6 +225,13 @@ class CalibrationPanel(Panel):
         form.restore(remembered.get("rig", SIMULATED), remembered.get("preset", "240hz"))
         form.connect_button.clicked.connect(self.connect_rig)
         form.measure.clicked.connect(self.measure)
+        form.bundle_um.valueChanged.connect(lambda um: self._change(self.draft.with_bundle_um(um or None)))
+        form.line_period_us.valueChanged.connect(
+            lambda us: self._change(self.draft.with_timing(line_period_s=1e-6 * us or None))
+        )
+        form.periods_per_frame.valueChanged.connect(
+            lambda periods: self._change(self.draft.with_timing(line_periods_per_frame=periods or None))
+        )
         form.follow_button.clicked.connect(self.follow_offset)
         form.accept.clicked.connect(self.accept)
         form.discard.clicked.connect(self.discard)
@@ -234,6 +244,11 @@ class CalibrationPanel(Panel):
         form.save_plots.clicked.connect(self._choose_file_for_plots)
         form.script.clicked.connect(self.copy_script)
         self.connect_signal(self.viewer.events.theme, self._theme_changed)
+
+    def _change(self, draft: Draft) -> None:
+        self.session.change(draft)
+        self.sharing.activate(draft.calibration)
+        self._refresh()
 
     def _live_source(self) -> MeasurementSource:
         form = self.form
@@ -268,6 +283,8 @@ class CalibrationPanel(Panel):
 
     def _connected(self, setup: Setup) -> None:
         self._setup = setup
+        if self.connection.rig == SIMULATED and self.draft.bundle_um is None and self.draft.calibration.bundle is None:
+            self.session.change(self.draft.with_bundle_um(BUNDLE_UM))  # of the simulated bundle; the field shows it
         self.sharing.activate(self.draft.calibration)
 
     def _setup_changed(self, done: Future[Setup]) -> None:
@@ -325,6 +342,7 @@ class CalibrationPanel(Panel):
         if not busy:
             self._following = None
         connected = self.connection.client is not None
+        form.show_optics(draft.bundle_um, draft.calibration.optics)
         form.show_states({step.key: step.state(draft, self._setup) for step in calibration_steps()}, self.key)
         unattended = " The simulated rig does this by itself." if connected and self.connection.rig == SIMULATED else ""
         form.explanation.setText(f"{step.explanation}<br><i>{step.preparation}{unattended}</i>")

@@ -79,4 +79,11 @@ class Session:
         """Continue with a calibration that was not made here."""
         self._past.append((self.draft, dict(self._accepted)))
         self.candidate, self._accepted = None, {}
-        self.draft = Draft(calibration, bundle_um=self.draft.bundle_um)
+        bundle, um_per_px = calibration.bundle, calibration.um_per_px
+        known_um = None if bundle is None or um_per_px is None else um_per_px * bundle.diameter_px
+        self.draft = Draft(calibration, bundle_um=self.draft.bundle_um if bundle is None else known_um)
+
+    def change(self, draft: Draft) -> None:
+        """Replace the draft by one of the same results with other optics."""
+        self._past.append((self.draft, dict(self._accepted)))
+        self.draft = draft
