@@ -41,6 +41,15 @@ def test_streaming_is_measured(rig) -> None:
         list(first_light.stream(rig, "240hz", 0.01))
 
 
+def test_parking_is_read_back_and_the_effect_of_a_reset_reported(rig) -> None:
+    found = list(first_light.parking(rig))
+    assert f"read back {rig.scanner.park_v:.3f} V" in found[0]
+    assert "left the output at 0.000 V" in found[1]
+    assert "none" in found[2]
+    assert rig.scanner.park_state.parked
+    assert rig.bench.card.last_volts == rig.scanner.park_v
+
+
 def test_every_strobe_is_heard_and_the_mirror_never_leaves_its_parking_position(rig) -> None:
     before = len(rig.bench.card.programs())
     said = list(first_light.strobe(rig, "120hz", 1.0))

@@ -14,6 +14,8 @@ import click
 import numpy as np
 
 from napari_elsplus.errors import ElsPlusError, InputError
+from napari_elsplus.hardware.daq.output import Output
+from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.protocols import Region
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
@@ -176,6 +178,48 @@ def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
     )
 
 
+def parking(rig: Rig) -> Iterator[str]:
+    """Park, read the output back, and report what a reset of the card does to it. The laser has to be off.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open rig, its galvo on a National Instruments card.
+
+    Yields
+    ------
+    str
+        One finding each.
+
+    Raises
+    ------
+    InputError
+        If its scanner is another driver.
+    DeviceError
+        If the card fails, or does not confirm.
+    """
+    scanner = rig.scanner
+    if not isinstance(scanner, DaqScanner):
+        raise InputError(f"the scanner of {rig.name} is no National Instruments card", "park it by its own driver")
+    scanner.park()
+    measured_v = scanner.park_state.read_back_v
+    confirmed = "the card cannot measure its output: use a multimeter"
+    yield f"parked at {scanner.park_v:.3f} V; {confirmed if measured_v is None else f'read back {measured_v:.3f} V'}"
+    output = Output(scanner.card, scanner.limits)
+    try:
+        begin_s = time.perf_counter()
+        output.reset()
+        took_s, after_v = time.perf_counter() - begin_s, output.read_back()
+        output.put(scanner.park_v)
+        back_s = time.perf_counter() - begin_s
+    finally:
+        output.release()
+    scanner.park()
+    where = "an unknown voltage" if after_v is None else f"{after_v:.3f} V"
+    yield f"a reset took {took_s * 1e3:.0f} ms and left the output at {where}; parked after {back_s * 1e3:.0f} ms"
+    yield f"laser line: {scanner.card.laser_line or 'none; a shutter or laser enable on a digital line is recommended'}"
+
+
 def _configure(rig: Rig, preset_name: str, seconds: float) -> int:
     """Set the camera to a preset at its full rate, and return how many frames that are."""
     chosen = preset(preset_name)
@@ -222,6 +266,14 @@ def _strobe(name: str, mode: str, seconds: float) -> None:
     """Report if the strobe reaches the card and starts every ramp."""
     with open_rig(name) as rig:
         _print(strobe(rig, mode, seconds))
+
+
+@first_light.command("parking")
+@RIG
+def _parking(name: str) -> None:
+    """Park, and report what a reset of the card does; the laser has to be off."""
+    with open_rig(name) as rig:
+        _print(parking(rig))
 
 
 def _print(findings: Iterator[str]) -> None:

@@ -72,16 +72,16 @@ def test_a_card_that_refuses_longer_is_not_called_parked_and_nothing_hangs(cards
     bench = cards()
     scanner = DaqScanner(bench.settings, bench.limits)
     sweep(scanner, bench, ramp, wait_for)
-    bench.card.inject(refuse_s=4.0)
+    bench.card.inject(refuse_s=8.0)
     begun_s = time.perf_counter()
     with pytest.raises(DeviceError, match=r"^NOT PARKED: switch the laser off"):
         scanner.park()
     with pytest.raises(DeviceError, match="NOT PARKED"):
         scanner.hold(0.1)
-    assert time.perf_counter() - begun_s < 3
+    assert time.perf_counter() - begun_s < 4
     scanner.close()
     assert scanner.park_state.stage is ParkStage.NOT_PARKED
-    wait_for(lambda: scanner.park_state.parked, 10)  # it goes on by itself
+    wait_for(lambda: scanner.park_state.parked, 20)  # it goes on by itself
     assert parked_s(bench.card) - bench.card.faults.refuse_until_s < 0.5
 
 

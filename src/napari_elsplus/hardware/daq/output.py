@@ -126,7 +126,7 @@ class Output:
             self._still.stop()  # a write that has not been completed is completed, or raises
             if not self._still.is_task_done():
                 raise DeviceError(f"card {self.card.device}: {self.card.output} was not written", "park again")
-        measured = self._read_back()
+        measured = self.read_back()
         if measured is not None and not abs(measured - volts) <= READ_BACK_TOLERANCE_V:
             raise DeviceError(
                 f"card {self.card.device}: {self.card.output} is at {measured:.3g} V instead of {volts:.3g} V",
@@ -218,8 +218,8 @@ class Output:
         with contextlib.suppress(DeviceError):
             self.close()
 
-    def _read_back(self) -> float | None:
-        """Measure the output by the card's internal channel; None where it has none."""
+    def read_back(self) -> float | None:
+        """Measure the output in volts by the card's internal channel; None where it has none."""
         if not self._reads_back:
             return None
         from nidaqmx.errors import DaqError
