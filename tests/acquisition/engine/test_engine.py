@@ -18,6 +18,7 @@ from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
+from napari_elsplus.hardware.parking import ParkStage, ParkState
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import RecordingWriter, open_recording
 from napari_elsplus.workflows.sectioning import section
@@ -548,3 +549,20 @@ def test_frames_go_on_whatever_fails_beside_them(
     assert engine.status().live
     if part != "recorder":
         until(lambda: engine.status().recorded > before.recorded + 10)
+
+
+def test_a_galvo_that_is_not_parked_is_shown_with_what_to_do_by_hand(
+    rig: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    refusing = ParkState(ParkStage.NOT_PARKED, "the card is in use by another program")
+    told: list[Callable[[ParkState], None]] = []
+    monkeypatch.setattr(type(rig.scanner), "park_state", property(lambda _: refusing))
+    monkeypatch.setattr(type(rig.scanner), "on_park_state", lambda _, call: told.append(call) or told.clear)
+    with Engine(rig) as engine:
+        engine.configure(Settings("240hz", frame_rate_hz=100.0))
+        told[0](refusing)
+        status = engine.status()
+        assert "NOT PARKED: switch the laser off" in status.faults[0].problem
+        assert "NOT PARKED: switch the laser off" in status.report()["galvo"]["message"]
+    assert "NOT PARKED: switch the laser off" in caplog.text
+    assert not told

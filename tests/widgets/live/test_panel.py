@@ -350,3 +350,22 @@ def test_a_missing_scan_lag_is_amber_in_rig_and_live_and_measured_by_one_click(v
     qtbot.waitUntil(lambda: advice not in panel.form.status.text() + rig.status.text(), timeout=30_000)
     qtbot.waitUntil(lambda: panel.form.lag.native.isHidden() and rig.lag.native.isHidden(), timeout=30_000)
     assert "not saved, measured" in panel.form.status.text()
+
+
+def test_closing_the_last_panel_while_it_connects_leaves_no_engine(viewer, qtbot, small_engine, monkeypatch):
+    opening, may_open = Event(), Event()
+
+    def patiently(client, rig):
+        opening.set()
+        may_open.wait(30)
+        return client.call("open", rig)
+
+    monkeypatch.setattr(EngineClient, "open", patiently)
+    _, rig = viewer.window.add_plugin_dock_widget("napari-elsplus", "Rig")
+    rig.connect.native.click()
+    assert opening.wait(30)
+    connection = rig.connection
+    viewer.window.remove_dock_widget(rig)
+    may_open.set()
+    qtbot.waitUntil(lambda: small_engine and not exists(small_engine[-1].pid), timeout=30_000)
+    assert connection.client is None

@@ -62,5 +62,5 @@ class Supervision(Thread):
             if self._armed and silent_s > self._timeout_s:
                 self._armed = False
                 problem = f"the window was frozen for {self._timeout_s:g} s: the galvo was parked, a recording ended"
-                remedy = "start again; heartbeat_timeout_s of [live] in the settings allows more"
+                remedy = "start again; heartbeat_timeout_s of [rig] in the settings file allows more"
                 self._act(DeviceError(problem, remedy))

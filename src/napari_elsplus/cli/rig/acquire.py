@@ -17,7 +17,8 @@ from napari_elsplus.acquisition.streaming.priority import keep_pace, settle_memo
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.cli.rig.live import calibration_progress
-from napari_elsplus.errors import InputError
+from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.parking import ParkStage
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.io import beside, read_calibration, replacing, write_mosaic, write_track
@@ -91,6 +92,9 @@ def command(
             tracker.settle()
             _write(tracker.pipeline, engine, mosaic, track, force)
     click.echo(summary(status))
+    parking = rig.scanner.park_state  # after closing
+    if parking.stage is ParkStage.NOT_PARKED:
+        raise DeviceError(parking.message, "keep it off until the galvo is parked")
     if status.faults:
         raise InputError(status.faults[0].problem, status.faults[0].remedy)
 

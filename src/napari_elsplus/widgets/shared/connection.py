@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import time
 import weakref
 from concurrent.futures import Future
 from threading import Lock, Thread
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.io.settings import recall
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.instrument.calibration import Calibration
 
+EVENTS_TIMEOUT_S: Final = 1.5
+"""Time without processed events after which a window counts as frozen; chosen: three periods of its timer."""
 _latest: Callable[[], Connection | None] = lambda: None  # noqa: E731 - stands for a dead weak reference
 
 
@@ -31,6 +35,7 @@ class Connection:
     def __init__(self) -> None:
         self._client: EngineClient | None = None
         self._users = 0
+        self._events_s = 0.0
         self._lock = Lock()
         self._applied: tuple[Calibration | None, Path | None] = (None, None)
         self._received: Calibration | None = None
@@ -120,7 +125,8 @@ class Connection:
         DeviceError
             If it cannot be opened.
         InputError
-            If there is no such rig, or the camera refuses the settings.
+            If there is no such rig, or the camera refuses the settings; if ``heartbeat_timeout_s`` of ``[rig]`` in the
+            settings file is too short.
         """
         with self._lock:
             self._end()
@@ -128,6 +134,9 @@ class Connection:
             try:
                 client.open(rig).result()
                 client.configure(settings).result()
+                if (timeout_s := recall("rig").get("heartbeat_timeout_s")) is not None:
+                    client.set_heartbeat_timeout(float(timeout_s)).result()
+                client.beat_while(self._processes_events)
             except BaseException:
                 client.close()
                 raise
@@ -148,8 +157,12 @@ class Connection:
         if self._users == 0:
             self._applied = None, None
             client, self._client, self.rig = self._client, None, None
-            if client is not None:
+            if client is not None or self._lock.locked():  # locked: a rig is being connected or disconnected
                 Thread(target=self._end_beside, args=(client,), name="engine-end").start()
+
+    def note_events(self) -> None:
+        """Note that the window's events are processed; called twice a second, else the galvo is parked."""
+        self._events_s = time.monotonic()
 
     def _end(self) -> None:
         active, path = self.calibration, self.calibration_file
@@ -158,12 +171,20 @@ class Connection:
         if client is not None:
             client.close()
 
-    def _end_beside(self, client: EngineClient) -> None:
+    def _end_beside(self, client: EngineClient | None) -> None:
         with self._lock:  # the next connection waits until the rig is free
-            client.close()
+            if client is not None:
+                client.close()
+            if self._users == 0 and self._client is not None:  # connected after the last panel was closed
+                self._end()
+                self._applied = None, None
+
+    def _processes_events(self) -> bool:
+        return self._users == 0 or time.monotonic() - self._events_s < EVENTS_TIMEOUT_S
 
     def _enter(self) -> Connection:
         self._users += 1
+        self.note_events()
         return self
 
 
