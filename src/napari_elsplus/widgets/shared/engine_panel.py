@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from qtpy.QtCore import QTimer
-
 from napari.utils.notifications import show_info
+from qtpy.QtCore import QTimer
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.calibration_lookup import active_calibration_for_rig
