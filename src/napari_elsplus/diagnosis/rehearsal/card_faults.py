@@ -1,0 +1,140 @@
+"""Faults of the card that drives the galvo, and of the wire that triggers it."""
+
+from __future__ import annotations
+
+import time
+
+from napari_elsplus.diagnosis.rehearsal.registry import fault
+from napari_elsplus.diagnosis.rehearsal.stage import Stage
+
+SHORT_S, LONG_S = 0.3, 3.0
+"""Seconds for which the card refuses every call."""
+PARKED_WITHIN_S = 0.5
+"""Seconds in which the galvo has to be clear of the bundle; of the promises."""
+
+
+@fault("strobe-lost", "parked within 0.5 s, recording kept, reported", PARKED_WITHIN_S)
+def strobe_lost(stage: Stage, limit_s: float) -> None:
+    """Cut the wire of the strobe while scanning."""
+    stage.scan()
+    stage.fault("cut_strobe")
+    stage.expect_parked(limit_s)
+    stage.expect_reported("strobe")
+    _finish(stage)
+
+
+@fault("strobe-never-wired", "parked within 0.5 s after the first frame, names the wire", PARKED_WITHIN_S)
+def strobe_never_wired(stage: Stage, limit_s: float) -> None:
+    """Start without a wire from the camera's strobe to the card."""
+    stage.open()
+    stage.log.card.inject(strobe_unwired=True)
+    stage.call("start")
+    stage.wait_for(lambda: stage.switch("exposures") is not None, "frames")
+    stage.note_exposures()
+    assert stage.exposures is not None
+    stage.fault_s = stage.exposures.first_read_out_s
+    stage.expect_parked(limit_s)
+    stage.expect_reported("PFI", "strobe")
+
+
+@fault("daq-underrun", "parked within 0.5 s, recording kept, reported", PARKED_WITHIN_S)
+def daq_underrun(stage: Stage, limit_s: float) -> None:
+    """End the waveform by an underrun of the card's memory."""
+    stage.scan()
+    stage.fault_s = time.perf_counter()
+    stage.log.card.break_with(-200621)
+    stage.expect_parked(limit_s)
+    stage.expect_reported("ran out of samples", "200621")
+    _finish(stage)
+
+
+@fault("card-refuses-while-closing", "parked within 0.5 s after the card accepts again", SHORT_S + PARKED_WITHIN_S)
+def card_refuses_while_closing(stage: Stage, limit_s: float) -> None:
+    """Close the engine while the card refuses every call for 0.3 s."""
+    _close_refused(stage, SHORT_S, limit_s)
+
+
+@fault("card-refuses-long-while-closing", "parked within 0.5 s after the card accepts again", LONG_S + PARKED_WITHIN_S)
+def card_refuses_long_while_closing(stage: Stage, limit_s: float) -> None:
+    """Close the engine while the card refuses every call for 3 s."""
+    _close_refused(stage, LONG_S, limit_s)
+
+
+@fault("card-refuses-park", "reported as not parked, parked within 0.5 s after the card accepts", LONG_S + 0.5)
+def card_refuses_park(stage: Stage, limit_s: float) -> None:
+    """Press Park while the card refuses every call for 3 s."""
+    stage.scan()
+    stage.card_fault(refuse_s=LONG_S)
+    stage.expect_refused(stage.begin("park"), "NOT PARKED")
+    stage.expect_parked(limit_s)
+    _finish(stage)
+
+
+@fault("clear-task-error", "parked within 0.5 s, watched as before", PARKED_WITHIN_S)
+def clear_task_error(stage: Stage, limit_s: float) -> None:
+    """Let ClearTask fail, its task left running, while Park is pressed; then lose the strobe of the next scan."""
+    stage.scan()
+    stage.card_fault(clear_errors=3)
+    stage.call("park")
+    stage.expect_parked(limit_s)
+    _finish(stage)
+    first_s = stage.parked_s
+    stage.log.card.inject(clear_errors=0)
+    stage.call("start")
+    stage.wait_for(stage.scans, "scan")
+    stage.fault("cut_strobe")
+    stage.expect_parked(limit_s)
+    stage.expect_reported("strobe")
+    if first_s is not None and stage.parked_s is not None:
+        stage.parked_s = max(first_s, stage.parked_s)
+
+
+@fault("park-refused-until-reset", "the card is reset, parked within 0.5 s", PARKED_WITHIN_S)
+def park_refused_until_reset(stage: Stage, limit_s: float) -> None:
+    """Let the card refuse every new task until it is reset, which puts its output at 0 V, while Park is pressed."""
+    stage.scan()
+    stage.fault_s = time.perf_counter()
+    stage.log.card.break_with(-50103)
+    stage.call("park")
+    stage.expect_parked(limit_s)
+    _finish(stage)
+
+
+@fault("card-hangs", "parked within 2 s although calls of the driver do not return", 2.0)
+def card_hangs(stage: Stage, limit_s: float) -> None:
+    """Let calls of the driver not return until the card is reset, while Park is pressed."""
+    stage.scan()
+    stage.card_fault(hangs=True)
+    stage.begin("park")
+    stage.expect_parked(limit_s)
+    stage.log.card.inject(hangs=False)
+    _finish(stage)
+
+
+@fault("voltage-out-of-range", "refused before the card, the scan goes on", 2.0)
+def voltage_out_of_range(stage: Stage, limit_s: float) -> None:
+    """Hold the line at 9 V."""
+    stage.scan()
+    stage.fault_s = time.perf_counter()
+    stage.expect_refused(stage.begin("hold", 9.0), "limit", timeout_s=limit_s)
+    outside = [p for p in stage.log.programs if abs(p.resting_v) > 2 or (len(p.samples) and abs(p.samples).max() > 2)]
+    stage.expect(not outside, "the card was given a voltage outside the limits")
+    stage.expect_scanning()
+    stage.expect_frames_go_on()
+    _finish(stage)
+
+
+def _close_refused(stage: Stage, refuse_s: float, limit_s: float) -> None:
+    stage.scan()
+    stage.note_exposures()
+    stage.status()
+    stage.card_fault(refuse_s=refuse_s)
+    stage.close()
+    stage.expect_parked(limit_s)
+    stage.expect_recording()
+
+
+def _finish(stage: Stage) -> None:
+    """End stream and recording; expect every frame of before the fault."""
+    stage.finish()
+    stage.expect_recording()

@@ -1,0 +1,82 @@
+"""Faults of the camera and of the disk."""
+
+from __future__ import annotations
+
+import time
+
+from napari_elsplus.diagnosis.rehearsal.registry import fault
+from napari_elsplus.diagnosis.rehearsal.stage import Stage
+
+FAULTY_FRAMES = 5
+"""Frames cut short, ended badly or lost; chosen."""
+
+
+@fault("camera-unplugged", "parked within 0.5 s, recording kept, reported", 0.5)
+def camera_unplugged(stage: Stage, limit_s: float) -> None:
+    """Unplug the camera while it streams."""
+    stage.scan()
+    stage.note_exposures()
+    stage.fault("unplug")
+    stage.expect_parked(limit_s)
+    stage.expect_reported("unplugged", "camera")
+    stage.finish()
+    stage.expect_recording()
+
+
+@fault("short-frames", "dropped and counted, the others recorded", 2.0)
+def short_frames(stage: Stage, limit_s: float) -> None:
+    """Cut frames short."""
+    _expect_counted(stage, "short_frames", limit_s)
+
+
+@fault("bad-trailers", "dropped and counted, the others recorded", 2.0)
+def bad_trailers(stage: Stage, limit_s: float) -> None:
+    """End frames with a bad trailer."""
+    _expect_counted(stage, "bad_trailers", limit_s)
+
+
+@fault("frame-gap", "counted, the others recorded", 2.0)
+def frame_gap(stage: Stage, limit_s: float) -> None:
+    """Lose frames in the camera."""
+    _expect_counted(stage, "drop_frames", limit_s)
+
+
+@fault("slow-disk", "frames dropped and counted, the stream goes on", 10.0)
+def slow_disk(stage: Stage, limit_s: float) -> None:
+    """Let the disk take a tenth of a second for a frame."""
+    stage.scan()
+    stage.fault("delay", "disk", 0.1)
+    stage.wait_for(lambda: stage.status().dropped.get("recorder slow"), "count of frames lost", limit_s)
+    stage.expect_scanning()
+    stage.expect_frames_go_on()
+    stage.switch("delay", "disk", -0.1)
+    stage.finish()
+    stage.expect_recording()
+
+
+@fault("full-disk", "whole frames kept and readable, reported, the stream goes on", 2.0, posix=True)
+def full_disk(stage: Stage, limit_s: float) -> None:
+    """Let files grow no further."""
+    stage.scan()
+    stage.fault("fill_disk")
+    stage.expect_reported("disk", "rehearsal.ome.tif", timeout_s=limit_s)
+    stage.expect_scanning()
+    stage.expect_frames_go_on()
+    stage.finish()
+    stage.expect_recording()
+
+
+def _expect_counted(stage: Stage, kind: str, limit_s: float) -> None:
+    stage.scan()
+    stage.fault("camera", **{kind: FAULTY_FRAMES})
+    stage.wait_for(lambda: sum(stage.status().dropped.values()) >= FAULTY_FRAMES, "count of frames lost", limit_s)
+    stage.expect_scanning()
+    stage.expect_frames_go_on()
+    stage.fault_s = time.perf_counter()
+    stage.finish()
+    stage.expect_recording()
+    reported = sum(stage.reported.values())
+    stage.expect(reported == stage.lost, f"{reported} frames were reported as lost, {stage.lost} are missing")
+    stage.hear(", ".join(f"{count} {cause}" for cause, count in stage.reported.items()))
+
+

@@ -1,0 +1,118 @@
+"""Faults of processes: window, engine, guardian, a script."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from contextlib import suppress
+from typing import Final
+
+from napari_elsplus.diagnosis.rehearsal.registry import fault
+from napari_elsplus.diagnosis.rehearsal.stage import KILL, Stage
+
+GUARDIAN_WITHIN_S: Final = 1.0
+"""Seconds in which a guardian that was killed is replaced, or the galvo parked; of the promises."""
+
+
+@fault("window-killed", "parked within 0.5 s, the recording finished, nothing left", 0.5)
+def window_killed(stage: Stage, limit_s: float) -> None:
+    """Kill the window's process."""
+    stage.scan()
+    stage.note_exposures()
+    stage.status()
+    stage.window_process.kill()
+    stage.fault_s = time.perf_counter()
+    stage.expect_parked(limit_s)
+    ended = _ends_within(stage.engine_pid, 10.0)
+    stage.expect(ended, "the engine's process did not end")
+    if ended:
+        stage.engine_pid = 0
+    stage.expect_recording()
+
+
+@fault("engine-killed", "parked within 0.5 s by the guardian, whole frames kept, reported", 0.5)
+def engine_killed(stage: Stage, limit_s: float) -> None:
+    """Kill the engine's process."""
+    stage.scan()
+    stage.note_exposures()
+    stage.status()
+    stage.kill_engine()
+    stage.fault_s = time.perf_counter()
+    stage.expect_parked(limit_s)
+    stage.expect_reported("engine's process ended")
+    stage.expect_recording(complete=False)
+
+
+@fault("guardian-killed", "replaced or parked within 1 s, reported", GUARDIAN_WITHIN_S)
+def guardian_killed(stage: Stage, limit_s: float) -> None:
+    """Kill the guardian's process; after its time, if another is on guard, kill the engine, too."""
+    stage.scan()
+    stage.note_exposures()
+    first, _ = stage.switch("guardian")
+    os.kill(first, KILL)
+    stage.fault_s = killed_s = time.perf_counter()
+    time.sleep(limit_s)
+    now, on_guard = stage.switch("guardian")
+    replaced = on_guard and now != first
+    stage.expect_reported("guardian")
+    if not replaced:
+        stage.expect_parked(limit_s)
+        stage.finish()
+        stage.expect_recording()
+        return
+    stage.expect_frames_go_on()
+    stage.note_exposures()
+    stage.kill_engine()
+    stage.fault_s = time.perf_counter()
+    stage.expect_parked(0.5)
+    stage.expect_recording(complete=False)
+    stage.hear(f"replaced; after {stage.fault_s - killed_s:.1f} s the engine was killed, and it parked")
+
+
+@fault("script-without-guardian", "parked within 0.5 s by the guardian that every open rig has", 0.5)
+def script_without_guardian(stage: Stage, limit_s: float) -> None:
+    """Kill a script that scans with a rig which it opened, and started no guardian."""
+    script = stage.start([sys.executable, "-m", "napari_elsplus.diagnosis.rehearsal.script"])
+    try:
+        stage.accept_engine()
+        stage.wait_for(stage.scans, "scan of the script", 60.0)
+        script.kill()
+        stage.engine_pid = 0
+        stage.fault_s = time.perf_counter()
+        stage.expect_parked(limit_s)
+    finally:
+        script.kill()
+        script.wait()
+
+
+@fault("window-frozen", "parked within 0.5 s after the heartbeat's limit, frames kept, reported", 3.5, posix=True)
+def window_frozen(stage: Stage, limit_s: float) -> None:
+    """Stop the window's process, without ending it."""
+    if sys.platform == "win32":
+        return
+    stage.scan()
+    stage.status()
+    os.kill(stage.window_process.pid, signal.SIGSTOP)
+    stage.fault_s = time.perf_counter()
+    try:
+        stage.expect_parked(limit_s)
+        stage.note_exposures()
+    finally:
+        os.kill(stage.window_process.pid, signal.SIGCONT)
+    stage.expect_reported("heartbeat", "window")
+    stage.finish()
+    stage.expect_recording()
+
+
+def _ends_within(pid: int, timeout_s: float) -> bool:
+    """Return True if a process ends in time."""
+    end_s = time.monotonic() + timeout_s
+    while time.monotonic() < end_s:
+        with suppress(OSError):
+            os.kill(pid, 0)
+            time.sleep(0.05)
+            continue
+        return True
+    return False

@@ -1,0 +1,69 @@
+"""Stand-in of napari's window in the rehearsal: holds the engine's client and executes what the rehearsal sends.
+
+Run as ``python -m napari_elsplus.diagnosis.rehearsal.window``.
+"""
+
+from __future__ import annotations
+
+import sys
+from concurrent.futures import Future
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final
+
+from napari_elsplus.acquisition.link.client import EngineClient
+from napari_elsplus.diagnosis.rehearsal.messages import report_to_rehearsal
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+ENGINE: Final = (sys.executable, "-m", "napari_elsplus.diagnosis.rehearsal.engine")
+"""Starts the engine's process, with fault switches on the simulated devices."""
+
+
+class Window:
+    """Executes requests on an engine's client.
+
+    Parameters
+    ----------
+    client : EngineClient
+        The client.
+    """
+
+    def __init__(self, client: EngineClient) -> None:
+        self._client = client
+        self._futures: list[Future[Any]] = []
+
+    def call(self, name: str, *arguments: Any, **options: Any) -> int:
+        """Send a command of that name; return the number by which `wait` finds its result."""
+        self._futures.append(getattr(self._client, name)(*arguments, **options))
+        return len(self._futures) - 1
+
+    def wait(self, number: int, timeout_s: float) -> Any:
+        """Return the result of a command, or raise its error; TimeoutError if there is none yet."""
+        return self._futures[number].result(timeout_s)
+
+    def status(self) -> Any:
+        """Return the newest status, and why there is no engine any more."""
+        return self._client.status, self._client.died
+
+    def close(self) -> None:
+        """End the engine."""
+        self._client.close()
+
+
+def run(connection: Connection[Any, Any]) -> None:
+    """Execute requests until the connection ends."""
+    with EngineClient(ENGINE) as client:
+        window = Window(client)
+        with suppress(EOFError, OSError):
+            while True:
+                name, arguments, options = connection.recv()
+                try:
+                    answer: tuple[Any, BaseException | None] = getattr(window, name)(*arguments, **options), None
+                except Exception as error:  # noqa: BLE001 - the rehearsal judges it
+                    answer = None, error
+                connection.send(answer)
+
+
+if __name__ == "__main__":
+    run(report_to_rehearsal("window"))
