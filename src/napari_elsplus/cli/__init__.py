@@ -22,6 +22,7 @@ COMMANDS: dict[str, str] = {
     "compare": "files",
     "axial": "files",
     "simulate": "files",
+    "rehearse": "rig",
     "doctor": "rig",
 }
 """The commands, and the folder below this one in which each has a module of its name that defines ``command``."""
@@ -34,6 +35,7 @@ SUMMARIES: dict[str, str] = {
     "compare": "LS, ELSA and ELS+ of one frame side by side.",
     "axial": "Axial response from a scan of depths.",
     "simulate": "Simulate raw frames with known truth.",
+    "rehearse": "Rehearse faults on the simulated rig.",
     "doctor": "Check software and devices.",
 }
 """One line on each command; here, so that ``--help`` imports none of their modules."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from napari_elsplus.diagnosis.rehearsal.registry import fault
-from napari_elsplus.diagnosis.rehearsal.stage import Stage
+from napari_elsplus.diagnosis.rehearsal.stage import Stage, ends_within
 
 SHORT_S, LONG_S = 0.3, 3.0
 """Seconds for which the card refuses every call."""
@@ -128,9 +128,11 @@ def _close_refused(stage: Stage, refuse_s: float, limit_s: float) -> None:
     stage.scan()
     stage.note_exposures()
     stage.status()
+    guardian, _ = stage.switch("guardian")
     stage.card_fault(refuse_s=refuse_s)
     stage.close()
     stage.expect_parked(limit_s)
+    stage.expect(ends_within(guardian, 5.0), "the guardian's process did not end")
     stage.expect_recording()
 
 

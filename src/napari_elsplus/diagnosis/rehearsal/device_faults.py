@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
 from napari_elsplus.diagnosis.rehearsal.registry import fault
-from napari_elsplus.diagnosis.rehearsal.stage import Stage
+
+if TYPE_CHECKING:
+    from napari_elsplus.diagnosis.rehearsal.stage import Stage
 
 FAULTY_FRAMES = 5
 """Frames cut short, ended badly or lost; chosen."""
@@ -49,9 +52,10 @@ def slow_disk(stage: Stage, limit_s: float) -> None:
     stage.wait_for(lambda: stage.status().dropped.get("recorder slow"), "count of frames lost", limit_s)
     stage.expect_scanning()
     stage.expect_frames_go_on()
-    stage.switch("delay", "disk", -0.1)
+    stage.switch("quicken", "disk")
     stage.finish()
     stage.expect_recording()
+    _hear_counts(stage)
 
 
 @fault("full-disk", "whole frames kept and readable, reported, the stream goes on", 2.0, posix=True)
@@ -77,6 +81,8 @@ def _expect_counted(stage: Stage, kind: str, limit_s: float) -> None:
     stage.expect_recording()
     reported = sum(stage.reported.values())
     stage.expect(reported == stage.lost, f"{reported} frames were reported as lost, {stage.lost} are missing")
+    _hear_counts(stage)
+
+
+def _hear_counts(stage: Stage) -> None:
     stage.hear(", ".join(f"{count} {cause}" for cause, count in stage.reported.items()))
-
-

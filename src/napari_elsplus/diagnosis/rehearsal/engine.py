@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 PATH: Final = Circle(diameter_um=20.0, period_s=8 / 120)
 """Path of the probe; chosen: eight frames at 120 Hz and sixteen at 240 Hz, rendered in little time, then repeat."""
 
+SLOWED: Final[dict[str, tuple[type, str]]] = {"disk": (RecordingWriter, "append"), "images": (LiveImages, "__init__")}
+"""Methods that a switch can delay."""
+
 
 class Switches:
     """Faults of the simulated devices; each method returns the time of the fault on the bench's clock.
@@ -47,6 +50,7 @@ class Switches:
         assert rig.bench is not None
         self._rig, self._plug = rig, rig.bench.plug
         self._exposures: Exposures | None = None
+        self._delayed: dict[str, Any] = {}
         expose = rig.bench.optics.expose
 
         def noting(shot: Shot, out: NDArray[np.uint8]) -> None:
@@ -83,11 +87,15 @@ class Switches:
         return (0, False) if guardian is None else (guardian.pid, guardian.on_guard)
 
     def delay(self, where: str, seconds: float) -> float:
-        """Let every append to a recording, or every making of live images, take longer by some seconds."""
-        if where == "disk":
-            _before(RecordingWriter, "append", lambda: time.sleep(seconds))
-        else:
-            _before(LiveImages, "__init__", lambda: time.sleep(seconds))
+        """Let every append to a recording (``disk``), or every new maker of live images, take longer by seconds."""
+        owner, method = SLOWED[where]
+        self._delayed[where] = getattr(owner, method)
+        _before(owner, method, lambda: time.sleep(seconds))
+        return time.perf_counter()
+
+    def quicken(self, where: str) -> float:
+        """End a delay."""
+        setattr(*SLOWED[where], self._delayed.pop(where))
         return time.perf_counter()
 
     def fail(self, where: str) -> float:

@@ -6,11 +6,11 @@ import os
 import signal
 import sys
 import time
-from contextlib import suppress
 from typing import Final
 
+from napari_elsplus.acquisition.link.messages import HEARTBEAT_TIMEOUT_S
 from napari_elsplus.diagnosis.rehearsal.registry import fault
-from napari_elsplus.diagnosis.rehearsal.stage import KILL, Stage
+from napari_elsplus.diagnosis.rehearsal.stage import KILL, Stage, ends_within
 
 GUARDIAN_WITHIN_S: Final = 1.0
 """Seconds in which a guardian that was killed is replaced, or the galvo parked; of the promises."""
@@ -25,7 +25,7 @@ def window_killed(stage: Stage, limit_s: float) -> None:
     stage.window_process.kill()
     stage.fault_s = time.perf_counter()
     stage.expect_parked(limit_s)
-    ended = _ends_within(stage.engine_pid, 10.0)
+    ended = ends_within(stage.engine_pid, 10.0)
     stage.expect(ended, "the engine's process did not end")
     if ended:
         stage.engine_pid = 0
@@ -87,7 +87,12 @@ def script_without_guardian(stage: Stage, limit_s: float) -> None:
         script.wait()
 
 
-@fault("window-frozen", "parked within 0.5 s after the heartbeat's limit, frames kept, reported", 3.5, posix=True)
+@fault(
+    "window-frozen",
+    "parked within 0.5 s after the timeout of the heartbeat, frames kept, reported",
+    HEARTBEAT_TIMEOUT_S + 0.5,
+    posix=True,
+)
 def window_frozen(stage: Stage, limit_s: float) -> None:
     """Stop the window's process, without ending it."""
     if sys.platform == "win32":
@@ -104,15 +109,3 @@ def window_frozen(stage: Stage, limit_s: float) -> None:
     stage.expect_reported("heartbeat", "window")
     stage.finish()
     stage.expect_recording()
-
-
-def _ends_within(pid: int, timeout_s: float) -> bool:
-    """Return True if a process ends in time."""
-    end_s = time.monotonic() + timeout_s
-    while time.monotonic() < end_s:
-        with suppress(OSError):
-            os.kill(pid, 0)
-            time.sleep(0.05)
-            continue
-        return True
-    return False

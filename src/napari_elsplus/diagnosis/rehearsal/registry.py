@@ -49,7 +49,7 @@ class Fault:
             except (ElsPlusError, OSError, EOFError, TimeoutError, AssertionError) as error:
                 stage.problems.append(f"{type(error).__name__}: {error}")
             parked_s = None if stage.parked_s is None else round(stage.parked_s, 3)
-            message = "; ".join(stage.problems or stage.heard)
+            message = "; ".join([*stage.problems, *stage.heard] or [_without_message(parked_s)])
             return Row(
                 self.name,
                 self.promise,
@@ -60,6 +60,10 @@ class Fault:
                 stage.lost_silently,
                 message,
             )
+
+
+def _without_message(parked_s: float | None) -> str:
+    return "" if parked_s is None else f"clear of the bundle after {parked_s:.2f} s"
 
 
 def fault(

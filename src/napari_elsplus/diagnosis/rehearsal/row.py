@@ -43,3 +43,21 @@ class Row:
     def content(self) -> dict[str, Any]:
         """Return the row ready for JSON."""
         return asdict(self)
+
+
+COLUMNS = "{:<33}{:<5}{:>9}{:>9}{:>6}{:>10}  {}"
+"""Format of the printed table."""
+
+
+def heading() -> str:
+    """Return the heading of the printed table."""
+    return COLUMNS.format("fault", "held", "parked s", "limit s", "lost", "silently", "message")
+
+
+def line(row: Row) -> str:
+    """Return a row of the printed table."""
+    parked = "-" if row.parked_s is None else f"{row.parked_s:.3f}"
+    held = "yes" if row.held else "NO"
+    return COLUMNS.format(
+        row.fault, held, parked, f"{row.limit_s:.1f}", row.frames_lost, row.frames_lost_silently, row.message
+    )

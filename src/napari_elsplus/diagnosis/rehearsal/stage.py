@@ -254,7 +254,7 @@ class Stage:
         while not self._reported(words) and time.monotonic() < end_s:
             self.status()
             time.sleep(0.05)
-        self.expect(self._reported(words), f"nothing was reported (expected: {' or '.join(words)})")
+        self.expect(self._reported(words), f"nothing about {' or '.join(words)} was reported")
 
     def expect_refused(self, number: int, *words: str, timeout_s: float = 2.0) -> None:
         """Expect that a command is refused with a message that contains one of some words."""
@@ -356,3 +356,15 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.wait(START_TIMEOUT_S / 4)
     process.kill()
     process.wait()
+
+
+def ends_within(pid: int, timeout_s: float) -> bool:
+    """Return True if a process ends in time."""
+    end_s = time.monotonic() + timeout_s
+    while time.monotonic() < end_s:
+        with suppress(OSError):
+            os.kill(pid, 0)
+            time.sleep(0.05)
+            continue
+        return True
+    return False

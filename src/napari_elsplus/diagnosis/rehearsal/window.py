@@ -6,7 +6,6 @@ Run as ``python -m napari_elsplus.diagnosis.rehearsal.window``.
 from __future__ import annotations
 
 import sys
-from concurrent.futures import Future
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +13,7 @@ from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.diagnosis.rehearsal.messages import report_to_rehearsal
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
     from multiprocessing.connection import Connection
 
 ENGINE: Final = (sys.executable, "-m", "napari_elsplus.diagnosis.rehearsal.engine")

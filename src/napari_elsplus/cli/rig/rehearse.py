@@ -1,0 +1,42 @@
+"""``rehearse``: faults played on the simulated rig, promise against observation."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import click
+
+from napari_elsplus.cli.options import FILE, force_option, progress, refuse_outputs
+from napari_elsplus.diagnosis.rehearsal.registry import faults
+from napari_elsplus.diagnosis.rehearsal.row import heading, line
+from napari_elsplus.io import replacing
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@click.command()
+@click.option("--fault", "names", multiple=True, help="Name of a fault; several may be given; all by default.")
+@click.option("--report", type=FILE, help="Write the table to this JSON file.")
+@force_option
+def command(names: tuple[str, ...], report: Path | None, force: bool) -> None:
+    """Rehearse faults on the simulated rig, in processes of their own; print what was promised and what happened.
+
+    Exits 0 when every promise was held, 1 when one was not. Software replaces no hardware interlock.
+    """
+    refuse_outputs(report, force=force)
+    chosen = faults(names)
+    click.echo(heading())
+    rows = []
+    for fault in progress(chosen, "Rehearsing"):
+        row = fault.rehearse()
+        rows.append(row)
+        click.echo(click.style(line(row), fg=None if row.held else "red"))
+    if report is not None:
+        with replacing(report, force=force) as unfinished:
+            unfinished.write_text(json.dumps([row.content() for row in rows], indent=1) + "\n", encoding="utf-8")
+    broken = [row for row in rows if not row.held]
+    click.echo(f"{len(rows) - len(broken)} of {len(rows)} promises were held")
+    if broken:
+        raise SystemExit(1)
