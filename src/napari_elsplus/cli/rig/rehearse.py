@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from napari_elsplus.cli.options import FILE, force_option, progress, refuse_outputs
-from napari_elsplus.diagnosis.rehearsal.registry import faults
+from napari_elsplus.diagnosis.rehearsal.rehearse import faults
 from napari_elsplus.diagnosis.rehearsal.row import heading, line
 from napari_elsplus.io import replacing
 

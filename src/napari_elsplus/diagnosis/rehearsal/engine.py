@@ -87,19 +87,19 @@ class Switches:
         return (0, False) if guardian is None else (guardian.pid, guardian.on_guard)
 
     def delay(self, where: str, seconds: float) -> float:
-        """Let every append to a recording (``disk``), or every new maker of live images, take longer by seconds."""
+        """Let every append to a recording, or every new maker of live images (`where`), take some `seconds` longer."""
         owner, method = SLOWED[where]
         self._delayed[where] = getattr(owner, method)
         _before(owner, method, lambda: time.sleep(seconds))
         return time.perf_counter()
 
     def quicken(self, where: str) -> float:
-        """End a delay."""
+        """End a delay, where it was made."""
         setattr(*SLOWED[where], self._delayed.pop(where))
         return time.perf_counter()
 
     def fail(self, where: str) -> float:
-        """Let recorder or tracker fail with an error that none of their callers expects."""
+        """Let `where`, recorder or tracker, fail with an error that no caller expects."""
 
         def raise_defect() -> None:
             raise ValueError("rehearsed defect")

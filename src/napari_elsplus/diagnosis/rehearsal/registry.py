@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.diagnosis.rehearsal.row import Row
 from napari_elsplus.diagnosis.rehearsal.stage import Stage
-from napari_elsplus.errors import ElsPlusError, InputError
+from napari_elsplus.errors import ElsPlusError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable
 
 FAULTS: Final[dict[str, Fault]] = {}
 """Every fault by its name, in the order of the rehearsal."""
@@ -82,43 +81,3 @@ def fault(
         return play
 
     return register
-
-
-def faults(names: Sequence[str] = ()) -> list[Fault]:
-    """Return the faults of some names, all that this system can play by default.
-
-    Raises
-    ------
-    InputError
-        If there is no fault of a name.
-    """
-    from napari_elsplus.diagnosis.rehearsal import card_faults, device_faults, engine_faults, process_faults  # noqa: F401
-
-    unknown = [name for name in names if name not in FAULTS]
-    if unknown:
-        raise InputError(f"there is no fault {unknown[0]}", f"choose of {', '.join(FAULTS)}")
-    if names:
-        return [FAULTS[name] for name in names]
-    return [fault for fault in FAULTS.values() if not (fault.posix and sys.platform == "win32")]
-
-
-def rehearse(names: Sequence[str] = ()) -> Iterator[Row]:
-    """Play faults on the simulated rig, one after the other, each in processes of its own.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the faults; all by default.
-
-    Yields
-    ------
-    Row
-        The result of each fault, as soon as it was played.
-
-    Raises
-    ------
-    InputError
-        If there is no fault of a name.
-    """
-    for chosen in faults(names):
-        yield chosen.rehearse()

@@ -104,7 +104,7 @@ class Stage:
     # what the processes do
 
     def start(self, command: list[str]) -> subprocess.Popen[bytes]:
-        """Start a process that reports to this rehearsal; its messages go nowhere."""
+        """Start a process by a command; it reports to this rehearsal, and its own messages go nowhere."""
         port = cast("tuple[str, int]", self._listener.address)[1]
         environment = {**os.environ, ADDRESS: json.dumps({"port": port, "key": self._key.hex()})}
         environment["ELSPLUS_CONFIG"] = str(self.folder)
@@ -168,14 +168,14 @@ class Stage:
         self.wait_for(lambda: not getattr(self.status().recording, "running", False), "end of the recording")
 
     def switch(self, name: str, *arguments: Any, **options: Any) -> Any:
-        """Use a fault switch of the engine's process; see `napari_elsplus.diagnosis.rehearsal.engine.Switches`."""
+        """Use the fault switch of that name; see `napari_elsplus.diagnosis.rehearsal.engine.Switches`."""
         self._switches.send((name, arguments, options))
         if not self._switches.poll(CALL_TIMEOUT_S):
             raise DeviceError(f"the engine's process did not answer to {name}", "report this")
         return self._switches.recv()
 
     def fault(self, name: str, *arguments: Any, **options: Any) -> None:
-        """Inject a fault by a switch; its time is that of the fault."""
+        """Inject a fault by the switch of that name, and note its time."""
         self.fault_s = self.switch(name, *arguments, **options)
 
     def card_fault(self, **faults: Any) -> None:
@@ -184,15 +184,15 @@ class Stage:
         self.log.card.inject(**faults)
 
     def begin(self, name: str, *arguments: Any) -> int:
-        """Send a command from the window; return its number."""
+        """Send the command of that name from the window; return its number."""
         return int(self._ask("call", name, *arguments))
 
     def result(self, number: int, timeout_s: float = CALL_TIMEOUT_S) -> Any:
-        """Return the result of a command, or raise its error."""
+        """Return the result of the command of that number within `timeout_s`, or raise its error."""
         return self._ask("wait", number, timeout_s)
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Send a command from the window, and return its result or raise its error."""
+        """Send the command of that name from the window, and return its result or raise its error."""
         return self.result(self.begin(name, *arguments))
 
     def close(self) -> None:
@@ -209,6 +209,15 @@ class Stage:
 
     def wait_for(self, condition: Callable[[], object], what: str, timeout_s: float = CALL_TIMEOUT_S) -> None:
         """Wait until a condition holds.
+
+        Parameters
+        ----------
+        condition : callable
+            Returns a true value.
+        what : str
+            What is awaited, for the message.
+        timeout_s : float
+            Longest wait.
 
         Raises
         ------
@@ -249,7 +258,7 @@ class Stage:
         self.expect(self.scans(), "the galvo does not scan any more")
 
     def expect_reported(self, *words: str, timeout_s: float = 2.0) -> None:
-        """Expect a message with one of some words from the software under test."""
+        """Expect a message with one of some words within `timeout_s`."""
         end_s = time.monotonic() + timeout_s
         while not self._reported(words) and time.monotonic() < end_s:
             self.status()
@@ -257,7 +266,7 @@ class Stage:
         self.expect(self._reported(words), f"nothing about {' or '.join(words)} was reported")
 
     def expect_refused(self, number: int, *words: str, timeout_s: float = 2.0) -> None:
-        """Expect that a command is refused with a message that contains one of some words."""
+        """Expect that the command of that number is refused within `timeout_s`, with one of some words."""
         try:
             self.result(number, timeout_s)
         except ElsPlusError as error:
@@ -269,7 +278,7 @@ class Stage:
             self.problems.append("the command was not refused")
 
     def expect_frames_go_on(self, count: int = FRAMES_BEFORE) -> None:
-        """Expect that so many more frames are acquired and processed."""
+        """Expect that a further count of frames is acquired and processed."""
         before = self.status()
         with suppress(DeviceError):
             self.wait_for(lambda: self.status().processed >= before.processed + count, "frames", 3.0)
@@ -359,7 +368,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def ends_within(pid: int, timeout_s: float) -> bool:
-    """Return True if a process ends in time."""
+    """Return True if the process of a pid ends within `timeout_s`."""
     end_s = time.monotonic() + timeout_s
     while time.monotonic() < end_s:
         with suppress(OSError):

@@ -39,7 +39,7 @@ class Window:
         return len(self._futures) - 1
 
     def wait(self, number: int, timeout_s: float) -> Any:
-        """Return the result of a command, or raise its error; TimeoutError if there is none yet."""
+        """Return the result of the command of that number within `timeout_s`, or raise its error."""
         return self._futures[number].result(timeout_s)
 
     def status(self) -> Any:

@@ -24,7 +24,7 @@ GAIN_DB = 60.0
 
 
 @fault("configure-fails", "the settings of before, or unconfigured and refuses to start", EXECUTED_WITHIN_S)
-def configure_fails(stage: Stage, limit_s: float) -> None:
+def _configure_fails(stage: Stage, limit_s: float) -> None:
     """Ask for a frame rate that the camera has, and a gain that it does not have."""
     stage.scan(record=False)
     stage.fault_s = time.perf_counter()
@@ -48,7 +48,7 @@ def configure_fails(stage: Stage, limit_s: float) -> None:
 
 
 @fault("preset-without-calibration", "refused, with what to do", EXECUTED_WITHIN_S)
-def preset_without_calibration(stage: Stage, limit_s: float) -> None:
+def _preset_without_calibration(stage: Stage, limit_s: float) -> None:
     """Choose a preset that the active calibration does not fit, then start."""
     stage.open()
     stage.fault_s = time.perf_counter()
@@ -68,7 +68,7 @@ def preset_without_calibration(stage: Stage, limit_s: float) -> None:
 
 
 @fault("gain-changed-while-recording", "refused, or noted in a recording that goes on", EXECUTED_WITHIN_S)
-def gain_changed_while_recording(stage: Stage, limit_s: float) -> None:
+def _gain_changed_while_recording(stage: Stage, limit_s: float) -> None:
     """Change the gain while frames are recorded."""
     stage.scan()
     stage.fault_s = time.perf_counter()
@@ -86,7 +86,7 @@ def gain_changed_while_recording(stage: Stage, limit_s: float) -> None:
 
 
 @fault("second-procedure", "the second is refused and names the first, which succeeds", REFUSED_WITHIN_S)
-def second_procedure(stage: Stage, limit_s: float) -> None:
+def _second_procedure(stage: Stage, limit_s: float) -> None:
     """Start a calibration, then another and a new configuration meanwhile."""
     stage.open()
     first = stage.begin("calibrate_simulated")
@@ -103,7 +103,7 @@ def second_procedure(stage: Stage, limit_s: float) -> None:
 
 
 @fault("park-while-busy", "parked within 0.5 s, whatever else is going on", 0.5)
-def park_while_busy(stage: Stage, limit_s: float) -> None:
+def _park_while_busy(stage: Stage, limit_s: float) -> None:
     """Press Park while live images are made for another view, which takes long."""
     stage.scan()
     stage.switch("delay", "images", 3.0)
@@ -120,7 +120,7 @@ def park_while_busy(stage: Stage, limit_s: float) -> None:
 
 
 @fault("recorder-fails", "reported, whole frames kept, the stream goes on", 2.0)
-def recorder_fails(stage: Stage, limit_s: float) -> None:
+def _recorder_fails(stage: Stage, limit_s: float) -> None:
     """Let the recorder fail with an unexpected error."""
     stage.scan()
     stage.fault("fail", "recorder")
@@ -132,7 +132,7 @@ def recorder_fails(stage: Stage, limit_s: float) -> None:
 
 
 @fault("tracker-fails", "reported, frames recorded, the stream goes on", 2.0)
-def tracker_fails(stage: Stage, limit_s: float) -> None:
+def _tracker_fails(stage: Stage, limit_s: float) -> None:
     """Let the tracker fail with an unexpected error."""
     stage.scan()
     stage.result(stage.begin("track", MosaicPlan()), COMPILED_WITHIN_S)

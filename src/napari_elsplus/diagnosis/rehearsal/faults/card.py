@@ -14,7 +14,7 @@ PARKED_WITHIN_S = 0.5
 
 
 @fault("strobe-lost", "parked within 0.5 s, recording kept, reported", PARKED_WITHIN_S)
-def strobe_lost(stage: Stage, limit_s: float) -> None:
+def _strobe_lost(stage: Stage, limit_s: float) -> None:
     """Cut the wire of the strobe while scanning."""
     stage.scan()
     stage.fault("cut_strobe")
@@ -24,7 +24,7 @@ def strobe_lost(stage: Stage, limit_s: float) -> None:
 
 
 @fault("strobe-never-wired", "parked within 0.5 s after the first frame, names the wire", PARKED_WITHIN_S)
-def strobe_never_wired(stage: Stage, limit_s: float) -> None:
+def _strobe_never_wired(stage: Stage, limit_s: float) -> None:
     """Start without a wire from the camera's strobe to the card."""
     stage.open()
     stage.log.card.inject(strobe_unwired=True)
@@ -38,7 +38,7 @@ def strobe_never_wired(stage: Stage, limit_s: float) -> None:
 
 
 @fault("daq-underrun", "parked within 0.5 s, recording kept, reported", PARKED_WITHIN_S)
-def daq_underrun(stage: Stage, limit_s: float) -> None:
+def _daq_underrun(stage: Stage, limit_s: float) -> None:
     """End the waveform by an underrun of the card's memory."""
     stage.scan()
     stage.fault_s = time.perf_counter()
@@ -49,19 +49,19 @@ def daq_underrun(stage: Stage, limit_s: float) -> None:
 
 
 @fault("card-refuses-while-closing", "parked within 0.5 s after the card accepts again", SHORT_S + PARKED_WITHIN_S)
-def card_refuses_while_closing(stage: Stage, limit_s: float) -> None:
+def _card_refuses_while_closing(stage: Stage, limit_s: float) -> None:
     """Close the engine while the card refuses every call for 0.3 s."""
     _close_refused(stage, SHORT_S, limit_s)
 
 
 @fault("card-refuses-long-while-closing", "parked within 0.5 s after the card accepts again", LONG_S + PARKED_WITHIN_S)
-def card_refuses_long_while_closing(stage: Stage, limit_s: float) -> None:
+def _card_refuses_long_while_closing(stage: Stage, limit_s: float) -> None:
     """Close the engine while the card refuses every call for 3 s."""
     _close_refused(stage, LONG_S, limit_s)
 
 
 @fault("card-refuses-park", "reported as not parked, parked within 0.5 s after the card accepts", LONG_S + 0.5)
-def card_refuses_park(stage: Stage, limit_s: float) -> None:
+def _card_refuses_park(stage: Stage, limit_s: float) -> None:
     """Press Park while the card refuses every call for 3 s."""
     stage.scan()
     stage.card_fault(refuse_s=LONG_S)
@@ -71,7 +71,7 @@ def card_refuses_park(stage: Stage, limit_s: float) -> None:
 
 
 @fault("clear-task-error", "parked within 0.5 s, watched as before", PARKED_WITHIN_S)
-def clear_task_error(stage: Stage, limit_s: float) -> None:
+def _clear_task_error(stage: Stage, limit_s: float) -> None:
     """Let ClearTask fail, its task left running, while Park is pressed; then lose the strobe of the next scan."""
     stage.scan()
     stage.card_fault(clear_errors=3)
@@ -90,7 +90,7 @@ def clear_task_error(stage: Stage, limit_s: float) -> None:
 
 
 @fault("park-refused-until-reset", "the card is reset, parked within 0.5 s", PARKED_WITHIN_S)
-def park_refused_until_reset(stage: Stage, limit_s: float) -> None:
+def _park_refused_until_reset(stage: Stage, limit_s: float) -> None:
     """Let the card refuse every new task until it is reset, which puts its output at 0 V, while Park is pressed."""
     stage.scan()
     stage.fault_s = time.perf_counter()
@@ -101,7 +101,7 @@ def park_refused_until_reset(stage: Stage, limit_s: float) -> None:
 
 
 @fault("card-hangs", "parked within 2 s although calls of the driver do not return", 2.0)
-def card_hangs(stage: Stage, limit_s: float) -> None:
+def _card_hangs(stage: Stage, limit_s: float) -> None:
     """Let calls of the driver not return until the card is reset, while Park is pressed."""
     stage.scan()
     stage.card_fault(hangs=True)
@@ -112,7 +112,7 @@ def card_hangs(stage: Stage, limit_s: float) -> None:
 
 
 @fault("voltage-out-of-range", "refused before the card, the scan goes on", 2.0)
-def voltage_out_of_range(stage: Stage, limit_s: float) -> None:
+def _voltage_out_of_range(stage: Stage, limit_s: float) -> None:
     """Hold the line at 9 V."""
     stage.scan()
     stage.fault_s = time.perf_counter()

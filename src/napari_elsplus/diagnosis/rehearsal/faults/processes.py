@@ -17,7 +17,7 @@ GUARDIAN_WITHIN_S: Final = 1.0
 
 
 @fault("window-killed", "parked within 0.5 s, the recording finished, nothing left", 0.5)
-def window_killed(stage: Stage, limit_s: float) -> None:
+def _window_killed(stage: Stage, limit_s: float) -> None:
     """Kill the window's process."""
     stage.scan()
     stage.note_exposures()
@@ -33,7 +33,7 @@ def window_killed(stage: Stage, limit_s: float) -> None:
 
 
 @fault("engine-killed", "parked within 0.5 s by the guardian, whole frames kept, reported", 0.5)
-def engine_killed(stage: Stage, limit_s: float) -> None:
+def _engine_killed(stage: Stage, limit_s: float) -> None:
     """Kill the engine's process."""
     stage.scan()
     stage.note_exposures()
@@ -46,7 +46,7 @@ def engine_killed(stage: Stage, limit_s: float) -> None:
 
 
 @fault("guardian-killed", "replaced or parked within 1 s, reported", GUARDIAN_WITHIN_S)
-def guardian_killed(stage: Stage, limit_s: float) -> None:
+def _guardian_killed(stage: Stage, limit_s: float) -> None:
     """Kill the guardian's process; after its time, if another is on guard, kill the engine, too."""
     stage.scan()
     stage.note_exposures()
@@ -72,7 +72,7 @@ def guardian_killed(stage: Stage, limit_s: float) -> None:
 
 
 @fault("script-without-guardian", "parked within 0.5 s by the guardian that every open rig has", 0.5)
-def script_without_guardian(stage: Stage, limit_s: float) -> None:
+def _script_without_guardian(stage: Stage, limit_s: float) -> None:
     """Kill a script that scans with a rig which it opened, and started no guardian."""
     script = stage.start([sys.executable, "-m", "napari_elsplus.diagnosis.rehearsal.script"])
     try:
@@ -93,7 +93,7 @@ def script_without_guardian(stage: Stage, limit_s: float) -> None:
     HEARTBEAT_TIMEOUT_S + 0.5,
     posix=True,
 )
-def window_frozen(stage: Stage, limit_s: float) -> None:
+def _window_frozen(stage: Stage, limit_s: float) -> None:
     """Stop the window's process, without ending it."""
     if sys.platform == "win32":
         return

@@ -15,7 +15,7 @@ FAULTY_FRAMES = 5
 
 
 @fault("camera-unplugged", "parked within 0.5 s, recording kept, reported", 0.5)
-def camera_unplugged(stage: Stage, limit_s: float) -> None:
+def _camera_unplugged(stage: Stage, limit_s: float) -> None:
     """Unplug the camera while it streams."""
     stage.scan()
     stage.note_exposures()
@@ -27,25 +27,25 @@ def camera_unplugged(stage: Stage, limit_s: float) -> None:
 
 
 @fault("short-frames", "dropped and counted, the others recorded", 2.0)
-def short_frames(stage: Stage, limit_s: float) -> None:
+def _short_frames(stage: Stage, limit_s: float) -> None:
     """Cut frames short."""
     _expect_counted(stage, "short_frames", limit_s)
 
 
 @fault("bad-trailers", "dropped and counted, the others recorded", 2.0)
-def bad_trailers(stage: Stage, limit_s: float) -> None:
+def _bad_trailers(stage: Stage, limit_s: float) -> None:
     """End frames with a bad trailer."""
     _expect_counted(stage, "bad_trailers", limit_s)
 
 
 @fault("frame-gap", "counted, the others recorded", 2.0)
-def frame_gap(stage: Stage, limit_s: float) -> None:
+def _frame_gap(stage: Stage, limit_s: float) -> None:
     """Lose frames in the camera."""
     _expect_counted(stage, "drop_frames", limit_s)
 
 
 @fault("slow-disk", "frames dropped and counted, the stream goes on", 10.0)
-def slow_disk(stage: Stage, limit_s: float) -> None:
+def _slow_disk(stage: Stage, limit_s: float) -> None:
     """Let the disk take a tenth of a second for a frame."""
     stage.scan()
     stage.fault("delay", "disk", 0.1)
@@ -59,7 +59,7 @@ def slow_disk(stage: Stage, limit_s: float) -> None:
 
 
 @fault("full-disk", "whole frames kept and readable, reported, the stream goes on", 2.0, posix=True)
-def full_disk(stage: Stage, limit_s: float) -> None:
+def _full_disk(stage: Stage, limit_s: float) -> None:
     """Let files grow no further."""
     stage.scan()
     stage.fault("fill_disk")

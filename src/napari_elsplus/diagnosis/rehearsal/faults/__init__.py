@@ -1,0 +1,1 @@
+"""Functions that play the faults, registered when they are imported."""

@@ -1,0 +1,57 @@
+"""Rehearsal of all faults, or of some."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+from napari_elsplus.diagnosis.rehearsal.faults import camera_and_disk, card, commands, processes
+from napari_elsplus.diagnosis.rehearsal.registry import FAULTS
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from napari_elsplus.diagnosis.rehearsal.registry import Fault
+    from napari_elsplus.diagnosis.rehearsal.row import Row
+
+REGISTERING = (card, camera_and_disk, processes, commands)
+"""Modules whose functions register themselves when they are imported."""
+
+
+def faults(names: Sequence[str] = ()) -> list[Fault]:
+    """Return the faults of some names, all that this system can play by default.
+
+    Raises
+    ------
+    InputError
+        If there is no fault of a name.
+    """
+    unknown = [name for name in names if name not in FAULTS]
+    if unknown:
+        raise InputError(f"there is no fault {unknown[0]}", f"choose of {', '.join(FAULTS)}")
+    if names:
+        return [FAULTS[name] for name in names]
+    return [fault for fault in FAULTS.values() if not (fault.posix and sys.platform == "win32")]
+
+
+def rehearse(names: Sequence[str] = ()) -> Iterator[Row]:
+    """Play faults on the simulated rig, one after the other, each in processes of its own.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the faults; all by default.
+
+    Yields
+    ------
+    Row
+        The result of each fault, as soon as it was played.
+
+    Raises
+    ------
+    InputError
+        If there is no fault of a name.
+    """
+    for chosen in faults(names):
+        yield chosen.rehearse()
