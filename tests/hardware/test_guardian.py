@@ -231,3 +231,14 @@ def test_a_guardian_is_dismissed_only_when_the_galvo_is_parked() -> None:
     assert rig.guardian.on_guard
     seconds_until(lambda: rig.scanner.park_state.parked, 10)
     seconds_until(lambda: not rig.guardian.on_guard, 10)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_a_guardian_that_stands_still_does_not_hold_up_its_dismissal() -> None:
+    with CardServer(VirtualCard()) as server:
+        guardian = Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
+        os.kill(guardian.pid, signal.SIGSTOP)
+        begun_s = time.perf_counter()
+        guardian.dismiss()
+        assert time.perf_counter() - begun_s < 5
+        assert not guardian.on_guard

@@ -37,6 +37,8 @@ POLL_S: Final = 0.05
 """Seconds between two checks of the guardian process; chosen: a small part of the 1 s in which it is replaced."""
 REPLACE_WITHIN_S: Final = 0.7
 """Seconds for a new guardian to be ready; chosen: with the park that follows otherwise it stays below 1 s."""
+END_TIMEOUT_S: Final = 1.5
+"""Seconds for a dismissed guardian to end, before it is killed; chosen: no call takes longer than 2 s."""
 
 
 class GuardianProcess:
@@ -88,7 +90,11 @@ class GuardianProcess:
             self.send(FAREWELL)
         with suppress(OSError):
             cast("IO[str]", self._process.stdin).close()
-        self._process.wait()
+        try:
+            self._process.wait(END_TIMEOUT_S)
+        except subprocess.TimeoutExpired:  # it stands still
+            self._process.kill()
+            self._process.wait()
         self._answered.wait()
 
     def _await_answer(self) -> None:
@@ -151,9 +157,9 @@ class Guardian:
 
     def revise(self, volts: float) -> None:
         """Park at another voltage, in volts, if this process dies; also for every replacement."""
+        if volts == self._order.volts:
+            return
         with self._lock:
-            if volts == self._order.volts:
-                return
             self._order = replace(self._order, volts=volts)
             with suppress(OSError):  # it died: its replacement gets the order
                 self._process.send(json.dumps(asdict(self._order)))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -167,6 +167,11 @@ class Parking:
         """Enter a stage: ``DRIVEN`` before a hold or scan, ``PARKING`` when parking is commanded."""
         if not (stage is ParkStage.PARKING and self._state.stage in (ParkStage.PARKING, ParkStage.NOT_PARKED)):
             self._enter(ParkState(stage))
+
+    def alarm(self, problem: str) -> None:
+        """Enter ``NOT_PARKED`` with a problem while an attempt does not come to an end."""
+        if self._state.stage is ParkStage.PARKING:
+            self._enter(replace(self._state, stage=ParkStage.NOT_PARKED, problem=problem))
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the galvo is parked; return False if it is not within `timeout_s`."""

@@ -191,6 +191,17 @@ def test_parking_goes_around_a_call_that_does_not_return(cards) -> None:
         assert len(errors) == 1
 
 
+def test_parking_goes_around_an_attempt_that_does_not_return(cards) -> None:
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        scanner.hold(0.3)
+        bench.card.inject(hangs=True)
+        begun_s = bench.card.clock.now_s()
+        scanner.park()
+        assert scanner.park_state.parked
+        assert parked_s(bench.card) - begun_s < 2
+
+
 def test_a_card_that_hangs_while_it_is_watched_is_a_fault(cards, ramp, wait_for, monkeypatch) -> None:
     monkeypatch.setattr("napari_elsplus.hardware.daq.scanner.STUCK_AFTER_S", 0.5)
     bench = cards()

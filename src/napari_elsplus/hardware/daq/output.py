@@ -229,7 +229,8 @@ class Output:
         with translate_daq_errors(self.card.device):
             try:
                 task = self._session.task()
-                task.ai_channels.add_ai_voltage_chan(f"{self.card.device}/_{self.card.output}_vs_aognd")
+                channel = f"{self.card.device}/_{self.card.output}_vs_aognd"
+                task.ai_channels.add_ai_voltage_chan(channel, min_val=-10.0, max_val=10.0)
                 return float(AnalogSingleChannelReader(task.in_stream).read_one_sample(READ_BACK_TIMEOUT_S))
             except DaqError as error:
                 if error.error_code not in NO_SUCH_CHANNEL:

@@ -136,9 +136,8 @@ class DaqScanner:
         """Raise what has gone wrong since the last `hold` or `scan`."""
         silent_s = time.perf_counter() - self._alive_s
         if self._fault is None and silent_s > STUCK_AFTER_S and not self._closing:
-            self.interrupt(
-                DeviceError(f"the card has not answered for {silent_s:.1f} s", "switch the laser off, plug it in again")
-            )
+            self.interrupt(DeviceError(f"the card has not answered for {silent_s:.1f} s", "check its cable"))
+            self._parking.alarm("the card does not answer")
         fault = self._fault
         if fault is not None:
             raise fault
@@ -153,7 +152,8 @@ class DaqScanner:
             with contextlib.suppress(RuntimeError):  # no thread starts while the interpreter ends
                 threading.Thread(target=self._bypass, name="galvo parking", daemon=True).start()
         if not self._parking.wait(PARK_TIMEOUT_S - BYPASS_AFTER_S):
-            raise DeviceError(self._parking.state.message or "NOT PARKED: switch the laser off", "see the card's cable")
+            self._parking.alarm("the card has not confirmed it")
+            raise DeviceError(self._parking.state.message, "free the card, and check its cable")
 
     def interrupt(self, fault: DeviceError) -> None:
         """Park because of a fault that was found elsewhere; `check` raises it. Returns at once."""
@@ -276,7 +276,11 @@ class DaqScanner:
 
     def _first_attempt(self) -> None:
         """Park, once; a card that cannot be driven at all is refused."""
-        self._output.put(self.park_v)
+        try:
+            self._output.put(self.park_v)
+        except DeviceError:
+            self._output.release()
+            raise
         if not self._parking.attempt().parked:
             self._parks.set()
 
