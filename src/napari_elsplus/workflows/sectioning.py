@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import write_stack
@@ -215,7 +216,7 @@ def finishing(
             f"the flat field has {flat.shape} pixels, the images {sectioner.side} x {sectioner.side}",
             "calibrate it again",
         )
-    suppress_cores = CoreFilter(cores).prepared(flat, sectioner.inside)
+    suppress_cores = _keeping_unseen(CoreFilter(cores), flat, sectioner)
     if not flat_field:
         return suppress_cores
     if flat is None:
@@ -223,6 +224,30 @@ def finishing(
     lit = sectioner.inside & (flat > MIN_FLAT)
     inverse = np.divide(1, flat, out=np.zeros_like(flat), where=lit)
     return lambda image: suppress_cores(np.multiply(image, inverse, out=image))
+
+
+def _keeping_unseen(
+    cores: CoreFilter, flat: NDArray[np.float32] | None, sectioner: Sectioner
+) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
+    """Return the core filter; pixels that the frame does not contain stay NaN, and do not spread into others."""
+    suppress = cores.prepared(flat, sectioner.inside)
+    unseen = sectioner.inside & ~sectioner.subtracted
+    if cores is CoreFilter.NONE or not unseen.any():
+        return suppress
+    row, col = distance_transform_edt(unseen | ~sectioner.inside, return_distances=False, return_indices=True)[
+        :, unseen
+    ]
+
+    def suppress_within_view(image: NDArray[np.float32]) -> NDArray[np.float32]:
+        absent = unseen & np.isnan(image)
+        if not absent.any():
+            return suppress(image)
+        image[unseen] = image[row, col]
+        filtered = suppress(image)
+        filtered[absent] = np.nan
+        return filtered
+
+    return suppress_within_view
 
 
 def section(

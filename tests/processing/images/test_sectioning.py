@@ -198,3 +198,40 @@ def test_a_bundle_far_larger_than_the_frame_is_refused_before_memory_is_asked_fo
     vast = known.model_copy(update={"bundle": known.bundle.model_copy(update={"diameter_px": 1e9})})
     with pytest.raises(CalibrationError, match=r"diameter is 1e\+09 px, the frame has 120 x 240"):
         Sectioner(vast, SHAPE)
+
+
+def cut_by(rows: int) -> tuple[Calibration, NDArray[np.float64], Calibration, NDArray[np.float64]]:
+    """A frame of both views, and the same one without its first rows, which cut the residual view by some rows."""
+    whole = calibrated()
+    raw = frame_of(whole)
+    assert whole.bundle is not None
+    first = round(whole.bundle.residual_centre[0] - DIAMETER_PX / 2) + rows
+    content = whole.content()
+    content["frame"] = {"shape": (SHAPE[0] - first, SHAPE[1])}
+    for key in ("confocal_centre", "residual_centre"):
+        content["bundle"][key][0] -= first
+    return whole, raw, Calibration.parse(content), raw[first:]
+
+
+def test_residual_and_els_are_nan_where_the_frame_cuts_the_residual_view_and_ls_stays() -> None:
+    whole, raw, cut, cut_raw = cut_by(3)
+    expected, sectioner = Sectioner(whole, SHAPE), Sectioner(cut, cut_raw.shape)
+    np.testing.assert_allclose(sectioner.ls(cut_raw), expected.ls(raw), atol=0.1)
+    residual, els = sectioner.residual(cut_raw), sectioner.els(cut_raw)
+    row = np.arange(sectioner.side) - (sectioner.side - 1) / 2
+    beyond = np.broadcast_to(row[:, None] < 3 - DIAMETER_PX / 2 - 1, els.shape) & sectioner.inside
+    assert beyond.any()
+    assert np.isnan(residual[beyond]).all()
+    assert np.isnan(els[beyond]).all()
+    seen = np.hypot(row[:, None] - 4.4, row) < 0.95 * DIAMETER_PX / 2  # the line stands 4.4 rows aside
+    np.testing.assert_allclose(els[seen], expected.els(raw)[seen], atol=0.3)
+    assert not np.isnan(Sectioner(whole, SHAPE).els(raw)).any()
+
+
+def test_els_is_not_ls_where_the_line_stood_outside_of_the_bundle_in_a_cut_view() -> None:
+    _, _, cut, cut_raw = cut_by(2)
+    offset = {"offset": {"rows": -20.0, "uncertainty_rows": 0.01}}
+    els = Sectioner(Calibration.parse(cut.content() | offset), cut_raw.shape).els(cut_raw)
+    row = np.arange(len(els)) - (len(els) - 1) / 2
+    assert np.isnan(els[(row > -DIAMETER_PX / 2) & (row < 20 - DIAMETER_PX / 2), len(els) // 2]).all()
+    assert np.isfinite(els[(row > 23 - DIAMETER_PX / 2), len(els) // 2]).all()

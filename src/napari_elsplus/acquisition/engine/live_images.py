@@ -204,9 +204,9 @@ def focus(image: NDArray[np.generic]) -> float:
     Returns
     -------
     float
-        Larger is sharper; NaN for an image without light.
+        Larger is sharper; NaN for an image without light. Pixels that are NaN count as 0.
     """
-    half = np.asarray(image)[::2, ::2]
+    half = np.nan_to_num(np.asarray(image)[::2, ::2])
     level = float(half.mean())
     if level <= 0:
         return float("nan")

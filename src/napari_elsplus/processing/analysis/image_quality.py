@@ -63,9 +63,9 @@ def alignment_error(confocal: NDArray[np.floating], residual: NDArray[np.floatin
     Returns
     -------
     float
-        A fraction; NaN if the confocal image is dark.
+        A fraction; NaN if the confocal image is dark. Pixels that are NaN in the residual image are left out.
     """
-    used = disc(len(confocal), USED_DIAMETER * diameter_px)
+    used = disc(len(confocal), USED_DIAMETER * diameter_px) & ~np.isnan(residual)
     mean = float(confocal[used].mean())
     return float(np.abs(confocal - residual)[used].mean()) / mean if mean > 0 else float("nan")
 

@@ -14,6 +14,7 @@ from napari_elsplus.processing.calibration.step import StepSummary
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.calibration.bundle.location import Disc
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.galvo import GalvoMap
     from napari_elsplus.processing.calibration.lag import ScanLag
@@ -83,6 +84,12 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
     ]
     lines.append(f"view alignment: {alignment.model} to {alignment.uncertainty_px:.3f} px (BIC: {evidence})")
     lines.append(f"gain of the residual view {with_uncertainty(alignment.gain, alignment.gain_uncertainty)}")
+    for name, disc in (("confocal", pair.confocal), ("residual", pair.residual)):
+        if (share := seen_share(disc, pair.image.shape)) < 1:
+            warnings.append(
+                f"the frame's edge cuts the {name} view: {100 * share:.0f} % of its diameter is seen; there is no "
+                f"residual beyond: record a larger region"
+            )
     if not pair.shows_flat_field:
         warnings.append(f"{100 * pair.saturated:.0f} % of the image is saturated: it gives no flat field")
     if known.um_per_px is None:
@@ -104,6 +111,24 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
         paper = PAPER_ALIGNMENT_PERCENT
         lines.append(f"the paper's alignment error: {paper[0]} %, {paper[1]} % after its filter")
     return StepSummary(headline, lines, warnings)
+
+
+def seen_share(disc: Disc, frame_shape: tuple[int, ...]) -> float:
+    """Return the part of a disc's diameter that lies within the frame, along its rows or columns, the smaller.
+
+    Parameters
+    ----------
+    disc : Disc
+        Located bundle image.
+    frame_shape : tuple of int
+        Rows and columns of the frame.
+    """
+    radius = disc.diameter_px / 2
+    beyond = [
+        max(radius - 0.5 - at, 0) + max(at + radius + 0.5 - size, 0)
+        for at, size in zip(disc.centre, frame_shape, strict=True)
+    ]
+    return 1 - max(beyond) / disc.diameter_px
 
 
 def summarize_lag(lag: ScanLag, _draft: Draft, setup: Setup) -> StepSummary:

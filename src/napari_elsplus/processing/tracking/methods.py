@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from napari_elsplus.processing.images.sectioning import Mode, Sectioner
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner, line_offset_px
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.pose_graph.prepared_frames import RecentFrames
 from napari_elsplus.processing.tracking.pose_graph.refinement import refine
@@ -211,7 +211,9 @@ class TemplateTracking(WithoutPoseGraph):
 
     def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
         self._sectioner, self._mode = Sectioner(calibration, frame_shape), mode
-        self._tracker = TemplateTracker(self._sectioner.diameter_px, self._sectioner.side)
+        seen = None if mode is Mode.LS else self._sectioner.seen | ~self._sectioner.inside
+        away = line_offset_px(calibration)
+        self._tracker = TemplateTracker(self._sectioner.diameter_px, self._sectioner.side, seen, away)
         self.grid, self.scale = self._tracker.grid, self._tracker.scale
 
     def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:

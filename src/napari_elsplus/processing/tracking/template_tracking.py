@@ -8,12 +8,13 @@ mosaic as a dead leaf. Thrapp and Hughes, Methods, "Image Processing".
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
 
-from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels, rectangle_within
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
 
@@ -48,6 +49,10 @@ class TemplateTracker:
         Diameter of the bundle in the images that are given.
     side : int
         Rows and columns of these images; the bundle is in their middle.
+    seen : numpy.ndarray, optional
+        (side, side) bool: pixels that the frame contains in both views; all by default.
+    line_offset : float
+        Slit offset in rows of these images, where the frame cuts the views; see :class:`Grid`.
 
     Attributes
     ----------
@@ -55,17 +60,24 @@ class TemplateTracker:
         The grid of 250 x 250 pixels. One of its pixels is `scale` pixels of the images given.
     """
 
-    def __init__(self, diameter_px: float, side: int) -> None:
+    def __init__(
+        self, diameter_px: float, side: int, seen: NDArray[np.bool_] | None = None, line_offset: float = 0.0
+    ) -> None:
         self.scale = side / SIDE_PX
         middle = (SIDE_PX - 1) / 2
         self.grid = Grid(SIDE_PX, 1, (0, 0), (middle, middle), diameter_px / self.scale, RollingShutter(np.inf))
+        if seen is not None and not seen.all():
+            there = cv2.resize(seen.astype(np.float32), (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA) >= 1
+            rectangle = rectangle_within(there | ~lit_pixels(*self.grid.spans(1.0)))
+            self.grid = replace(self.grid, seen=rectangle, line_offset=line_offset / self.scale)
         self._inside = lit_pixels(*self.grid.spans(FIELD)).astype(np.float32)
         self._median = takes_median(diameter_px)
         self._template: NDArray[np.float32] | NDArray[np.uint8] | None = None
         self._row, self._col = 0, 0
 
     def prepare(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the smoothed, down-sampled and cropped image, (250, 250) float32."""
+        """Return the smoothed, down-sampled and cropped image, (250, 250) float32; NaN becomes zero."""
+        image = np.nan_to_num(image)
         smooth = cv2.medianBlur(image, 3) if self._median else image
         small: NDArray[np.float32] = cv2.resize(smooth, (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA)
         small *= self._inside

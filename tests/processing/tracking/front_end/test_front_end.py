@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -114,3 +115,31 @@ def test_frames_of_another_size_are_refused() -> None:
     for frames in ((np.zeros((300, 600), np.uint8),), (np.zeros(SHAPE, np.uint8), out, np.zeros((9, 9), np.uint8))):
         with pytest.raises(InputError, match="all frames of a recording must have one size"):
             front_end.image(frames[0], out, *frames[2:])
+
+
+@pytest.mark.parametrize("rows", [1, 20])
+def test_views_cut_by_the_frame_are_tracked_on_what_both_show(rows: int) -> None:
+    raw = np.random.default_rng(3).integers(0, 255, SHAPE, dtype=np.uint8)
+    record = calibration()
+    first = int(RIGHT[0] - 464 / 2) + rows
+    content = record.content()
+    for name in ("confocal_centre", "residual_centre"):
+        content["bundle"][name] = (np.array(content["bundle"][name]) - (first, 0)).tolist()
+    content["bundle"]["residual_to_confocal"][0][2] = float((LEFT - RIGHT)[0])
+    whole = FrontEnd(record, SHAPE)
+    cut = FrontEnd(Calibration.parse(content), (SHAPE[0] - first, SHAPE[1]))
+    assert whole.grid.seen is None
+    used = inside(cut.grid)
+    assert 0.8 < used.sum() / inside(whole.grid).sum() < 1
+    assert not used[: rows // 2].any()
+    images = [
+        front_end.image(frame, np.empty((whole.grid.side,) * 2, np.float32))
+        for front_end, frame in ((whole, raw), (cut, raw[first:]))
+    ]
+    well_inside = cv2.erode(used.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    assert np.abs(images[1] - images[0])[well_inside].max() < 1e-3
+
+
+def test_half_views_are_refused() -> None:
+    with pytest.raises(CalibrationError, match=r"of the bundle's views lie outside of the 240 x 1328 frame"):
+        FrontEnd(calibration(), (240, 1328))

@@ -7,6 +7,7 @@ smoothed over about one core, and divided by the flat. Thrapp and Hughes, Method
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,15 +15,18 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
 from napari_elsplus.processing.tracking.front_end.binning import is_blank, scratch, subtract_views
-from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
+from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels, rectangle_within
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
 
+MIN_SEEN: Final = 0.5
+"""Part of the disc's height and width that the frame must contain in both views; chosen: two frames that overlap by
+half are registered, and calibration refuses views of which less than 90 % are seen."""
 _LOWEST_FLAT: Final = 0.2
 _BINOMIAL: Final = np.array([1, 4, 6, 4, 1], np.float32)
 
@@ -46,15 +50,20 @@ class FrontEnd:
     """
 
     def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode = Mode.ELS) -> None:
-        self.grid = grid = Grid.of(calibration)
+        grid = Grid.of(calibration)
         self._frame_shape = (int(frame_shape[0]), int(frame_shape[1]))
         assert calibration.bundle is not None
         bundle, q = calibration.bundle, grid.binning
         to_residual = np.linalg.inv(np.vstack([bundle.residual_to_confocal, (0.0, 0.0, 1.0)]))[:2]
         gain = bundle.residual_gain
-        self._confocal = _Binning(grid, np.eye(3)[:2], frame_shape, 0.0 if mode is Mode.RESIDUAL else 1 / q**2)
         sign = {Mode.LS: 0.0, Mode.RESIDUAL: 1.0, Mode.ELS: -1.0, Mode.ELSA: -1.0}[mode]
-        self._residual = _Binning(grid, to_residual, frame_shape, sign / gain / q**2)
+        self._confocal = _Binning(grid, np.eye(3)[:2], 0.0 if mode is Mode.RESIDUAL else 1 / q**2)
+        self._residual = _Binning(grid, to_residual, sign / gain / q**2)
+        seen = _seen(grid, (self._confocal, self._residual), self._frame_shape)
+        if seen is not None:
+            subtracts = sign != 0 and mode is not Mode.RESIDUAL
+            grid = replace(grid, seen=seen, line_offset=line_offset_px(calibration) / q if subtracts else 0.0)
+        self.grid = grid
         self._work = scratch(grid.side, frame_shape[1])
         self.lit = grid.spans(1.0)
         inside = lit_pixels(*self.lit).astype(np.float32)
@@ -152,23 +161,42 @@ def _smooth(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 class _Binning:
-    """Where the grid's pixels lie in one view of the frame."""
+    """Weight of one view, and the map from camera pixels counted from the grid's corner to its pixels of the frame."""
 
-    def __init__(
-        self, grid: Grid, from_confocal: NDArray[np.float64], frame_shape: tuple[int, int], weight: float
-    ) -> None:
+    def __init__(self, grid: Grid, from_confocal: NDArray[np.float64], weight: float) -> None:
         self.weight = weight
         self.matrix = from_confocal.copy()
-        self.matrix[:, 2] += from_confocal[:, :2] @ grid.origin  # from camera pixels counted from the grid's corner
-        first, last = grid.spans(1.0)
-        rows = np.flatnonzero(last > first)
-        q = grid.binning
-        edge = [(q * r + u, q * c + u) for r in rows for c in (first[r], last[r] - 1) for u in (0, q - 1)]
-        there = np.column_stack([edge, np.ones(len(edge))]) @ self.matrix.T
-        low, high = np.floor(there.min(axis=0)), np.floor(there.max(axis=0)) + 2
-        if weight and (low.min() < 0 or (high > frame_shape).any()):
-            raise CalibrationError(
-                f"a bundle image reaches from ({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f}), "
-                f"outside of the {frame_shape[0]} x {frame_shape[1]} frame",
-                "locate the pair again, or record a larger region",
-            )
+        self.matrix[:, 2] += from_confocal[:, :2] @ grid.origin
+
+
+def _seen(
+    grid: Grid, views: tuple[_Binning, _Binning], frame_shape: tuple[int, int]
+) -> tuple[int, int, int, int] | None:
+    """Return the part of the grid that lies within the frame in the views that are read; None if the whole disc does.
+
+    Raises
+    ------
+    CalibrationError
+        If less than :data:`MIN_SEEN` of the disc's height or width does.
+    """
+    rows, cols = np.nonzero(lit_pixels(*grid.spans(1.0)))
+    within, q = np.ones(len(rows), bool), grid.binning
+    for view in views:
+        if not view.weight:
+            continue
+        for u, v in ((0, 0), (0, q - 1), (q - 1, 0), (q - 1, q - 1)):
+            at = np.floor(view.matrix @ np.stack([q * rows + u, q * cols + v, np.ones(len(rows))]))
+            within &= ((at >= 0) & (at + 2 <= np.reshape(frame_shape, (2, 1)))).all(axis=0)
+    if within.all():
+        return None
+    mask = np.ones((grid.side, grid.side), bool)
+    mask[rows, cols] = within
+    top, bottom, left, right = rectangle_within(mask)
+    share = min(bottom - top, right - left) / np.ptp(rows)
+    if share < MIN_SEEN:
+        raise CalibrationError(
+            f"{100 * max(1 - share, 0.0):.0f} % of the bundle's views lie outside of the "
+            f"{frame_shape[0]} x {frame_shape[1]} frame",
+            "record a larger region, or locate the bundle views again",
+        )
+    return top, bottom, left, right

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.processing.images.sectioning import LINE_FIELD
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
 
 if TYPE_CHECKING:
@@ -42,6 +43,12 @@ class Grid:
         Diameter of the lit disc in grid pixels.
     shutter : RollingShutter
         Timing of the grid's rows; without `line_periods_per_frame` in the calibration an infinitely fast one.
+    seen : tuple of int, optional
+        First row, row after the last, first column and column after the last of the grid that lie within the frame in
+        both views; all by default.
+    line_offset : float
+        Slit offset in rows of the grid, by which the laser line stands aside while a point's residual is read: points
+        whose line then stands outside of the bundle are left out. 0 by default: none.
     """
 
     side: int
@@ -50,6 +57,8 @@ class Grid:
     centre: tuple[float, float]
     diameter: float
     shutter: RollingShutter
+    seen: tuple[int, int, int, int] | None = None
+    line_offset: float = 0.0
 
     @classmethod
     def of(cls, calibration: Calibration, diameter_px: float = GRID_DIAMETER_PX) -> Grid:
@@ -90,11 +99,22 @@ class Grid:
         radius = 0.5 * field * self.diameter / scale
         y = np.arange(side) - row
         half = np.sqrt(np.maximum(radius**2 - y**2, 0))
-        lit = np.abs(y) < radius
-        first = np.where(lit, np.ceil(col - half), 0)
-        last = np.where(lit, np.floor(col + half) + 1, 0)
+        top, bottom, left, right = self.seen_at(level)
+        rows = np.arange(side)
+        lit = (np.abs(y) < radius) & (rows >= top) & (rows < bottom)
+        if self.line_offset:
+            reach, y_line = 0.5 * LINE_FIELD * self.diameter / scale, y + self.line_offset / scale
+            half = np.minimum(half, np.sqrt(np.maximum(reach**2 - y_line**2, 0)))
+            lit &= np.abs(y_line) < reach
+        first = np.where(lit, np.maximum(np.ceil(col - half), left), 0)
+        last = np.where(lit, np.minimum(np.floor(col + half) + 1, right), 0)
         inside = np.clip(first, 1, side - 1), np.clip(last, 1, side - 1)
         return inside[0].astype(np.int32), np.maximum(inside[0], inside[1]).astype(np.int32)
+
+    def seen_at(self, level: int = 0) -> tuple[int, int, int, int]:
+        """Return :attr:`seen` on the grid halved `level` times: pixels all of which lie within the frame."""
+        top, bottom, left, right = (0, self.side, 0, self.side) if self.seen is None else self.seen
+        return -(-top >> level), bottom >> level, -(-left >> level), right >> level
 
     def middle(self, level: int = 0) -> float:
         """Row of the bundle's centre on the grid halved so often.
@@ -112,6 +132,34 @@ def lit_pixels(first: NDArray[np.int32], last: NDArray[np.int32]) -> NDArray[np.
     """Which pixels of an (n, n) image lie in the lit columns of their rows: from `first` to before `last`, (n,)."""
     columns = np.arange(len(first))
     return (columns >= first[:, None]) & (columns < last[:, None])
+
+
+def rectangle_within(seen: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """Return a rectangle of seen pixels, from which unseen rows and columns are peeled off at the sides.
+
+    Parameters
+    ----------
+    seen : numpy.ndarray
+        (rows, cols), bool.
+
+    Returns
+    -------
+    tuple of int
+        First row, row after the last, first column, column after the last.
+
+    Examples
+    --------
+    >>> seen = np.ones((5, 6), bool)
+    >>> seen[:2, 1:3] = False
+    >>> rectangle_within(seen)
+    (2, 5, 0, 6)
+    """
+    (top, left), (bottom, right) = (0, 0), seen.shape
+    while not (part := seen[top:bottom, left:right]).all():
+        worst = int(np.argmin([part[0].mean(), part[-1].mean(), part[:, 0].mean(), part[:, -1].mean()]))
+        top, bottom = top + (worst == 0), bottom - (worst == 1)
+        left, right = left + (worst == 2), right - (worst == 3)
+    return top, bottom, left, right
 
 
 def overlap_of_discs(diameters: float) -> float:
