@@ -1,0 +1,226 @@
+"""Commands, faults and recoveries in any order, on simulated time: a galvo is never reported parked that is not.
+
+The scanner, the interlocks and the guardian's takeover are the real ones, above nidaqmx's production interpreter; the
+card is the virtual one. Threads and clocks are simulated, so that nothing sleeps.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+
+from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware import parking as parking_module
+from napari_elsplus.hardware.daq import scanner as scanner_module
+from napari_elsplus.hardware.daq import takeover as takeover_module
+from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.daq.scanner import DaqScanner
+from napari_elsplus.hardware.daq.takeover import park_order, take_over
+from napari_elsplus.hardware.parking import Parking
+from napari_elsplus.hardware.scan.timing import ScanTiming
+from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
+from napari_elsplus.hardware.virtual.card import card as card_module
+from napari_elsplus.hardware.virtual.card.c_library import replacing_ni_library
+from napari_elsplus.hardware.virtual.card.card import VirtualCard
+from napari_elsplus.hardware.virtual.timeline import StrobeTrain
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.truth import park_volts, true_calibration
+from simulated_time import SimulatedBenchClock, SimulatedTime
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::pytest.PytestUnraisableExceptionWarning", "ignore::nidaqmx.errors.DaqResourceWarning"
+)  # of the tasks of a process that was killed
+INSTRUMENT = Instrument.of("240hz", offset_um=-29)
+PARK_V = park_volts(INSTRUMENT)
+PERIOD_S = INSTRUMENT.optics.frame_period_s
+TIMING = ScanTiming(INSTRUMENT.optics.line_period_s, INSTRUMENT.optics.line_periods_per_frame, 3)
+RAMP = els_waveform(true_calibration(INSTRUMENT), TIMING, GalvoLimits())
+CENTRE_V = INSTRUMENT.volts_at_row_zero + INSTRUMENT.volts_per_row * INSTRUMENT.confocal_centre[0]
+ON_BUNDLE_V = st.sampled_from([CENTRE_V - 0.2, CENTRE_V, CENTRE_V + 0.2])
+TIMES_S = st.floats(0.001, 0.7)
+CALL_S = 2.0
+"""Longest simulated time that a call may take."""
+PARKED_S = 0.5
+"""Time in which a card that accepts has to be parked."""
+
+
+class Scanning(RuleBasedStateMachine):
+    """A scanner, its card, its strobe and its guardian."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.world = SimulatedTime()
+        self.held = ExitStack()
+        stand_in: Any = self.world
+        for module in (scanner_module, parking_module, takeover_module, card_module):
+            for name in ("threading", "time"):
+                if hasattr(module, name):
+                    self.held.enter_context(patch.object(module, name, stand_in))
+        parking = partial(Parking, now_s=self.world.perf_counter)
+        for module in (scanner_module, takeover_module):
+            self.held.enter_context(patch.object(module, "Parking", parking))
+        quiet = SimpleNamespace(register=lambda _: None, unregister=lambda _: None)
+        self.held.enter_context(patch.object(scanner_module, "atexit", quiet))
+        self.card = VirtualCard(SimulatedBenchClock(self.world))
+        self.held.enter_context(replacing_ni_library(self.card))
+        self.wired = False
+        self.frames = 0.0
+        self.open()
+
+    def open(self) -> None:
+        """Open a scanner on a card that accepts."""
+        self.scanner = DaqScanner(CardSettings(PARK_V), GalvoLimits(), self.world.perf_counter)
+        self.closed = False
+        self.scanner.watch_frames(lambda: int(self.world.now_s / PERIOD_S) if self.camera_runs else 0)
+        self.camera_runs = False
+
+    # commands
+
+    def call(self, command: Any, *arguments: Any) -> None:
+        """Call the scanner; it may refuse, and returns in time."""
+        begun_s = self.world.now_s
+        try:
+            command(*arguments)
+        except DeviceError:
+            pass
+        finally:
+            assert self.world.now_s - begun_s <= CALL_S, f"{command.__name__} took {self.world.now_s - begun_s} s"
+        self.never_falsely_parked()
+
+    @precondition(lambda self: not self.closed)
+    @rule(volts=ON_BUNDLE_V)
+    def hold(self, volts: float) -> None:
+        self.call(self.scanner.hold, volts)
+
+    @precondition(lambda self: not self.closed)
+    @rule()
+    def scan(self) -> None:
+        self.camera_runs = True
+        self.card.strobe(StrobeTrain(self.world.now_s + 0.01, PERIOD_S))
+        self.call(self.scanner.scan, RAMP)
+
+    @precondition(lambda self: not self.closed)
+    @rule()
+    def park(self) -> None:
+        self.call(self.scanner.park)
+
+    @precondition(lambda self: not self.closed)
+    @rule(volts=st.sampled_from([PARK_V, PARK_V - 0.2]))
+    def park_at(self, volts: float) -> None:
+        self.call(self.scanner.park_at, volts)
+
+    @precondition(lambda self: not self.closed)
+    @rule()
+    def check(self) -> None:
+        self.call(self.scanner.check)
+
+    @precondition(lambda self: not self.closed)
+    @rule()
+    def close(self) -> None:
+        self.call(self.scanner.close)
+        self.closed = True
+
+    @rule(seconds=TIMES_S)
+    def wait(self, seconds: float) -> None:
+        self.world.sleep(seconds)
+
+    # faults, and their ends
+
+    @rule(seconds=TIMES_S)
+    def refuse(self, seconds: float) -> None:
+        self.card.inject(refuse_s=seconds)
+
+    @rule(fails=st.integers(1, 4))
+    def fail_to_clear(self, fails: int) -> None:
+        self.card.inject(clear_errors=fails)
+
+    @rule()
+    def underrun(self) -> None:
+        self.card.break_with(-200621)
+
+    @rule()
+    def lend_to_another_program(self) -> None:
+        self.card.break_with(-50103)
+
+    @rule()
+    def stick(self) -> None:
+        self.card.inject(stuck=True)
+
+    @rule(power_up=st.booleans(), seconds=st.sampled_from([0.0, 0.05]))
+    def change_reset(self, power_up: bool, seconds: float) -> None:
+        self.card.inject(reset_to_power_up=power_up, reset_s=seconds)
+
+    @rule()
+    def lose_strobe(self) -> None:
+        self.card.strobe(None)
+
+    @rule()
+    def heal(self) -> None:
+        self.card.break_with(0)
+        self.card.inject(refuse_until_s=0.0, clear_errors=0, stuck=False, hangs=False)
+        with self.card._lock:
+            self.card._resets.notify_all()
+
+    @precondition(lambda self: not self.closed)
+    @rule()
+    def die(self) -> None:
+        """The process is killed; its guardian parks, and another is started."""
+        order = park_order(self.scanner)
+        self.world.kill(*(w for w in self.world.workers if w is not self.world.main))
+        self.heal()
+        begun_s = self.world.now_s
+        state = take_over(order)
+        assert state.parked
+        assert self.world.now_s - begun_s <= PARKED_S
+        assert self.output_is_parked(order.volts)
+        self.open()
+
+    # what holds
+
+    def output_is_parked(self, volts: float) -> bool:
+        """True if the card stands at a voltage, and no waveform of it waits for a strobe."""
+        return abs(self.card.last_volts - volts) < 1e-6 and not len(self.card.programs()[-1].samples)
+
+    @invariant()
+    def never_falsely_parked(self) -> None:
+        if self.scanner.park_state.parked:
+            assert self.output_is_parked(self.scanner.park_v), f"reported parked at {self.card.last_volts} V"
+        assert not self.world.errors, self.world.errors
+
+    def teardown(self) -> None:
+        """Once all faults end, it is parked in time; nothing is left."""
+        try:
+            self.heal()
+            self.call(self.scanner.close)
+            self.world.sleep(PARKED_S)
+            assert self.scanner.park_state.parked, self.scanner.park_state
+            self.never_falsely_parked()
+            self.world.sleep(CALL_S)
+            assert self.world.workers == [self.world.main], "a thread was left"
+        finally:
+            self.world.kill(*(w for w in self.world.workers if w is not self.world.main))
+            self.held.close()
+
+
+COMMON: dict[str, Any] = {"stateful_step_count": 15, "deadline": None, "suppress_health_check": list(HealthCheck)}
+TestScanning = Scanning.TestCase
+TestScanning.settings = settings(max_examples=200, **COMMON)
+
+
+@pytest.mark.slow
+def test_scanning_at_length() -> None:
+    run_state_machine_as_test(Scanning, settings=settings(max_examples=10_000, **COMMON))
