@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from napari_elsplus.errors import InputError
 from napari_elsplus.io import TrackPoint, refuse_existing, write_mosaic, write_track
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
@@ -16,7 +17,7 @@ from napari_elsplus.processing.tracking.registry import Method, tracking_method
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.progress import without_display
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED, Pipeline
+from napari_elsplus.workflows.tracking import UNLINKED, Pipeline, calibration_of_finished_images, finished_pipeline
 from napari_elsplus.workflows.two_threads import Pipelined
 
 if TYPE_CHECKING:
@@ -45,10 +46,11 @@ class MosaicResult:
         A row for every frame (for every second frame with ELSA).
     segments : int
         Number of segments: runs of frames that are registered to one another.
-    calibration : Calibration
-        As it was given, with the line periods per frame if they were estimated from the motion.
+    calibration : Calibration or None
+        As it was given, with the line periods per frame if they were estimated from the motion; None for finished
+        images.
     settings : dict
-        ``mode``, ``method`` and ``insertion``, as they are written into the file.
+        ``mode`` (``finished`` for finished images), ``method`` and ``insertion``, as they are written into the file.
     notes : tuple of str
         Messages to the user: an estimated timing, too few tracked frames.
     """
@@ -57,7 +59,7 @@ class MosaicResult:
     um_per_px: float | None
     track: list[TrackPoint]
     segments: int
-    calibration: Calibration
+    calibration: Calibration | None
     settings: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -91,25 +93,30 @@ class MosaicResult:
 
 def mosaic(
     raw: Frames,
-    calibration: Calibration,
-    mode: Mode | str = Mode.ELS,
+    calibration: Calibration | None = None,
+    mode: Mode | str | None = None,
     *,
+    finished: bool = False,
     method: str = Method.ELSPLUS,
     insertion: Insertion | str = Insertion.DEAD_LEAF,
     times_s: Sequence[float] | NDArray[np.float64] | None = None,
     progress: Progress = without_display,
 ) -> MosaicResult:
-    """Track the probe through raw frames, close loops, and insert the images into a mosaic.
+    """Track the probe through raw frames or finished images, and insert the images into a mosaic.
 
     Parameters
     ----------
     raw : Frames
-        Raw frames (rows, cols): an array (T, rows, cols), a list, or an open recording.
-    calibration : Calibration
-        Of the rig that recorded them; needs the bundle section. Line periods per frame that it lacks are estimated from
-        the motion.
-    mode : Mode or str
-        Image type to track and insert: ``"els"``, ``"ls"``, ``"residual"`` or ``"elsa"``.
+        Frames (rows, cols): an array (T, rows, cols), a list, or an open recording.
+    calibration : Calibration, optional
+        Of the rig that recorded raw frames; needs the bundle section. Line periods per frame that it lacks are
+        estimated from the motion. None for finished images.
+    mode : Mode or str, optional
+        Image type to track and insert: ``"els"`` (the default), ``"ls"``, ``"residual"`` or ``"elsa"``. None for
+        finished images.
+    finished : bool
+        True for finished images of any microscope, which are tracked and inserted at their own resolution. Repeated
+        frames of a video have the position of their twin; positions in micrometres are nan.
     method : str
         Tracking method: ``"elsplus"`` (sub-pixel, rolling shutter corrected), ``"paper"`` (template matching), or one
         that was registered.
@@ -127,33 +134,40 @@ def mosaic(
     Raises
     ------
     InputError
-        If there are no frames, or none could be tracked.
+        If there are no frames, none could be tracked, raw frames have no calibration, or finished images have one.
     CalibrationError
         If the calibration does not fit the frames.
     """
-    pipeline, calibration, notes = _tracked(raw, calibration, mode, method, insertion, times_s, progress)
-    pipeline.finish(RawPairs(raw, mode), lambda numbers: progress(numbers, "Mosaic"))
+    _check_arguments(calibration, mode, finished=finished)
+    shown = Mode.LS if finished else Mode(mode or Mode.ELS)
+    pipeline, calibration, notes = _tracked(raw, calibration, shown, method, insertion, times_s, progress)
+    pipeline.finish(RawPairs(raw, shown), lambda numbers: progress(numbers, "Mosaic"))
     return MosaicResult(
         montage(list(pipeline.mosaics.values())),
         pipeline.um_per_px,
         pipeline.rows,
         len(pipeline.mosaics),
         calibration,
-        {"method": str(method), "mode": Mode(mode).value, "insertion": Insertion(insertion).value},
+        {
+            "method": str(method),
+            "mode": "finished" if finished else shown.value,
+            "insertion": Insertion(insertion).value,
+        },
         notes + ((UNLINKED,) if _count_tracked(pipeline) < 2 else ()),
     )
 
 
 def track(
     raw: Frames,
-    calibration: Calibration,
-    mode: Mode | str = Mode.ELS,
+    calibration: Calibration | None = None,
+    mode: Mode | str | None = None,
     *,
+    finished: bool = False,
     method: str = Method.ELSPLUS,
     times_s: Sequence[float] | NDArray[np.float64] | None = None,
     progress: Progress = without_display,
 ) -> list[TrackPoint]:
-    """Track the probe through raw frames and close loops; the track of :func:`mosaic` without its images.
+    """Track the probe through raw frames or finished images; the track of :func:`mosaic` without its images.
 
     Parameters and errors are those of :func:`mosaic`.
 
@@ -163,28 +177,47 @@ def track(
         A row for every frame (for every second frame with ELSA): position of the probe in camera pixels and
         micrometres, relative to the first frame of its segment, with its standard deviation and state.
     """
-    pipeline, _, _ = _tracked(raw, calibration, mode, method, Insertion.DEAD_LEAF, times_s, progress)
-    pipeline.refine(RawPairs(raw, mode))
+    _check_arguments(calibration, mode, finished=finished)
+    shown = Mode.LS if finished else Mode(mode or Mode.ELS)
+    pipeline, _, _ = _tracked(raw, calibration, shown, method, Insertion.DEAD_LEAF, times_s, progress)
+    pipeline.refine(RawPairs(raw, shown))
     return pipeline.rows
+
+
+def _check_arguments(calibration: Calibration | None, mode: Mode | str | None, *, finished: bool) -> None:
+    """Raise an error if raw frames have no calibration, or finished images a calibration or a mode."""
+    if finished and calibration is not None:
+        raise InputError("finished images have no calibration", "leave out the calibration, or `finished`")
+    if finished and mode is not None:
+        raise InputError(f"finished images have no mode, {mode} was given", "leave out the mode, or `finished`")
+    if not finished and calibration is None:
+        raise InputError("raw frames need a calibration", "give one, or `finished` for finished images")
 
 
 def _tracked(
     raw: Frames,
-    calibration: Calibration,
-    mode: Mode | str,
+    calibration: Calibration | None,
+    mode: Mode,
     method: str,
     insertion: Insertion | str,
     times_s: Sequence[float] | NDArray[np.float64] | None,
     progress: Progress,
-) -> tuple[Pipeline, Calibration, tuple[str, ...]]:
-    """Track all frames on two threads; return the pipeline, the calibration with its timing, and notes."""
+) -> tuple[Pipeline, Calibration | None, tuple[str, ...]]:
+    """Track all frames on two threads; return the pipeline, the calibration with its timing, and notes.
+
+    Frames without a calibration are finished images.
+    """
     pairs = RawPairs(raw, mode)
     times_s = getattr(raw, "times_s", None) if times_s is None else times_s
     note = ""
-    if tracking_method(method).corrects_rolling_shutter:
-        calibration, note = with_timing(calibration, pairs, mode)
-    rows, cols = raw[0].shape
-    pipeline = Pipeline(calibration, (rows, cols), mode, method=method, insertion=insertion)
+    if calibration is None:
+        nominal = calibration_of_finished_images(raw)
+        pipeline = finished_pipeline(raw, nominal, method=method, insertion=insertion)
+    else:
+        if tracking_method(method).corrects_rolling_shutter:
+            calibration, note = with_timing(calibration, pairs, mode)
+        rows, cols = raw[0].shape
+        pipeline = Pipeline(calibration, (rows, cols), mode, method=method, insertion=insertion)
     with Pipelined(pipeline, insert=False) as two_threads:
         for index in progress(range(len(pairs)), "Tracking"):
             frame = pairs.frame(index)

@@ -1,4 +1,4 @@
-"""Track the probe through raw frames and insert them into mosaics, frame by frame or over a whole recording."""
+"""Track the probe through raw frames or finished images and insert them into mosaics, frame by frame or all."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from napari_elsplus.errors import CalibrationError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
+from napari_elsplus.processing.tracking.finished.field import FinishedField
+from napari_elsplus.processing.tracking.finished.tracking import FinishedTracking
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 
@@ -18,15 +22,21 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.mosaicing.tiles import TileStore
     from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.methods import TrackingMethod
     from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
     from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
 
 
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
 """Note for the user where fewer than two frames of a track are tracked."""
+MAX_SAMPLES: Final = 64
+"""Frames from which the field of view and the static pattern of finished images are estimated; chosen, spread evenly
+over the stack."""
+_RIM_PX: Final = 4
+"""Margin by which the nominal disc is smaller than the image, pixels; chosen, for the interpolation at its rim."""
 
 
 class Pipeline:
@@ -48,6 +58,8 @@ class Pipeline:
         How overlapping frames are combined.
     new_store : callable, optional
         Returns the tile store of a segment, given its number; on the heap by default.
+    tracking : TrackingMethod, optional
+        A tracking method that was built for one stack; by default the one that is registered as `method`.
 
     Attributes
     ----------
@@ -73,9 +85,10 @@ class Pipeline:
         method: str = Method.ELSPLUS,
         insertion: Insertion | str = Insertion.DEAD_LEAF,
         new_store: Callable[[int], TileStore] | None = None,
+        tracking: TrackingMethod | None = None,
     ) -> None:
         registered = tracking_method(method)
-        self._tracking = registered.factory(calibration, frame_shape, Mode(mode))
+        self._tracking = tracking or registered.factory(calibration, frame_shape, Mode(mode))
         self._camera_um_per_px = calibration.um_per_px
         self._insertion = Insertion(insertion)
         self._new_store = new_store
@@ -278,3 +291,74 @@ class Pipeline:
         return TrackPoint(
             frame, time_s, pose.segment, row, col, row * um, col * um, pose.score, pose.sigma * scale, pose.state.value
         )
+
+
+def calibration_of_finished_images(frames: Frames, um_per_px: float | None = None) -> Calibration:
+    """Return a nominal calibration for finished images of one bundle, whose disc touches the image's edges.
+
+    Parameters
+    ----------
+    frames : Frames
+        (T, rows, cols).
+    um_per_px : float, optional
+        Scale.
+
+    Raises
+    ------
+    CalibrationError
+        If the images are too small to be tracked.
+    """
+    rows, cols = frames[0].shape
+    diameter = min(rows, cols) - _RIM_PX
+    if diameter < 2 * _RIM_PX:
+        raise CalibrationError(f"the images have {rows} x {cols} pixels", "choose a stack of larger ones")
+    centre = [(rows - 1) / 2, (cols - 1) / 2]
+    bundle = {
+        "confocal_centre": centre,
+        "residual_centre": centre,
+        "diameter_px": diameter,
+        "residual_to_confocal": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+    }
+    return Calibration.parse({"bundle": bundle, **({} if um_per_px is None else {"optics": {"um_per_px": um_per_px}})})
+
+
+def sample_field(frames: Frames) -> FinishedField:
+    """Estimate the field of view of finished images from at most :data:`MAX_SAMPLES` frames (rows, cols) of a stack."""
+    chosen = np.unique(np.linspace(0, len(frames) - 1, MAX_SAMPLES).astype(int))
+    return FinishedField.of([np.asarray(frames[int(index)]) for index in chosen])
+
+
+def finished_pipeline(
+    frames: Frames,
+    calibration: Calibration,
+    *,
+    method: str = Method.ELSPLUS,
+    insertion: Insertion | str = Insertion.DEAD_LEAF,
+    field: FinishedField | None = None,
+) -> Pipeline:
+    """Return a pipeline that tracks and inserts finished images.
+
+    Parameters
+    ----------
+    frames : Frames
+        (T, rows, cols).
+    calibration : Calibration
+        Nominal, with the scale if it is known: :func:`calibration_of_finished_images`.
+    method : str
+        Tracking method. ``"elsplus"`` registers and inserts at the images' own resolution, without a rolling shutter;
+        others receive the images as a confocal view.
+    insertion : Insertion or str
+        How overlapping frames are combined.
+    field : FinishedField, optional
+        From :func:`sample_field`, to estimate it once for several pipelines.
+
+    Raises
+    ------
+    InputError
+        If the images are too small to be tracked.
+    """
+    rows, cols = frames[0].shape
+    tracking = None
+    if method == Method.ELSPLUS:
+        tracking = FinishedTracking(sample_field(frames) if field is None else field)
+    return Pipeline(calibration, (rows, cols), Mode.LS, method=method, insertion=insertion, tracking=tracking)

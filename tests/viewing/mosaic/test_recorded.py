@@ -10,10 +10,9 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
-from napari_elsplus.viewing.mosaic.trackable import calibration_of_finished_images
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import Pipeline
+from napari_elsplus.workflows.tracking import Pipeline, calibration_of_finished_images
 from recordings import Truth, record, smooth_path, texture
 
 FRAMES = 24
@@ -121,7 +120,7 @@ def test_finished_images_are_tracked_as_they_are(method: Method) -> None:
     places = [(200 + 4 * k, 250 + 7 * k) for k in range(12)]
     images = np.stack([scene[row : row + 240, col : col + 240] for row, col in places])
     plan = MosaicPlan((Mode.LS,), method, Insertion.FEATHERED)
-    mosaics = StackMosaics(images, calibration_of_finished_images(images, 2.0), plan)
+    mosaics = StackMosaics(images, calibration_of_finished_images(images, 2.0), plan, finished=True)
     mosaics.run()
     found = np.array([(row.row_px, row.col_px) for row in mosaics.rows])
     np.testing.assert_allclose(found, np.subtract(places, places[0]), atol=0.1 if method is Method.ELSPLUS else 6)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress, refuse_outputs
+from napari_elsplus.cli.options import FILE, force_option, output_option, progress, refuse_outputs
+from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.io.formats.registry import supported_recordings
 from napari_elsplus.processing.images.sectioning import Mode
@@ -22,14 +23,16 @@ if TYPE_CHECKING:
     epilog=f"RAW is one of: {supported_recordings()}.",
 )
 @click.argument("raw", type=FILE)
-@calibration_option
+@click.option("-c", "--calibration", type=FILE, help="Calibration of the rig that recorded RAW (JSON).")
 @click.option(
     "--mode",
     type=click.Choice([m.value for m in Mode]),
-    default="els",
-    show_default=True,
-    help="Image type to track and insert.",
+    help="Image type to track and insert.  [default: els]",
 )
+@click.option(
+    "--finished", is_flag=True,
+    help="RAW are finished images of any microscope: no calibration, tracked and inserted at their own resolution.",
+)  # fmt: skip
 @click.option(
     "--method", type=click.Choice(list(tracking_methods())), default=Method.ELSPLUS.value, show_default=True,
     help="; ".join(f"{name}: {method.description}" for name, method in tracking_methods().items()) + ".",
@@ -42,13 +45,29 @@ if TYPE_CHECKING:
 @click.option("--track", type=FILE, help="Also write the track to this CSV file.")
 @force_option
 def command(
-    raw: Path, calibration: Path, mode: str, method: str, insertion: str, output: Path, track: Path | None, force: bool
+    raw: Path,
+    calibration: Path | None,
+    mode: str | None,
+    finished: bool,
+    method: str,
+    insertion: str,
+    output: Path,
+    track: Path | None,
+    force: bool,
 ) -> None:
     """Track the probe through RAW and insert its images into a mosaic."""
-    refuse_outputs(output, track, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
-    record = read_calibration(calibration)
+    if finished and (calibration is not None or mode is not None):
+        given = "-c" if calibration is not None else "--mode"
+        raise InputError(f"--finished excludes {given}", "finished images have neither a calibration nor a mode")
+    if not finished and calibration is None:
+        raise InputError("raw frames need a calibration", "give -c CAL, or --finished for finished images")
+    files = () if calibration is None else (calibration, calibration.with_suffix(".npz"))
+    refuse_outputs(output, track, force=force, inputs=(raw, *files))
+    record = None if calibration is None else read_calibration(calibration)
     with open_recording(raw) as recording:
-        result = make_mosaic(recording, record, mode, method=method, insertion=insertion, progress=progress)
+        result = make_mosaic(
+            recording, record, mode, finished=finished, method=method, insertion=insertion, progress=progress
+        )
     result.save(output, track, force=force)
     states = [row.state for row in result.track]
     click.echo(

@@ -21,7 +21,7 @@ from napari_elsplus.viewing.mosaic.track import max_trackable_px_per_frame
 from napari_elsplus.viewing.mosaic.trackable import TrackableFrames
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED, Pipeline
+from napari_elsplus.workflows.tracking import UNLINKED, Pipeline, finished_pipeline, sample_field
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -43,13 +43,15 @@ class StackMosaics:
     Parameters
     ----------
     frames : Frames
-        (T, rows, cols), raw.
+        (T, rows, cols), raw, or finished images.
     calibration : Calibration
-        Contains the bundle section.
+        Contains the bundle section; nominal for finished images.
     plan : MosaicPlan
         Modes, method and insertion.
     times_s : sequence of float, optional
         Acquisition time of each frame; by default from the calibration's frame period, where known.
+    finished : bool
+        True for finished images, which are tracked at their own resolution; the plan then has one mode, LS.
 
     Attributes
     ----------
@@ -67,7 +69,13 @@ class StackMosaics:
     """
 
     def __init__(
-        self, frames: Frames, calibration: Calibration, plan: MosaicPlan, times_s: Sequence[float] | None = None
+        self,
+        frames: Frames,
+        calibration: Calibration,
+        plan: MosaicPlan,
+        times_s: Sequence[float] | None = None,
+        *,
+        finished: bool = False,
     ) -> None:
         self.plan, self.calibration = plan, calibration
         self.rows = TrackTable()
@@ -77,6 +85,7 @@ class StackMosaics:
         self._pairs = RawPairs(self._frames, plan.tracked)
         self._frames.require_contrast()
         self._times_s = times_s
+        self._field = sample_field(self._frames) if finished else None
         self._lead = self._pipeline(plan.tracked)
         self._followers = {mode: self._pipeline(mode) for mode in plan.modes if mode is not plan.tracked}
         self._shown: Mapping[Mode, Mapping[int, Canvas]] | None = None
@@ -138,7 +147,7 @@ class StackMosaics:
         return True
 
     def _run(self, progress: Progress) -> None:
-        if tracking_method(self.plan.method).corrects_rolling_shutter:
+        if tracking_method(self.plan.method).corrects_rolling_shutter and self._field is None:
             self.calibration, note = with_timing(self.calibration, self._pairs, self.plan.tracked)
             if note:
                 self.notes.append(note)
@@ -175,6 +184,11 @@ class StackMosaics:
                 follower.insert_raw(pose, self._frames[confocal], self._frames[residual])
 
     def _pipeline(self, mode: Mode) -> Pipeline:
+        if self._field is not None:
+            method, insertion = self.plan.method, self.plan.insertion
+            return finished_pipeline(
+                self._frames, self.calibration, method=method, insertion=insertion, field=self._field
+            )
         rows, cols = self._frames[0].shape
         return Pipeline(
             self.calibration, (rows, cols), mode, method=self.plan.method, insertion=self.plan.insertion

@@ -1,14 +1,13 @@
-"""Checks of stacks before tracking, and a nominal calibration for finished images."""
+"""Checks of stacks before tracking."""
 
 from __future__ import annotations
 
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -16,9 +15,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.images.sectioning import Frames
-
-_RIM_PX: Final = 4
-"""Margin by which the disc is smaller than the image, pixels; chosen, for the interpolation at its rim."""
 
 
 class TrackableFrames:
@@ -84,35 +80,6 @@ class TrackableFrames:
                 f"the frames are constant (grey level {chosen[0].flat[0]:g})",
                 "is the laser on, and the probe on tissue?",
             )
-
-
-def calibration_of_finished_images(frames: Frames, um_per_px: float | None = None) -> Calibration:
-    """Return a nominal calibration for finished images of one bundle, whose disc touches the image's edges.
-
-    Parameters
-    ----------
-    frames : Frames
-        (T, rows, cols).
-    um_per_px : float, optional
-        Scale.
-
-    Raises
-    ------
-    CalibrationError
-        If the images are too small to be tracked.
-    """
-    rows, cols = frames[0].shape
-    diameter = min(rows, cols) - _RIM_PX
-    if diameter < 2 * _RIM_PX:
-        raise CalibrationError(f"the images have {rows} x {cols} pixels", "choose a stack of larger ones")
-    centre = [(rows - 1) / 2, (cols - 1) / 2]
-    bundle = {
-        "confocal_centre": centre,
-        "residual_centre": centre,
-        "diameter_px": diameter,
-        "residual_to_confocal": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
-    }
-    return Calibration.parse({"bundle": bundle, **({} if um_per_px is None else {"optics": {"um_per_px": um_per_px}})})
 
 
 def _no_checkpoint() -> None:

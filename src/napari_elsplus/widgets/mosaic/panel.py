@@ -104,7 +104,9 @@ class MosaicPanel(EnginePanel):
             self.form.remember()
 
             def made() -> StackMosaics:
-                mosaics = StackMosaics(source.frames, source.calibration, plan, source.times_s)
+                mosaics = StackMosaics(
+                    source.frames, source.calibration, plan, source.times_s, finished=source.finished
+                )
                 mosaics.compile_kernels()
                 self._stack = mosaics  # displayed from now on
                 mosaics.run(self.work.progress, self.work.stop_if_cancelled)

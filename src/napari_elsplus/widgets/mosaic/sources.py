@@ -11,7 +11,7 @@ from napari.layers import Image
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.layers import TITLES
-from napari_elsplus.viewing.mosaic.trackable import calibration_of_finished_images
+from napari_elsplus.workflows.tracking import calibration_of_finished_images
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -1,0 +1,1 @@
+"""Tracking of finished images of any microscope."""

@@ -1,0 +1,188 @@
+"""Field of view and static pattern of a stack of finished images, estimated from a sample of its frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, floor
+from typing import TYPE_CHECKING, Any, Final
+
+import cv2
+import numpy as np
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+COARSE_DIAMETER: Final = 192
+"""Diameter of the field in cells of the search over all shifts; chosen: texture finer than this is not searched for."""
+MIN_DIAMETER_PX: Final = 16
+"""Smallest field that is tracked, pixels; chosen."""
+_RIM_PX: Final = 4
+"""Margin by which the field is smaller than what is lit, pixels; chosen, for the interpolation at its rim."""
+_LIT: Final = 0.05
+"""Fraction of the brightest level that a pixel reaches in some frame if it lies in the field; chosen."""
+_MIN_LIT_DIAMETER: Final = 0.5
+"""Smallest inscribed disc, as a fraction of the image, that is taken for the field; chosen, else the image is."""
+_STATIC_CONTRAST: Final = 0.08
+"""Contrast of the temporal median from which a cell belongs to the static pattern; chosen, a dead core has 0.2 to 1."""
+_STATIC_RATIO: Final = 2.0
+"""The same over the scatter of the cell in time, standard deviations."""
+_MAX_STATIC: Final = 0.15
+"""Fraction of the field up to which cells are taken for a static pattern: where more stands still, the probe rests."""
+_MIN_SAMPLES: Final = 8
+"""Frames from which a static pattern is estimated; chosen, a median of fewer contains the tissue."""
+
+
+@dataclass(frozen=True)
+class FinishedField:
+    """Field of view of finished images, and how they are compared.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the images.
+    grid : Grid
+        Grid of one pixel per pixel of the images; nine tenths of its diameter are the field.
+    darkest, floor : float
+        Grey levels: images are compared as ln(image - darkest + floor).
+    quantum : float
+        Grey level step of the images, 0 for floating point.
+    mask : numpy.ndarray
+        (rows, cols) float32 cells of the coarse images, 1 in the field without its static pattern, 0 elsewhere.
+    """
+
+    shape: tuple[int, int]
+    grid: Grid
+    darkest: float
+    floor: float
+    quantum: float
+    mask: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, samples: Sequence[NDArray[Any]]) -> FinishedField:
+        """Estimate the field from frames of a stack.
+
+        Parameters
+        ----------
+        samples : sequence of numpy.ndarray
+            (rows, cols) images spread over the stack; eight or more for a static pattern.
+
+        Raises
+        ------
+        InputError
+            If the images are too small to be tracked.
+        """
+        rows, cols = samples[0].shape
+        stack = [np.asarray(sample, np.float32) for sample in samples]
+        centre, diameter = _lit_disc(stack)
+        if diameter < MIN_DIAMETER_PX:
+            raise InputError(f"the images have {rows} x {cols} pixels", "choose a stack of larger ones")
+        side = 4 * ceil((diameter + 2) / 4)
+        origin = (floor(centre[0] - (side - 1) / 2 + 0.5), floor(centre[1] - (side - 1) / 2 + 0.5))
+        inside = (centre[0] - origin[0], centre[1] - origin[1])
+        grid = Grid(side, 1, origin, inside, (diameter - _RIM_PX) / FIELD, RollingShutter(np.inf))
+        middle = np.concatenate([_window(image, grid)[_disc(grid)][::7] for image in stack])
+        darkest = min(0.0, float(np.percentile(middle, 1)))
+        level = max(float(np.median(middle)) - darkest, 0.5 * (float(np.percentile(middle, 99)) - darkest))
+        quantum = 0.0 if np.asarray(samples[0]).dtype.kind == "f" else 1.0
+        field = cls((rows, cols), grid, darkest, 0.1 * level + 1e-6, quantum, _coarse(_disc(grid).astype(np.float32)))
+        mask = np.floor(field.mask + 1e-3)
+        static = field.static_pattern(stack, mask)
+        return cls((rows, cols), grid, darkest, field.floor, quantum, mask * ~static)
+
+    @property
+    def coarse_diameter(self) -> float:
+        """Diameter of the field in cells."""
+        return float(FIELD * self.grid.diameter / self.pixels_per_cell)
+
+    @property
+    def pixels_per_cell(self) -> float:
+        """Pixels of the images per cell of the coarse ones."""
+        return float(self.grid.side / self.mask.shape[0])
+
+    def window(self, image: NDArray[Any]) -> NDArray[np.float32]:
+        """Return an image (rows, cols) on the grid (side, side), zero where it does not reach.
+
+        Raises
+        ------
+        InputError
+            If it has another size.
+        """
+        if image.shape != self.shape:
+            raise InputError(
+                f"a frame has {image.shape} pixels, the first one {self.shape}", "all frames must have one size"
+            )
+        return _window(np.asarray(image, np.float32), self.grid)
+
+    def coarse_logarithm(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the logarithm of an image on the grid (side, side), area-averaged to cells."""
+        logarithm: NDArray[np.float32] = np.log(
+            np.maximum(_coarse(image) - self.darkest, 0) + self.floor, dtype=np.float32
+        )
+        return logarithm
+
+    def static_pattern(self, stack: Sequence[NDArray[np.float32]], mask: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return the cells (rows, cols) that show the same in all frames: dead cores, labels.
+
+        Parameters
+        ----------
+        stack : sequence of numpy.ndarray
+            (rows, cols) float32 images.
+        mask : numpy.ndarray
+            (rows, cols) cells, 1 in the field.
+        """
+        nothing = np.zeros(mask.shape, bool)
+        if len(stack) < _MIN_SAMPLES:
+            return nothing
+        scale = COARSE_DIAMETER / 16
+        weight = np.maximum(cv2.GaussianBlur(mask, (0, 0), scale), 1e-3)
+        logarithms = [self.coarse_logarithm(_window(image, self.grid)) for image in stack]
+        passed = np.array([(a - cv2.GaussianBlur(a * mask, (0, 0), scale) / weight) * mask for a in logarithms])
+        median = np.median(passed, axis=0)
+        scatter = 1.4826 * np.median(np.abs(passed - median), axis=0)
+        found = (np.abs(median) > np.maximum(_STATIC_CONTRAST, _STATIC_RATIO * scatter)).astype(np.uint8)
+        grown = cv2.dilate(found, np.ones((5, 5), np.uint8)).astype(bool)
+        return grown if grown[mask > 0].mean() < _MAX_STATIC else nothing
+
+
+def _lit_disc(stack: Sequence[NDArray[np.float32]]) -> tuple[tuple[float, float], float]:
+    """Return the centre (row, col) and diameter, pixels, of the largest disc that is lit; the image's where unclear."""
+    brightest = np.max(np.stack(stack), axis=0)
+    rows, cols = brightest.shape
+    whole = ((rows - 1) / 2, (cols - 1) / 2), float(min(rows, cols))
+    lit = (brightest > _LIT * np.percentile(brightest, 99)).astype(np.uint8)
+    width = max(3, min(rows, cols) // 16) | 1
+    lit = cv2.morphologyEx(lit, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width)))
+    depth = cv2.distanceTransform(np.pad(lit, 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    radius = float(depth.max())
+    if 2 * radius < _MIN_LIT_DIAMETER * min(rows, cols):
+        return whole
+    deepest = np.argwhere(depth > radius - 0.75)
+    nearest = deepest[np.argmin(((deepest - whole[0]) ** 2).sum(axis=1))]
+    return (float(nearest[0]), float(nearest[1])), 2 * radius - 1
+
+
+def _window(image: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:
+    out = np.zeros((grid.side, grid.side), np.float32)
+    (top, left), (rows, cols) = grid.origin, image.shape
+    r0, c0 = max(top, 0), max(left, 0)
+    r1, c1 = min(top + grid.side, rows), min(left + grid.side, cols)
+    out[r0 - top : r1 - top, c0 - left : c1 - left] = image[r0:r1, c0:c1]
+    return out
+
+
+def _disc(grid: Grid) -> NDArray[np.bool_]:
+    y, x = (np.arange(grid.side) - c for c in grid.centre)
+    inside: NDArray[np.bool_] = np.hypot(y[:, None], x) < 0.5 * FIELD * grid.diameter
+    return inside
+
+
+def _coarse(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    cells = min(len(image), COARSE_DIAMETER)
+    coarse: NDArray[np.float32] = cv2.resize(image, (cells, cells), interpolation=cv2.INTER_AREA)
+    return coarse
