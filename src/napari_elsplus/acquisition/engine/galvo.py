@@ -144,7 +144,11 @@ class GalvoController:
     def _move(self, move: Callable[[], None]) -> None:
         self._operations.check()
         self.scanning = False
-        move()
+        try:
+            move()
+        except DeviceError:
+            self._operations.check()  # interrupted: then that is the cause
+            raise
         try:
             self._operations.check()
         except InputError:  # interrupted while it moved: parking has the last word

@@ -160,6 +160,12 @@ class Run:
             recording=self.recording,
         )
 
+    def raise_camera_fault(self) -> None:
+        """Raise the failure of the camera as a DeviceError, if there was one: the cause, not its consequence."""
+        for fault in self._faults.all():
+            if fault.source == "camera":
+                raise DeviceError(fault.problem, fault.remedy)
+
     def fresh_frames(self, count: int, after_s: float, timeout_s: float) -> NDArray[np.uint8]:
         """Copy the next frames whose exposure began after a moment, however long their transfer took.
 
@@ -189,9 +195,7 @@ class Run:
             while got < count:
                 taken = cursor.take(timeout_s)
                 if taken is None:
-                    for fault in self._faults.all():
-                        if fault.source == "camera":  # the cause, not its consequence
-                            raise DeviceError(fault.problem, fault.remedy)
+                    self.raise_camera_fault()
                     raise DeviceError(f"{got} of {count} frames came", "check the camera, then start again")
                 if taken[1].readout_start_s + self._camera_worker.camera_clock_s >= after_s:
                     frames[got] = taken[0]

@@ -119,7 +119,6 @@ class Session:
             return
         status = opened[1].status()
         if not status.park_state.parked or (status.recording is not None and status.recording.running):
-            self._cancelled.set()
             opened[1].secure(fault)
 
     @contextmanager

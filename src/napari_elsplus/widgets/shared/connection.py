@@ -9,6 +9,7 @@ from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from qtpy.QtCore import QCoreApplication, QTimer
 
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.errors import DeviceError
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.instrument.calibration import Calibration
 
+EVENTS_MS: Final = 500
+"""Period in which processed events are noted, milliseconds; chosen: that of the client's heartbeats."""
 EVENTS_TIMEOUT_S: Final = 1.5
 """Time without processed events after which a window counts as frozen; chosen: three periods of its timer."""
 _latest: Callable[[], Connection | None] = lambda: None  # noqa: E731 - stands for a dead weak reference
@@ -36,6 +39,8 @@ class Connection:
         self._client: EngineClient | None = None
         self._users = 0
         self._events_s = 0.0
+        self._heart = QTimer()
+        self._heart.timeout.connect(self.note_events)
         self._lock = Lock()
         self._applied: tuple[Calibration | None, Path | None] = (None, None)
         self._received: Calibration | None = None
@@ -155,6 +160,7 @@ class Connection:
         """
         self._users -= 1
         if self._users == 0:
+            self._heart.stop()
             self._applied = None, None
             client, self._client, self.rig = self._client, None, None
             if client is not None or self._lock.locked():  # locked: a rig is being connected or disconnected
@@ -185,6 +191,8 @@ class Connection:
     def _enter(self) -> Connection:
         self._users += 1
         self.note_events()
+        if QCoreApplication.instance() is not None and not self._heart.isActive():
+            self._heart.start(EVENTS_MS)
         return self
 
 

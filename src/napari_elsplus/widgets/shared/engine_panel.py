@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from napari.utils.notifications import show_info
-from qtpy.QtCore import QTimer
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.calibration_lookup import active_calibration_for_rig
@@ -22,9 +21,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.link.client import EngineClient
     from napari_elsplus.instrument.calibration import Calibration
-
-EVENTS_MS: Final = 500
-"""Period in which a panel notes that events are processed, milliseconds; chosen: that of the client's heartbeats."""
 
 
 class EnginePanel(Panel):
@@ -48,9 +44,6 @@ class EnginePanel(Panel):
         self.connection = join()
         self.requests = PendingRequests(self, self.refresh)
         self._closed = False
-        self._heart = QTimer(self)
-        self._heart.timeout.connect(self.connection.note_events)
-        self._heart.start(EVENTS_MS)
         self._window_end = WindowCloseFilter(self, self.cleanup)
 
     def refresh(self) -> None:
@@ -98,7 +91,6 @@ class EnginePanel(Panel):
         if self._closed:
             return
         self._closed = True
-        self._heart.stop()
         self.requests.stop()
         self.connection.leave()
         super().cleanup()
