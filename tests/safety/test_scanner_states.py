@@ -6,6 +6,8 @@ card is the virtual one. Threads and clocks are simulated, so that nothing sleep
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
 from types import SimpleNamespace
@@ -22,6 +24,7 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
+from nidaqmx import Task
 
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware import parking as parking_module
@@ -41,9 +44,6 @@ from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import park_volts, true_calibration
 from simulated_time import SimulatedBenchClock, SimulatedTime
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore::pytest.PytestUnraisableExceptionWarning", "ignore::nidaqmx.errors.DaqResourceWarning"
-)  # of the tasks of a process that was killed
 INSTRUMENT = Instrument.of("240hz", offset_um=-29)
 PARK_V = park_volts(INSTRUMENT)
 PERIOD_S = INSTRUMENT.optics.frame_period_s
@@ -56,6 +56,14 @@ CALL_S = 2.0
 """Longest simulated time that a call may take."""
 PARKED_S = 0.5
 """Time in which a card that accepts has to be parked."""
+
+
+@pytest.fixture(autouse=True)
+def _tasks_of_killed_processes() -> Iterator[None]:
+    """Tasks of a process that was killed are not closed, and nidaqmx warns of that."""
+    with patch.object(Task, "__del__", lambda _: None):
+        yield
+        gc.collect()
 
 
 class Scanning(RuleBasedStateMachine):
