@@ -51,7 +51,7 @@ TIMING = ScanTiming(INSTRUMENT.optics.line_period_s, INSTRUMENT.optics.line_peri
 RAMP = els_waveform(true_calibration(INSTRUMENT), TIMING, GalvoLimits())
 CENTRE_V = INSTRUMENT.volts_at_row_zero + INSTRUMENT.volts_per_row * INSTRUMENT.confocal_centre[0]
 ON_BUNDLE_V = st.sampled_from([CENTRE_V - 0.2, CENTRE_V, CENTRE_V + 0.2])
-TIMES_S = st.floats(0.001, 0.7)
+TIMES_S = st.one_of(st.floats(0.001, 0.7), st.sampled_from([0.02, 0.28125, 0.3, 0.5]))
 CALL_S = 2.0
 """Longest simulated time that a call may take."""
 PARKED_S = 0.5
@@ -225,10 +225,66 @@ class Scanning(RuleBasedStateMachine):
 
 
 COMMON: dict[str, Any] = {"stateful_step_count": 15, "deadline": None, "suppress_health_check": list(HealthCheck)}
+BYPASSED = (
+    "hardware/daq/scanner.py: after 0.3 s `park` resets a card that refuses although no call is stuck; where the card "
+    "accepts at that moment, the reset follows the confirmation, and the line is on the bundle at 0 V, reported parked"
+)
 TestScanning = Scanning.TestCase
-TestScanning.settings = settings(max_examples=200, **COMMON)
+TestScanning.settings = settings(max_examples=200, derandomize=True, **COMMON)
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason=BYPASSED)
 def test_scanning_at_length() -> None:
     run_state_machine_as_test(Scanning, settings=settings(max_examples=10_000, **COMMON))
+
+
+@pytest.fixture
+def scanning() -> Iterator[Scanning]:
+    machine = Scanning()
+    yield machine
+    machine.teardown()
+
+
+@pytest.mark.xfail(strict=True, reason=BYPASSED)
+def test_a_card_that_accepts_when_parking_would_be_bypassed_stays_parked(scanning: Scanning) -> None:
+    scanning.refuse(0.28125)
+    scanning.park()
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="hardware/daq/scanner.py: the parked output is not watched, so a reset by another program leaves the line "
+    "on the bundle at 0 V, reported parked",
+)
+def test_a_parked_galvo_that_another_program_resets_is_parked_again(scanning: Scanning) -> None:
+    scanning.card.reset(scanning.card.device)
+    assert scanning.card.last_volts == 0.0
+    scanning.wait(PARKED_S)
+    scanning.never_falsely_parked()
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="hardware/daq/scanner.py: `hold` on a card whose calls do not return waits for ever, unless another thread "
+    "calls `check` or `park`",
+)
+@pytest.mark.parametrize("command", ["hold", "scan"])
+def test_a_command_to_a_card_whose_calls_do_not_return_ends_in_time(scanning: Scanning, command: str) -> None:
+    scanning.card.inject(hangs=True)
+    if command == "hold":
+        scanning.hold(CENTRE_V)
+    else:
+        scanning.scan()
+
+
+def test_what_this_test_would_find(scanning: Scanning) -> None:
+    """A write that the card accepts and does not carry out is no parking; a line on the bundle is not clear."""
+    scanning.hold(CENTRE_V)
+    assert not scanning.output_is_parked(PARK_V)
+    scanning.stick()
+    scanning.park()
+    assert not scanning.scanner.park_state.parked
+    scanning.heal()
+    scanning.wait(PARKED_S)
+    assert scanning.scanner.park_state.parked

@@ -202,7 +202,7 @@ class Stage:
     def status(self) -> Status:
         """Return the newest status that the window has; what it reports is kept."""
         status, died = self._ask("status")
-        self.hear(*(str(fault) for fault in status.faults), *([str(died)] if died else []))
+        self.hear(*(f"{fault.source}: {fault}" for fault in status.faults), *([str(died)] if died else []))
         if status.acquired:
             self.reported = dict(status.dropped)
         return cast("Status", status)
