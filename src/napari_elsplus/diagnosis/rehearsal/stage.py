@@ -189,7 +189,7 @@ class Stage:
 
     def result(self, number: int, timeout_s: float = CALL_TIMEOUT_S) -> Any:
         """Return the result of the command of that number within `timeout_s`, or raise its error."""
-        return self._ask("wait", number, timeout_s)
+        return self._ask("wait", number, timeout_s, answer_s=timeout_s + CALL_TIMEOUT_S)
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Send the command of that name from the window, and return its result or raise its error."""
@@ -327,9 +327,9 @@ class Stage:
     def _reported(self, words: tuple[str, ...]) -> bool:
         return any(word in message for message in self.heard for word in words)
 
-    def _ask(self, name: str, *arguments: Any, **options: Any) -> Any:
-        self._window.send((name, arguments, options))
-        if not self._window.poll(2 * CALL_TIMEOUT_S):
+    def _ask(self, name: str, *arguments: Any, answer_s: float = 2 * CALL_TIMEOUT_S) -> Any:
+        self._window.send((name, arguments, {}))
+        if not self._window.poll(answer_s):
             raise DeviceError(f"the window's process did not answer to {name}", "report this")
         answer, error = self._window.recv()
         if error is not None:
