@@ -19,6 +19,8 @@ PARK_V = -0.7
 PERIOD_S = 1 / 240
 TIMING = ScanTiming(1 / 130_750.6, 130_750.6 / 240, 3)
 LASER = "port0/line0"
+SOON_S = 1.5
+"""Seconds; generous, for a busy computer: simulated time holds the limits (test_interlock, ../test_parking)."""
 
 
 @pytest.fixture
@@ -62,7 +64,7 @@ def test_a_card_that_refuses_while_it_is_closed_is_parked_as_soon_as_it_accepts(
     accepts_s = bench.card.faults.refuse_until_s
     scanner.close()
     assert scanner.park_state.parked
-    assert 0 <= parked_s(bench.card) - accepts_s < 0.5
+    assert 0 <= parked_s(bench.card) - accepts_s < SOON_S
     assert states[-1][0].parked
     assert not [state for state, volts in states if state.parked and volts != PARK_V]
     assert any(state.message.startswith(LASER_OFF) for state, _ in states)
@@ -82,7 +84,7 @@ def test_a_card_that_refuses_longer_is_not_called_parked_and_nothing_hangs(cards
     scanner.close()
     assert scanner.park_state.stage is ParkStage.NOT_PARKED
     wait_for(lambda: scanner.park_state.parked, 20)  # it goes on by itself
-    assert parked_s(bench.card) - bench.card.faults.refuse_until_s < 0.5
+    assert parked_s(bench.card) - bench.card.faults.refuse_until_s < SOON_S
 
 
 @pytest.mark.parametrize("power_up", [True, False])
@@ -94,7 +96,7 @@ def test_an_error_of_clear_task_ends_with_a_reset(cards, ramp, wait_for, power_u
         bench.card.inject(clear_errors=2, reset_to_power_up=power_up, reset_s=0.03)
         begun_s = bench.card.clock.now_s()
         scanner.park()
-        assert parked_s(bench.card) - begun_s < 0.5
+        assert parked_s(bench.card) - begun_s < SOON_S
         state = scanner.park_state
         assert state.resets >= 1
         assert state.reset_s >= 0.03
@@ -113,7 +115,7 @@ def test_the_watching_thread_survives_what_nobody_thought_of(cards, ramp, wait_f
         begun_s = bench.card.clock.now_s()
         wait_for(lambda: "ZeroDivisionError" in fault_of(scanner))
         wait_for(lambda: scanner.park_state.parked)
-        assert parked_s(bench.card) - begun_s < 0.5
+        assert parked_s(bench.card) - begun_s < SOON_S
         monkeypatch.undo()
         scanner.hold(0.2)
         scanner.check()
@@ -130,7 +132,7 @@ def test_a_strobe_that_was_never_wired_parks_and_the_wire_is_named(cards, ramp, 
         bench.strobe_now()
         wait_for(lambda: "no strobe reaches PFI0" in fault_of(scanner))
         wait_for(lambda: scanner.park_state.parked)
-        assert parked_s(bench.card) - begun_s < 0.5 + 0.2  # frames come from the beginning
+        assert parked_s(bench.card) - begun_s < SOON_S
 
 
 def test_ramps_without_frames_park(cards, ramp, wait_for) -> None:
@@ -184,7 +186,7 @@ def test_parking_goes_around_a_call_that_does_not_return(cards) -> None:
         time.sleep(0.1)
         begun_s = bench.card.clock.now_s()
         scanner.park()
-        assert bench.card.clock.now_s() - begun_s < 2
+        assert bench.card.clock.now_s() - begun_s < 3
         assert scanner.park_state.parked
         assert bench.card.last_volts == PARK_V
         thread.join(5)
@@ -199,7 +201,7 @@ def test_parking_goes_around_an_attempt_that_does_not_return(cards) -> None:
         begun_s = bench.card.clock.now_s()
         scanner.park()
         assert scanner.park_state.parked
-        assert parked_s(bench.card) - begun_s < 2
+        assert parked_s(bench.card) - begun_s < 3
 
 
 def test_a_card_that_hangs_while_it_is_watched_is_a_fault(cards, ramp, wait_for, monkeypatch) -> None:
@@ -229,7 +231,7 @@ def test_parking_from_any_thread_ends_a_slow_move_at_once(cards) -> None:
         time.sleep(0.3)
         begun_s = bench.card.clock.now_s()
         scanner.park()
-        assert parked_s(bench.card) - begun_s < 0.5
+        assert parked_s(bench.card) - begun_s < SOON_S
         thread.join(5)
         assert "being parked" in str(errors[0])
 

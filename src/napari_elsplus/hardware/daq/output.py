@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
@@ -12,6 +13,8 @@ from napari_elsplus.hardware.daq.errors import NO_SUCH_CHANNEL, translate_daq_er
 from napari_elsplus.hardware.daq.session import open_session
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from nidaqmx import Task
 
     from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
@@ -91,13 +94,15 @@ class Output:
         self._still: Task | None = None
         self._laser: Task | None = None
         self._reads_back = True
+        self.returned_s = time.perf_counter()
+        """When the last call to the card returned."""
 
     def put(self, volts: float) -> None:
         """Put a voltage out, in volts, now."""
         from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
         try:
-            with translate_daq_errors(self.card.device):
+            with self._calls():
                 if self._still is None:
                     self.clear()
                     self._still, _ = self._voltage_task()
@@ -120,7 +125,7 @@ class Output:
         DeviceError
             If the write was not completed, or the output is at another voltage.
         """
-        with translate_daq_errors(self.card.device):
+        with self._calls():
             if self._still is None:
                 raise DeviceError(f"card {self.card.device}: nothing holds the output", "park again")
             self._still.stop()  # a write that has not been completed is completed, or raises
@@ -141,7 +146,7 @@ class Output:
 
         card, rate = self.card, waveform.sample_rate_hz
         edge = Edge.FALLING if card.falling else Edge.RISING
-        with translate_daq_errors(card.device):
+        with self._calls():
             self.clear()
             clock = self._task()
             clock.co_channels.add_co_pulse_chan_freq(f"{card.device}/{card.counter}", freq=rate)
@@ -161,7 +166,7 @@ class Output:
 
     def samples_done(self) -> int:
         """Count the samples put out since `repeat`; raise the error that stopped the output, if any."""
-        with translate_daq_errors(self.card.device):
+        with self._calls():
             for task in self._tasks:
                 task.is_task_done()
             return int(self._tasks[-1].out_stream.total_samp_per_chan_generated)
@@ -172,7 +177,7 @@ class Output:
             return
         from nidaqmx.stream_writers import DigitalSingleChannelWriter
 
-        with translate_daq_errors(self.card.device):
+        with self._calls():
             if self._laser is None:
                 self._laser = self._session.task()
                 self._laser.do_channels.add_do_chan(f"{self.card.device}/{self.card.laser_line}")
@@ -192,7 +197,7 @@ class Output:
         """Reset the card, which aborts its tasks; its outputs may go to their power-up voltage (0 V, or the last)."""
         tasks, self._tasks, self._still = [*self._tasks, self._laser], [], None
         self._laser = None
-        with translate_daq_errors(self.card.device):
+        with self._calls():
             self._session.system().devices[self.card.device].reset_device()
         for task in tasks:
             self._forget(task)
@@ -200,7 +205,7 @@ class Output:
     def clear(self) -> None:
         """Delete every task of the output, whatever errors others raise; the card keeps the last voltage."""
         tasks, self._tasks, self._still = self._tasks, [], None
-        with translate_daq_errors(self.card.device), contextlib.ExitStack() as each:
+        with self._calls(), contextlib.ExitStack() as each:
             for task in tasks:
                 each.callback(task.close)  # the last one first
 
@@ -226,7 +231,7 @@ class Output:
         from nidaqmx.stream_readers import AnalogSingleChannelReader
 
         task = None
-        with translate_daq_errors(self.card.device):
+        with self._calls():
             try:
                 task = self._session.task()
                 channel = f"{self.card.device}/_{self.card.output}_vs_aognd"
@@ -240,10 +245,19 @@ class Output:
             finally:
                 self._forget(task)
 
+    @contextlib.contextmanager
+    def _calls(self) -> Iterator[None]:
+        """Translate the errors of calls to the card, and note when they return."""
+        try:
+            with translate_daq_errors(self.card.device):
+                yield
+        finally:
+            self.returned_s = time.perf_counter()
+
     def _forget(self, task: Task | None) -> None:
         """Delete a task whose errors do not matter any more."""
         if task is not None:
-            with contextlib.suppress(DeviceError), translate_daq_errors(self.card.device):
+            with contextlib.suppress(DeviceError), self._calls():
                 task.close()
 
     def _task(self) -> Task:

@@ -28,8 +28,8 @@ WATCH_EVERY_S: Final = 0.02
 """Seconds between two checks of the card; chosen: a small part of the 0.5 s in which the galvo has to park."""
 PARK_TIMEOUT_S: Final = 1.5
 """Seconds that `DaqScanner.park` waits for the card; chosen: no call takes longer than 2 s."""
-BYPASS_AFTER_S: Final = 0.3
-"""Seconds after which parking goes around a call to the card that does not return; chosen: far above a call's time."""
+BYPASS_AFTER_S: Final = 0.5
+"""Seconds without a call returning after which parking goes around it; chosen: far above a call's time."""
 STUCK_AFTER_S: Final = 2.5
 """Seconds without a check of the card after which `check` is a fault; chosen: above the time limit of a call."""
 
@@ -70,7 +70,7 @@ class DaqScanner:
         self._volts = card.park_v
         self._parks = threading.Event()
         """Set from the command to park until the card has confirmed it; hold and scan give way to it."""
-        self._attempt_begun_s: float | None = None
+        self._tasks_lost = threading.Event()
         self._wake = threading.Event()
         self._closing = False
         self._alive_s = time.perf_counter()
@@ -145,15 +145,17 @@ class DaqScanner:
     def park(self) -> None:
         """Stop the scan and take the line off the bundle; returns once the card has confirmed it."""
         self._command_parking()
-        if self._parking.wait(BYPASS_AFTER_S):
-            return
-        begun_s = self._attempt_begun_s
-        if begun_s is None or time.perf_counter() - begun_s > BYPASS_AFTER_S:  # a call to the card does not return
-            with contextlib.suppress(RuntimeError):  # no thread starts while the interpreter ends
-                threading.Thread(target=self._bypass, name="galvo parking", daemon=True).start()
-        if not self._parking.wait(PARK_TIMEOUT_S - BYPASS_AFTER_S):
-            self._parking.alarm("the card has not confirmed it")
-            raise DeviceError(self._parking.state.message, "free the card, and check its cable")
+        begun_s = time.perf_counter()
+        bypassed = False
+        while not self._parking.wait(WATCH_EVERY_S):
+            now_s = time.perf_counter()
+            if now_s - begun_s > PARK_TIMEOUT_S:
+                self._parking.alarm("the card has not confirmed it")
+                raise DeviceError(self._parking.state.message, "free the card, and check its cable")
+            if not bypassed and now_s - max(begun_s, self._alive_s, self._output.returned_s) > BYPASS_AFTER_S:
+                bypassed = True
+                with contextlib.suppress(RuntimeError):  # no thread starts while the interpreter ends
+                    threading.Thread(target=self._bypass, name="galvo parking", daemon=True).start()
 
     def interrupt(self, fault: DeviceError) -> None:
         """Park because of a fault that was found elsewhere; `check` raises it. Returns at once."""
@@ -245,20 +247,20 @@ class DaqScanner:
 
     def _check_or_park(self) -> None:
         if not self._parks.is_set():
-            self._fault = self._fault_now() or self._fault
+            self._fault = self._fault or self._fault_now()
         if self._parks.is_set():
             self._attempt()
 
     def _attempt(self) -> None:
-        self._attempt_begun_s = time.perf_counter()
-        try:
-            self._waveform = None
-            if self._parking.attempt().parked:
-                self._volts = self._parking.volts
-                self._interlock.rest()
-                self._parks.clear()
-        finally:
-            self._attempt_begun_s = None
+        self._waveform = None
+        if self._tasks_lost.is_set():
+            self._tasks_lost.clear()
+            with contextlib.suppress(DeviceError):  # they ended with the reset
+                self._output.clear()
+        if self._parking.attempt().parked:
+            self._volts = self._parking.volts
+            self._interlock.rest()
+            self._parks.clear()
 
     def _fault_now(self) -> DeviceError | None:
         try:
@@ -286,6 +288,9 @@ class DaqScanner:
 
     def _bypass(self) -> None:
         """Reset the card and park it by tasks of its own while another thread is stuck in a call."""
+        problem = "a call to the card did not return, so the card was reset and the galvo parked"
+        self._fault = self._fault or DeviceError(problem, "check its cable, then start again")
+        self._tasks_lost.set()
         output = Output(self.card, self.limits)
         with contextlib.suppress(DeviceError):
             output.reset()
