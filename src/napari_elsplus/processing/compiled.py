@@ -57,7 +57,8 @@ def _sources_of_kernels() -> str:
     """
     package = Path(__file__).parents[1]
     texts = (path.read_bytes() for path in sorted(package.rglob("*.py")))
-    return hashlib.sha256(b"".join(text for text in texts if b"processing.compiled import" in text)).hexdigest()
+    marks = b"processing.compiled import", b"numba.extending import"
+    return hashlib.sha256(b"".join(text for text in texts if any(mark in text for mark in marks))).hexdigest()
 
 
 def _prefetch(_: Any, array: Any, row: Any, col: Any) -> Any:

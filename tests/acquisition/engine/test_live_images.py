@@ -8,16 +8,17 @@ from napari_elsplus.acquisition.engine.live_images import LiveImages, LiveView, 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.sectioning import disc
 from napari_elsplus.workflows.sectioning import section
 
 SHAPE = (100, 200)
 CALIBRATION = Calibration.parse(
     {
         "bundle": {
-            "confocal_centre": [50, 50],
-            "residual_centre": [50, 150],
+            "confocal_centre": [50.5, 50.5],  # of 82 pixels, so that the grid is the camera's
+            "residual_centre": [50.2, 150.4],
             "diameter_px": 80,
-            "residual_to_confocal": [[1, 0, 0], [0, 1, -100]],
+            "residual_to_confocal": [[1, 0, 0.3], [0, 1, -99.9]],
         }
     }
 ).model_copy(update={"background": np.full(SHAPE, 7, np.float32)})
@@ -29,6 +30,22 @@ def noise(count: int) -> NDArray[np.uint8]:
 
 def slot_of(live: LiveImages) -> dict[str, NDArray[np.generic]]:
     return {name: np.empty(shape, dtype) for name, shape, dtype in live.layout.fields}
+
+
+def test_the_confocal_view_is_the_camera_s_where_the_bundle_s_centre_lies_between_pixels() -> None:
+    bundle = CALIBRATION.bundle
+    assert bundle is not None
+    moved = {"confocal_centre": (50.2, 50.7)}
+    calibration = CALIBRATION.model_copy(update={"bundle": bundle.model_copy(update=moved)})
+    raw = noise(1)
+    live = LiveImages(SHAPE, calibration, LiveView())
+    slot = slot_of(live)
+    live.add(raw[0], 0)
+    live.fill(raw[0], slot)
+    inside = disc(82, 82)
+    np.testing.assert_array_equal(slot["ls"][inside], raw[0][10:92, 10:92][inside] - np.float32(7))
+    np.testing.assert_array_equal(slot["els"], slot["ls"] - slot["residual"])
+    np.testing.assert_allclose(slot["residual"], section(raw, CALIBRATION, "residual")[0], atol=1e-3)
 
 
 @pytest.mark.parametrize("cores", [CoreFilter.NONE, CoreFilter.MEDIAN])

@@ -12,6 +12,7 @@ from napari_elsplus.acquisition.streaming.ring import Layout
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.elsa import elsa_pair
+from napari_elsplus.processing.images.resampling import resampled
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.workflows.sectioning import finishing
 
@@ -112,6 +113,7 @@ class LiveImages:
 
     Notes
     -----
+    The confocal view is not resampled: the bundle's centre lies at most half a pixel from the middle of the images.
     ELSA is made of alternating frames, paired as in :mod:`napari_elsplus.processing.images.elsa`. Where one of the two
     is missing, the last ELSA image stands.
     """
@@ -124,7 +126,8 @@ class LiveImages:
             return
         if not view.background:
             calibration = calibration.model_copy(update={"background": None})
-        self._sectioner = sectioner = Sectioner(calibration, frame_shape)
+        self._sectioner = sectioner = Sectioner(calibration, frame_shape, on_camera_grid=True)
+        calibration = _on_camera_grid(calibration, sectioner)
         self._finish = finishing(calibration, sectioner, cores=view.cores, flat_field=view.flat_field)
         self._weight = 1 / view.average
         self.layout = display_layout(frame_shape, sectioner.side)
@@ -133,6 +136,7 @@ class LiveImages:
         self._mean = self._now if view.average == 1 else {mode: np.zeros(square, np.float32) for mode in Mode}
         self._confocal = np.zeros(square, np.float32)
         self._confocal_number: int | None = None
+        self._last_number: int | None = None
         self._first = True
         self._finished = np.zeros(square, np.float32)
         self._warm_up(frame_shape)
@@ -147,12 +151,12 @@ class LiveImages:
         if self._sectioner is None:
             return
         now = self._now
-        self._sectioner.ls(raw, now[Mode.LS])
-        self._sectioner.residual(raw, now[Mode.RESIDUAL])
-        np.subtract(now[Mode.LS], now[Mode.RESIDUAL], out=now[Mode.ELS])
         confocal, _ = elsa_pair(frame_number)
+        if self._confocal_number == self._last_number:  # ELSA needs it with the frame that follows
+            self._confocal, now[Mode.LS] = now[Mode.LS], self._confocal
+        self._sectioner.fill(raw, raw, ls=now[Mode.LS], residual=now[Mode.RESIDUAL], els=now[Mode.ELS])
+        self._last_number = frame_number
         if frame_number == confocal:
-            np.copyto(self._confocal, now[Mode.LS])
             self._confocal_number = confocal
         elif self._confocal_number == confocal:
             np.subtract(self._confocal, now[Mode.RESIDUAL], out=now[Mode.ELSA])
@@ -190,7 +194,17 @@ class LiveImages:
         for number in range(2):
             self.add(blank, number)
             self.fill(blank, slot)
-        self._first, self._confocal_number = True, None
+        self._first, self._confocal_number, self._last_number = True, None, None
+
+
+def _on_camera_grid(calibration: Calibration, sectioner: Sectioner) -> Calibration:
+    """Return the calibration with its flat field on the grid of a sectioner."""
+    flat = calibration.flat
+    if flat is None or flat.shape != (sectioner.side, sectioner.side):
+        return calibration
+    beyond = (sectioner.side - 1) / 2 - np.asarray(sectioner.centre)
+    shifted = resampled(flat, np.column_stack([np.eye(2), beyond]), sectioner.side)
+    return calibration.model_copy(update={"flat": shifted})
 
 
 def focus(image: NDArray[np.generic]) -> float:
