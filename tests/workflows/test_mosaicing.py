@@ -60,3 +60,24 @@ def test_two_frames_that_do_not_overlap_are_noted(truth: Truth) -> None:
     found = mosaic(noise, truth.calibration, "els")
     assert found.segments <= 1
     assert len(found.notes) == (sum(row.state == "tracked" for row in found.track) < 2)
+
+
+def test_finished_images_of_floats_are_tracked_as_they_are() -> None:
+    scene = fibres(600, 200, 4) - 0.5
+    places = np.array([(80 + 5 * k, 100 + 8 * k) for k in range(6)])
+    images = [scene[row : row + 180, col : col + 160].astype(np.float32) for row, col in places]
+    images[4][:, :3] = np.nan
+    found = mosaic(images, finished=True)
+    positions = np.array([(row.row_px, row.col_px) for row in found.track])
+    np.testing.assert_allclose(positions, places - places[0], atol=0.25)
+    assert (found.calibration, found.um_per_px, found.settings["mode"]) == (None, None, "finished")
+    assert repr(track(images, finished=True)) == repr(found.track)
+
+
+def test_finished_images_exclude_a_calibration_and_a_mode(truth: Truth) -> None:
+    with pytest.raises(InputError, match="finished images have no calibration"):
+        mosaic(truth.frames, truth.calibration, finished=True)
+    with pytest.raises(InputError, match="finished images have no mode"):
+        track(truth.frames, mode="ls", finished=True)
+    with pytest.raises(InputError, match="raw frames need a calibration"):
+        mosaic(truth.frames)

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -98,3 +101,67 @@ def test_frames_that_show_nothing_are_said_to_fit_nowhere(
     run = elsplus("mosaic", tmp_path / "dark.npy", "-c", folder / "cal.json", "-o", tmp_path / "m.tif")
     assert run.code == 0, run.err
     assert "note: no two frames fit together" in run.out
+
+
+@pytest.fixture
+def finished(tmp_path: Path) -> tuple[Path, np.ndarray]:
+    """A stack of finished images that are not square, with a repeated frame, and their positions."""
+    scene = np.clip(60 + 20 * fibres(700, 300, 2), 0, 255)
+    places = np.array([(90 + 6 * k, 120 + 9 * k) for k in (0, 1, 2, 2, 3, 4, 5, 6)])
+    y, x = np.mgrid[:200, :240]
+    disc = np.hypot(y - 99.5, x - 119.5) < 99
+    images = [np.where(disc, scene[row : row + 200, col : col + 240], 0) for row, col in places]
+    tifffile.imwrite(tmp_path / "finished.tif", np.array(images, np.uint8))
+    return tmp_path / "finished.tif", places - places[0]
+
+
+def test_finished_images_need_no_calibration_and_keep_their_resolution(
+    elsplus: Callable[..., Any], finished: tuple[Path, np.ndarray], tmp_path: Path
+) -> None:
+    stack, positions = finished
+    out, track = tmp_path / "mosaic.tif", tmp_path / "track.csv"
+    run = elsplus("mosaic", stack, "--finished", "-o", out, "--track", track)
+    assert run.code == 0, run.err
+    rows = read_track(track)
+    assert [row.frame for row in rows] == list(range(8))
+    assert {(row.state, row.segment) for row in rows} == {("tracked", 0)}
+    np.testing.assert_allclose([(row.row_px, row.col_px) for row in rows], positions, atol=0.25)
+    assert (rows[2].row_px, rows[2].col_px) == (rows[3].row_px, rows[3].col_px)
+    assert all(np.isnan(row.row_um) and np.isnan(row.col_um) for row in rows)
+    covered = np.argwhere(tifffile.imread(out) > 0)
+    assert np.ptp(covered, axis=0) == pytest.approx(192 + np.ptp(positions, axis=0), abs=5)
+
+
+@pytest.mark.parametrize("given", [("-c", "cal.json"), ("--mode", "ls")])
+def test_finished_images_exclude_a_calibration_and_a_mode(
+    elsplus: Callable[..., Any], finished: tuple[Path, np.ndarray], tmp_path: Path, given: tuple[str, str]
+) -> None:
+    run = elsplus("mosaic", finished[0], "--finished", *given, "-o", tmp_path / "m.tif")
+    assert run.code == 2
+    assert len(run.err.strip().splitlines()) == 1
+    assert f"--finished excludes {given[0]}" in run.err
+
+
+def test_raw_frames_without_a_calibration_are_refused(
+    elsplus: Callable[..., Any], finished: tuple[Path, np.ndarray], tmp_path: Path
+) -> None:
+    run = elsplus("mosaic", finished[0], "-o", tmp_path / "m.tif")
+    assert run.code == 2
+    assert len(run.err.strip().splitlines()) == 1
+    assert "--finished" in run.err
+
+
+def test_a_real_video_of_soft_tissue(elsplus: Callable[..., Any], data_folder: Path, tmp_path: Path) -> None:
+    video, judge = data_folder / "real-pcle" / "video.tif", data_folder.parent / "tools" / "real_video.py"
+    if not (video.is_file() and judge.is_file()):
+        pytest.skip("the real video or its judge is absent")
+    track = tmp_path / "track.csv"
+    assert elsplus("mosaic", video, "--finished", "-o", tmp_path / "m.tif", "--track", track).code == 0
+    judged = subprocess.run(
+        [sys.executable, str(judge), str(video), str(track)], capture_output=True, text=True, check=False, timeout=600
+    )
+    visible, _, linked, wrong, unseen, segments = (int(n) for n in re.findall(r"(?<!within )\b\d+\b", judged.stdout))
+    assert (wrong, visible) == (0, 44)
+    assert linked >= 40
+    assert unseen <= 4
+    assert segments <= 3

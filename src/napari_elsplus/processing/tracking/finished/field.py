@@ -78,7 +78,7 @@ class FinishedField:
             If the images are too small to be tracked.
         """
         rows, cols = samples[0].shape
-        stack = [np.asarray(sample, np.float32) for sample in samples]
+        stack = [_finite(sample) for sample in samples]
         centre, diameter = _lit_disc(stack)
         if diameter < MIN_DIAMETER_PX:
             raise InputError(f"the images have {rows} x {cols} pixels", "choose a stack of larger ones")
@@ -106,7 +106,7 @@ class FinishedField:
         return float(self.grid.side / self.mask.shape[0])
 
     def window(self, image: NDArray[Any]) -> NDArray[np.float32]:
-        """Return an image (rows, cols) on the grid (side, side), zero where it does not reach.
+        """Return an image (rows, cols) on the grid (side, side), zero where it does not reach or is not finite.
 
         Raises
         ------
@@ -117,7 +117,7 @@ class FinishedField:
             raise InputError(
                 f"a frame has {image.shape} pixels, the first one {self.shape}", "all frames must have one size"
             )
-        return _window(np.asarray(image, np.float32), self.grid)
+        return _window(_finite(image), self.grid)
 
     def coarse_logarithm(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the logarithm of an image on the grid (side, side), area-averaged to cells."""
@@ -165,6 +165,10 @@ def _lit_disc(stack: Sequence[NDArray[np.float32]]) -> tuple[tuple[float, float]
     deepest = np.argwhere(depth > radius - 0.75)
     nearest = deepest[np.argmin(((deepest - whole[0]) ** 2).sum(axis=1))]
     return (float(nearest[0]), float(nearest[1])), 2 * radius - 1
+
+
+def _finite(image: NDArray[Any]) -> NDArray[np.float32]:
+    return np.nan_to_num(np.asarray(image, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def _window(image: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:

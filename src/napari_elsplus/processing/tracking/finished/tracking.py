@@ -36,8 +36,9 @@ joined when the stack is finished."""
 REPEATED_NOISE: Final = 0.25
 """Difference of a repeated frame from its twin over the noise in either, standard deviations; chosen: two exposures
 differ by 1.4, a recompressed copy by less than 0.1."""
-JOINING_FRAMES: Final = 6
-"""Frames of each segment, its first and last three, that are compared with those of others to join them."""
+MAX_JOINING_PAIRS: Final = 1000
+"""Pairs of first and last frames of different segments that are compared to join these, the nearest in time first;
+chosen, some 20 s."""
 _REFINED_CELLS: Final = 1.0
 """Distance of the refined shift from the searched one up to which it is used, cells; rigid images agree within half a
 cell, while deforming tissue has no single shift, and a few bright details pull the refined one several pixels away."""
@@ -98,6 +99,7 @@ class FinishedTracking:
         self._twins: list[int] = []
         self._links: list[_Link] = []
         self._segment = -1
+        self._untracked = 0
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
         """See :meth:`~.methods.TrackingMethod.image`."""
@@ -123,11 +125,12 @@ class FinishedTracking:
         self._twins.append(index)
         here = self._prepared(index, image)
         self._pose = self._continue(here) or self._start_segment(here)
+        self._untracked = 0 if self._pose.state is TrackingState.TRACKED else self._untracked + 1
         self._previous = here
         return self._pose
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        """Return the poses with segments joined, and lost frames where nothing is registered.
+        """Return the poses with segments joined, and lost frames where nothing is registered, but for a lone first one.
 
         Parameters
         ----------
@@ -143,6 +146,8 @@ class FinishedTracking:
             own = [edge for edge in edges if edge.earlier in members]
             for index, (row, col) in least_squares_positions(own, min(members)).items():
                 found[index] = Pose(segment, row, col, _AT_REST, nan, nan, TrackingState.TRACKED)
+        if not found and self._twins:
+            found[0] = Pose(0, 0.0, 0.0, _AT_REST, nan, nan, TrackingState.TRACKED)
         for link in self._links:
             index = link.edge.later
             found[index] = found[index]._replace(score=link.score, sigma=link.sigma)
@@ -175,7 +180,7 @@ class FinishedTracking:
     def _continue(self, here: _Frame) -> Pose | None:
         """Register a frame to the newest tracked one of the segment."""
         last = self._tracked
-        if last is None or here.index - last.index > MAX_GAP_FRAMES:
+        if last is None or self._untracked >= MAX_GAP_FRAMES:
             return None
         link = self._link(last, here)
         if link is None:
@@ -227,8 +232,12 @@ class FinishedTracking:
 
     def _joins(self, edges: list[Edge], image: Callable[[int], NDArray[np.float32]]) -> list[Edge]:
         """Return registrations between segments: the more pairs are tried, the more odds each of them needs."""
-        ends = [_ends(sorted(members)) for members in _components(edges)]
-        pairs = [(a, b) for k, one in enumerate(ends) for other in ends[k + 1 :] for a in one for b in other]
+        ends = [sorted(members) for members in _components(edges)]
+        ends = [sorted({*frames[:2], *frames[-2:]}) for frames in ends]
+        pairs = [
+            (min(a, b), max(a, b)) for k, one in enumerate(ends) for other in ends[k + 1 :] for a in one for b in other
+        ]
+        pairs = sorted(pairs, key=lambda pair: pair[1] - pair[0])[:MAX_JOINING_PAIRS]
         held: OrderedDict[int, _Frame] = OrderedDict()
 
         def frame(index: int) -> _Frame:
@@ -241,16 +250,10 @@ class FinishedTracking:
 
         joins = []
         for earlier, later in pairs:
-            link = self._link(frame(min(earlier, later)), frame(max(earlier, later)), log(len(pairs)))
+            link = self._link(frame(earlier), frame(later), log(len(pairs)))
             if link is not None:
                 joins.append(link.edge)
         return joins
-
-
-def _ends(members: list[int]) -> list[int]:
-    """Return the first and last frames of a segment."""
-    half = JOINING_FRAMES // 2
-    return sorted({*members[:half], *members[-half:]})
 
 
 def _components(edges: Iterable[Edge]) -> list[set[int]]:
