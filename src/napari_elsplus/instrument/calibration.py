@@ -146,13 +146,18 @@ class OpticsSection(Section):
 
 
 class QualitySection(Section):
-    """Alignment error of the views: mean |L - R/gain| / mean L in the 90 % disc, raw and after the core filter."""
+    """Alignment error of the views: mean |L - R/gain| / mean L in the 90 % disc, raw and after the core filter.
+
+    ``core_filter`` names the filter: ``gaussian``, or ``median`` where the flat field does not resolve the cores.
+    """
 
     alignment_error: NonNegative
     alignment_error_filtered: NonNegative
+    core_filter: str | None = None
 
 
-def _now() -> str:
+def utc_now() -> str:
+    """Return the present time for the key `created`: ISO 8601 in UTC, to the second."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
@@ -181,7 +186,7 @@ class Calibration(Section):
 
     format: Literal["napari-elsplus/calibration"] = "napari-elsplus/calibration"
     version: Literal[1] = 1
-    created: str = Field(default_factory=_now)
+    created: str = Field(default_factory=utc_now)
     frame: FrameSection | None = None
     acquired_with: AcquiredWith | None = None
     offset: OffsetSection | None = None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, alignment_error, edge_artefact
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, edge_artefact
 from napari_elsplus.processing.analysis.resolution import (
     RESOLVED_CONTRAST,
     BarElement,
@@ -17,7 +17,7 @@ from napari_elsplus.processing.analysis.resolution import (
     nearest_usaf_1951,
     smallest_resolved_line_pair_um,
 )
-from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.calibration.cancellation import AlignmentErrors, measure_alignment_errors
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.script import recording_script
@@ -38,20 +38,6 @@ MIN_BOX_PX: Final = 5.0
 """Smallest side of a box, pixels: three bars and two gaps of one pixel each."""
 _PROFILE_SHARE: Final = 0.1
 """Half-width of the columns averaged into the profile, as a fraction of the disc's radius; chosen."""
-
-
-@dataclass(frozen=True, slots=True)
-class AlignmentErrors:
-    """Mean absolute difference of the two views over the mean of the confocal one, in the 90 % disc.
-
-    Attributes
-    ----------
-    before, after : float
-        Fractions, before and after the core filter.
-    """
-
-    before: float
-    after: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +103,8 @@ class EdgeMap:
     frames: int
 
 
-def measure_alignment(
-    stack: Stack, calibration: Calibration, frame: int, cores: CoreFilter | str = CoreFilter.MEDIAN
-) -> AlignmentErrors:
-    """Measure the alignment error of one frame, before and after the core filter.
+def measure_alignment(stack: Stack, calibration: Calibration, frame: int) -> AlignmentErrors:
+    """Measure the alignment error of one frame, before and after core filters, as the calibration does.
 
     Parameters
     ----------
@@ -130,28 +114,18 @@ def measure_alignment(
         Of the rig that acquired them.
     frame : int
         Index of the frame.
-    cores : CoreFilter or str
-        Suppression of the core pattern.
 
     Raises
     ------
     CalibrationError
-        If the calibration does not fit the frames, or has no flat field where the filter needs one.
+        If the calibration does not fit the frames.
     MeasurementError
         If the frame is dark.
     """
-    calibration.require("bundle")
-    assert calibration.bundle is not None
-    errors = []
-    for kind in (CoreFilter.NONE, CoreFilter(cores)):
-        confocal, residual = (
-            image_planes(stack.planes, calibration, mode, cores=kind)[frame] for mode in (Mode.LS, Mode.RESIDUAL)
-        )
-        errors.append(alignment_error(confocal, residual, calibration.bundle.diameter_px))
-    before, filtered = errors
-    if not np.isfinite(before):
+    errors = measure_alignment_errors(stack.planes[frame], calibration)
+    if not np.isfinite(errors.before):
         raise MeasurementError(f"frame {frame} is dark", "light the bundle from its distal end")
-    return AlignmentErrors(before, filtered)
+    return errors
 
 
 def measure_resolution(image: NDArray[np.floating], boxes_px: Sequence[Box], um_per_px: float) -> Resolution:
@@ -229,7 +203,7 @@ def quality_script(
     calibration : path-like or None
         Its calibration file.
     cores : str
-        Core filter.
+        Core filter of the resolution.
     frame : int
         Index of the frame that is measured.
     boxes_px : sequence of tuple
@@ -248,8 +222,7 @@ FRAME = {frame}
 BOXES_PX = {boxes!r}  # top, left, bottom, right of each element
 
 stack = Stack.of(recording)
-alignment = measure_alignment(stack, calibration, FRAME, {cores!r})
-print(f"alignment error: {{100 * alignment.before:.2f}} %, filtered {{100 * alignment.after:.2f}} %")
+print(f"alignment error: {{measure_alignment(stack, calibration, FRAME).text}}")
 if BOXES_PX:
     image = elsplus.section(recording, calibration, "ls", cores={cores!r})[FRAME]
     found = measure_resolution(image, BOXES_PX, calibration.um_per_px)

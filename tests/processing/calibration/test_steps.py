@@ -6,11 +6,13 @@ import pickle
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.processing.calibration.draft import Draft
+from napari_elsplus.instrument.calibration import Calibration, FrameSection
+from napari_elsplus.processing.calibration.draft import Draft, Setup
+from napari_elsplus.processing.calibration.measurements import Background
 from napari_elsplus.processing.calibration.step import REGISTERED, StepState
 from napari_elsplus.processing.calibration.steps import calibration_steps, find_step, register_step, steps_table
 
@@ -40,6 +42,15 @@ def test_a_step_is_done_once_its_section_is_in_the_calibration() -> None:
     draft = Draft(Calibration.parse({"offset": {"rows": -12.03, "uncertainty_rows": 0.01}}))
     assert find_step("offset").state(draft) == (StepState.DONE, "")
     assert find_step("galvo").state(draft) == (StepState.MISSING, "")
+
+
+def test_a_calibration_is_created_when_its_last_step_is_accepted(monkeypatch) -> None:
+    begun = Draft(Calibration.parse({"created": "2026-01-31T08:00:00Z"}))
+    monkeypatch.setattr("napari_elsplus.processing.calibration.step.utc_now", lambda: "2026-01-31T12:00:00Z")
+    background = Background(np.ones((4, 6), np.float32), 0.0, 2)
+    accepted = find_step("background").accept(begun, background, Setup(FrameSection(shape=(4, 6))))
+    assert accepted.calibration.created == "2026-01-31T12:00:00Z"
+    assert begun.calibration.created == "2026-01-31T08:00:00Z"
 
 
 def test_unknown_steps_are_refused() -> None:

@@ -74,9 +74,10 @@ def test_the_edge_map_becomes_a_layer_and_a_plot(viewer, panel, qtbot, tmp_path)
         viewer.theme = theme
 
 
-def test_what_cannot_be_done_is_one_notification(viewer, panel, said):
+def test_what_cannot_be_done_is_one_notification(viewer, panel, qtbot, said):
+    mark(panel, qtbot)
+    viewer.layers["quality elements"].add_rectangles(np.array([[10, 10], [30, 30]]))
     panel.cores.value = "interpolate"
-    panel.align.native.click()
     ((severity, message),) = said()
     assert (severity, "flat field" in message) == ("error", True)
     viewer.layers.remove("scan raw")
@@ -100,3 +101,16 @@ def test_the_script_names_the_files_and_closing_leaves_nothing(viewer, tmp_path,
         QApplication.processEvents()
         gc.collect()
     assert gone() is None
+
+
+def test_the_alignment_error_follows_the_recording_and_names_it(viewer, panel, tmp_path):
+    viewer.open(str(write_pair(tmp_path, 5, "other")), plugin=PLUGIN)
+    panel.recording.value = "scan raw"
+    panel.align.native.click()
+    assert "Alignment error</b> of scan raw, frame" in panel.numbers.text()
+    panel.recording.value = "other raw"
+    assert "Alignment error</b> of other raw, frame" in panel.numbers.text()
+    viewer.layers.remove("other raw")
+    assert "Alignment error</b> of scan raw, frame" in panel.numbers.text()
+    viewer.layers.remove("scan raw")
+    assert "Alignment error" not in panel.numbers.text()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import (
     BundleSection,
     GalvoSection,
@@ -13,11 +13,9 @@ from napari_elsplus.instrument.calibration import (
     QualitySection,
 )
 from napari_elsplus.instrument.optics import BUNDLE_UM
-from napari_elsplus.processing.analysis.image_quality import alignment_error
 from napari_elsplus.processing.calibration.bundle.view_alignment import darkness
+from napari_elsplus.processing.calibration.cancellation import measure_alignment_errors
 from napari_elsplus.processing.calibration.measurements import measure_flat_field, offset_at
-from napari_elsplus.processing.images.cores import CoreFilter
-from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
     import numpy as np
@@ -89,7 +87,7 @@ def apply_pair(draft: Draft, pair: BundlePair) -> Calibration:
         )
     above_dark = _above_dark(known, pair)
     flat = measure_flat_field(pair.image[None], above_dark) if pair.shows_flat_field else None
-    known = known.model_copy(update={"flat": flat, "quality": _quality(above_dark, pair, flat)})
+    known = known.model_copy(update={"flat": flat, "quality": _quality(known, pair, flat)})
     if draft.offset is not None:
         known = apply_offset(draft.with_calibration(known), draft.offset)
     if draft.galvo is not None:
@@ -121,7 +119,7 @@ def apply_flat_field(draft: Draft, flat: Image) -> Calibration:
     """Return the draft's calibration with a flat field, and the quality of the bundle pair that it gives."""
     update: dict[str, Any] = {"flat": flat}
     if draft.pair is not None:
-        update["quality"] = _quality(_above_dark(draft.calibration, draft.pair), draft.pair, flat)
+        update["quality"] = _quality(draft.calibration, draft.pair, flat)
     return draft.calibration.model_copy(update=update)
 
 
@@ -151,16 +149,9 @@ def _above_dark(calibration: Calibration, pair: BundlePair) -> Calibration:
     return calibration.model_copy(update={"background": darkness(pair.image, pair.confocal, pair.residual)})
 
 
-def _quality(above_dark: Calibration, pair: BundlePair, flat: Image | None) -> QualitySection:
+def _quality(calibration: Calibration, pair: BundlePair, flat: Image | None) -> QualitySection:
     """Estimate how well the two views cancel, before and after the core filter."""
-    sectioner = Sectioner(above_dark, pair.image.shape)
-    views = [sectioner.ls(pair.image), sectioner.residual(pair.image)]
-    inside = disc(sectioner.side, pair.confocal.diameter_px)
-    try:
-        smooth = CoreFilter.GAUSSIAN.prepared(flat, inside)
-    except MeasurementError:
-        smooth = CoreFilter.MEDIAN.prepared(None, inside)
+    errors = measure_alignment_errors(pair.image, calibration.model_copy(update={"flat": flat}))
     return QualitySection(
-        alignment_error=alignment_error(views[0], views[1], pair.confocal.diameter_px),
-        alignment_error_filtered=alignment_error(smooth(views[0]), smooth(views[1]), pair.confocal.diameter_px),
+        alignment_error=errors.before, alignment_error_filtered=errors.after, core_filter=errors.cores.value
     )

@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import utc_now
 
 if TYPE_CHECKING:
     import numpy as np
@@ -227,7 +228,9 @@ class CalibrationStep(Generic[T]):
         """
         outdated = {**draft.outdated, **_stale_steps(draft.calibration, setup), **self.outdates(draft, found)}
         outdated.pop(self.key, None)
-        after = replace(draft.with_setup(setup), found={**draft.found, self.key: found}, outdated=outdated)
+        measured = draft.with_setup(setup)
+        measured = measured.with_calibration(measured.calibration.model_copy(update={"created": utc_now()}))
+        after = replace(measured, found={**draft.found, self.key: found}, outdated=outdated)
         return replace(after, calibration=self.apply(after, found))
 
     def summary(self, draft: Draft, found: T, setup: Setup) -> StepSummary:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT
+from napari_elsplus.processing.calibration.cancellation import PAPER_TEXT, measure_alignment_errors
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
 from napari_elsplus.processing.calibration.step import StepSummary
 
@@ -107,9 +107,9 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
     headline = f"{alignment.model}, {alignment.uncertainty_px:.3f} px"
     if known.quality is not None:
         raw, filtered = 100 * known.quality.alignment_error, 100 * known.quality.alignment_error_filtered
-        headline = f"alignment error {raw:.1f} %\n{filtered:.2f} % after the filter"
-        paper = PAPER_ALIGNMENT_PERCENT
-        lines.append(f"the paper's alignment error: {paper[0]} %, {paper[1]} % after its filter")
+        headline = f"alignment error {raw:.2f} %\n{filtered:.2f} % after the {known.quality.core_filter} filter"
+        lines.append(measure_alignment_errors(pair.image, known).text)
+        lines.append(PAPER_TEXT)
     return StepSummary(headline, lines, warnings)
 
 

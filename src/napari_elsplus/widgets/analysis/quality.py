@@ -12,13 +12,12 @@ from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QVBoxLayout
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
-from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT
 from napari_elsplus.processing.analysis.resolution import RESOLVED_CONTRAST
+from napari_elsplus.processing.calibration.cancellation import PAPER_TEXT
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.quality import (
-    AlignmentErrors,
     EdgeMap,
     Element,
     Resolution,
@@ -44,6 +43,7 @@ if TYPE_CHECKING:
     import napari.viewer
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.calibration.cancellation import AlignmentErrors
     from napari_elsplus.viewing.quality import Box
     from napari_elsplus.viewing.stack import Stack
 
@@ -74,6 +74,8 @@ class QualityPanel(Panel):
         self.resolution: Resolution | None = None
         self.edge: EdgeMap | None = None
         self._boxes: Shapes | None = None
+        self._aligned = ""
+        self._measured = ""
         self.work = Work(self._layers_changed)
         self._build()
         self.align.clicked.connect(self.measure_alignment)
@@ -82,6 +84,7 @@ class QualityPanel(Panel):
         self.script.clicked.connect(self.copy_script)
         self.save.clicked.connect(self._ask_where_to_save)
         self.cores.changed.connect(self.measure_resolution)
+        self.recording.changed.connect(self._recording_changed)
         self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
         self.connect_signal(viewer.layers.events.removed, self._layers_changed)
         self.connect_signal(viewer.events.theme, self._theme_changed)
@@ -92,8 +95,10 @@ class QualityPanel(Panel):
         """Measure the alignment error of the displayed frame."""
         with notify_errors():
             stack, calibration, frame = self._chosen()
-            self.alignment = measure_alignment(stack, calibration, frame, self.cores.value)
-            self.show_numbers()
+            self.alignment = None
+            self._aligned = f"{self.recording.value}, frame {frame}"
+            self.alignment = measure_alignment(stack, calibration, frame)
+        self.show_numbers()
 
     def mark_elements(self) -> None:
         """Add a layer for boxes around the elements of a USAF target; each is measured when it is drawn."""
@@ -138,16 +143,13 @@ class QualityPanel(Panel):
         """Show the results."""
         parts = []
         if self.alignment is not None:
-            unfiltered, filtered = self.alignment.before, self.alignment.after
-            papers = " and ".join(f"{percent} %" for percent in PAPER_ALIGNMENT_PERCENT)
-            parts.append(
-                f"<b>Alignment error</b> {100 * unfiltered:.2f} % unfiltered, {100 * filtered:.2f} % after the "
-                f"{self.cores.value} filter (Thrapp 2021: {papers})"
-            )
-            if filtered > NOT_ALIGNMENT:
+            parts.append(f"<b>Alignment error</b> of {self._aligned}: {self.alignment.text}")
+            if self.alignment.after > NOT_ALIGNMENT:
                 parts.append(
                     "More than misalignment can explain: is the bundle lit from its distal end, and the laser off?"
                 )
+            else:
+                parts.append(f"({PAPER_TEXT})")
         if self.resolution is not None:
             parts.append(_table(self.resolution))
         if self.edge is not None:
@@ -180,9 +182,7 @@ class QualityPanel(Panel):
         self.recording = ComboBox(label="recording", choices=lambda _: calibrated_recordings(self.viewer))
         self.recording.tooltip = "Raw layers with a calibration"
         self.cores = ComboBox(label="core filter", choices=[kind.value for kind in CoreFilter], value="median")
-        self.cores.tooltip = (
-            "Suppression of the core pattern (honeycomb); the alignment error is given with and without it"
-        )
+        self.cores.tooltip = "Suppression of the core pattern (honeycomb) where the resolution is measured"
         names = ("Alignment", "Measure USAF resolution", "Edge map", "Copy as script", "Save plot...")
         self.align, self.mark, self.average, self.script, self.save = (PushButton(text=name) for name in names)
         form = Container(widgets=[self.recording, self.cores], labels=True)
@@ -239,6 +239,9 @@ class QualityPanel(Panel):
             self._boxes, self.resolution = None, None
             self.show_numbers()
         refresh_choices(self.recording)
+        if self.recording.value is None:
+            self.alignment = None
+        self._recording_changed()
         available = bool(self.recording.choices)
         idle, first = (
             available and not self.work.busy,
@@ -252,6 +255,18 @@ class QualityPanel(Panel):
         )
         set_enabled(self.average, idle, "Average the residual images of the recording", first)
         set_enabled(self.script, available, "Copy a Python script that makes these measurements", OPEN_RECORDING_FIRST)
+
+    def _recording_changed(self) -> None:
+        """Measure again what is displayed; the edge map is of the recording before."""
+        if self.recording.value == self._measured:
+            return
+        self._measured = self.recording.value
+        if self.edge is not None:
+            self.edge = None
+            self.plot.draw([])
+        if self.alignment is not None and self.recording.value is not None:
+            self.measure_alignment()
+        self.measure_resolution()
 
     def _theme_changed(self) -> None:
         self.plot.apply_theme(self.viewer.theme)
