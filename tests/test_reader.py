@@ -122,3 +122,33 @@ def test_a_closed_viewer_lets_the_recording_go(make_napari_viewer_proxy, tmp_pat
         QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)  # PySide6 keeps the rows until then
     gc.collect()
     assert recording() is None
+
+
+def test_a_recording_without_calibration_leaves_scale_bar_and_slider_of_the_others(
+    make_napari_viewer_proxy, tmp_path, said
+):
+    viewer = make_napari_viewer_proxy()
+    (tmp_path / "bare").mkdir()
+    tifffile.imwrite(tmp_path / "bare" / "bare.tif", frames())
+    write_pair(tmp_path)
+    for order in (("scan.tif", "bare/bare.tif"), ("bare/bare.tif", "scan.tif")):
+        viewer.layers.clear()
+        for name in order:
+            viewer.open(str(tmp_path / name), plugin=PLUGIN)
+        units = {tuple(str(unit) for unit in layer.units) for layer in viewer.layers}
+        assert units == {("second", "micrometer", "micrometer")}
+        assert viewer.dims.nsteps[0] <= len(frames())
+        assert viewer.layers["bare raw"].metadata["elsplus"]["calibration"] is None
+    assert any("bare raw has no calibration" in words for _, words in said())
+
+
+def test_the_depth_of_an_axial_scan_is_on_the_canvas_in_micrometres(make_napari_viewer_proxy, tmp_path):
+    viewer = make_napari_viewer_proxy()
+    write_pair(tmp_path)
+    (tmp_path / "scan.depths.csv").write_text("depth_um\n" + "\n".join(str(d) for d in (0, 5, 20, 40, 80, 160)))
+    viewer.open(str(tmp_path / "scan.tif"), plugin=PLUGIN)
+    viewer.dims.set_current_step(0, 3)
+    assert viewer.canvas.overlays.text.text == "depth 40.0 µm"
+    assert viewer.canvas.overlays.text.visible
+    viewer.layers.clear()
+    assert not viewer.canvas.overlays.text.visible

@@ -7,9 +7,11 @@ import pytest
 import tifffile
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.io import write_calibration, write_mosaic, write_stack
+from napari_elsplus.io import open_recording, write_calibration, write_mosaic, write_stack
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers, summary
+from napari_elsplus.viewing.stack import Stack
+from napari_elsplus.viewing.stack import attributes as layer_attributes
 from napari_elsplus.workflows.sectioning import section
 from pairs import FRAME_PERIOD_S, calibration, frames, write_pair
 
@@ -139,3 +141,11 @@ def test_opening_touches_no_more_than_the_first_frames(tmp_path, monkeypatch):
     monkeypatch.setattr(tifffile.TiffFrame, "asarray", counted)
     open_layers(write_pair(tmp_path, 40))
     assert len(asked) <= 2
+
+
+def test_the_calibrations_frame_rate_replaces_the_playback_rate_of_a_video(tmp_path):
+    with open_recording(write_pair(tmp_path)) as recording:
+        recording.metadata |= {"frame_period_s": 0.04, "playback": True}
+        assert layer_attributes(Stack.of(recording), "raw", calibration())["scale"][0] == pytest.approx(FRAME_PERIOD_S)
+        assert layer_attributes(Stack.of(recording), "raw", None)["scale"][0] == 0.04
+        assert recording.times_by(calibration())[1] == pytest.approx(FRAME_PERIOD_S)

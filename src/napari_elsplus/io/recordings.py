@@ -82,6 +82,19 @@ class Recording:
         with decoding(self.path, "the frames' times"):
             return self._open().times_s()
 
+    def times_by(self, calibration: Calibration | None) -> NDArray[np.float64] | None:
+        """Return the time of each frame in seconds, (T,): by a calibration if the file has but a playback rate.
+
+        Parameters
+        ----------
+        calibration : Calibration or None
+            Its frame period replaces that of a video's header, at which the video is played back.
+        """
+        period_s = None if calibration is None else calibration.frame_period_s
+        if period_s is not None and self.metadata.get("playback"):
+            return np.arange(len(self), dtype=np.float64) * period_s
+        return self.times_s
+
     @property
     def frame_numbers(self) -> NDArray[np.int64]:
         """The camera's frame numbers, (T,); a gap is a dropped frame."""

@@ -121,9 +121,9 @@ def _first_axis(stack: Stack, calibration: Calibration | None) -> dict[str, Any]
             return {"scale": 1.0, "translate": 0.0, "units": "pixel", "axis_labels": "depth"}
         first = float(stack.depth_um[0])
         return {"scale": float(steps[0]), "translate": first, "units": "um", "axis_labels": "depth"}
-    period_s = stack.metadata.get("frame_period_s")
-    if period_s is None and calibration is not None:
-        period_s = calibration.frame_period_s
+    period_s, calibrated_s = stack.metadata.get("frame_period_s"), calibration and calibration.frame_period_s
+    if calibrated_s and (period_s is None or stack.metadata.get("playback")):
+        period_s = calibrated_s
     return {
         "scale": period_s or 1.0,
         "translate": 0.0,

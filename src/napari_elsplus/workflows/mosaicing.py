@@ -7,8 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+<<<<<<< HEAD
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import TrackPoint, refuse_existing, write_mosaic, write_track
+=======
+from napari_elsplus.io import Recording, TrackPoint, refuse_existing, write_mosaic, write_track
+>>>>>>> a8611f7 (Time AVI frames by the calibration; display depths in micrometres; share axes with uncalibrated recordings)
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
@@ -208,7 +212,8 @@ def _tracked(
     Frames without a calibration are finished images.
     """
     pairs = RawPairs(raw, mode)
-    times_s = getattr(raw, "times_s", None) if times_s is None else times_s
+    if times_s is None:
+        times_s = raw.times_by(calibration) if isinstance(raw, Recording) else getattr(raw, "times_s", None)
     note = ""
     if calibration is None:
         nominal = calibration_of_finished_images(raw)

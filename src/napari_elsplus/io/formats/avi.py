@@ -38,7 +38,9 @@ class Video(FrameSource):
         self._decoder: subprocess.Popen[bytes] | None = None
         self._next = 0
         self._lock = Lock()
-        super().__init__(path, (count, rows, cols), np.dtype(np.uint8), {"frame_period_s": self._period_s})
+        super().__init__(
+            path, (count, rows, cols), np.dtype(np.uint8), {"frame_period_s": self._period_s, "playback": True}
+        )
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return frame `index`, (rows, cols) of uint8."""

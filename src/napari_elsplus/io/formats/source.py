@@ -34,7 +34,8 @@ class FrameSource(ABC):
         uint8, uint16 or float; floats are returned as float32.
     metadata : dict, optional
         What the file contains of ``um_per_px``, ``frame_period_s``, ``times_s`` (T values), ``settings`` (a dict),
-        ``software`` and ``calibration`` (JSON text).
+        ``software`` and ``calibration`` (JSON text); ``playback``, True if the period is that of playing the file back
+        and not that of the camera.
 
     Raises
     ------

@@ -101,7 +101,7 @@ def mosaic_script(stack: Stack, calibration_file: Path | None, plan: MosaicPlan)
     modes = ", ".join(f"Mode.{mode.name}" for mode in plan.modes)
     body = f"""
 plan = MosaicPlan(({modes},), {str(plan.method)!r}, Insertion.{plan.insertion.name})
-mosaics = StackMosaics(recording, calibration, plan, recording.times_s)
+mosaics = StackMosaics(recording, calibration, plan, recording.times_by(calibration))
 mosaics.run()
 for path in save_mosaics(mosaics, Path({f"{stack.name}-mosaic.ome.tif"!r}), plan, calibration):
     print(path)

@@ -112,7 +112,7 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
             "choose the calibration that belongs to it, or none",
         )
     stack = facts.get("stack")
-    times_s = stack.recording.times_s if stack is not None and stack.recording is not None else None
+    times_s = stack.recording.times_by(calibration) if stack is not None and stack.recording is not None else None
     frames = stack.planes if stack is not None and raw else _Planes(layer.data)
     if calibration is not None:
         return MosaicSource(frames, calibration, times_s, TITLES)

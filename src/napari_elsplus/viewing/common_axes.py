@@ -1,0 +1,58 @@
+"""Common axes of layers with and without a calibration, so that scale bar and sliders stay those of the calibrated."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+ADOPTED: Final = "axes_adopted"
+"""Key in the metadata of a layer whose axes are those of another layer, not measured."""
+PIXEL: Final = "pixel"
+
+
+def reference_axes(layers: Sequence[Any]) -> tuple[tuple[float, ...], tuple[str, ...]] | None:
+    """Return scale and units of the first stack (T, rows, cols) whose axes are all known; None if there is none.
+
+    Parameters
+    ----------
+    layers : sequence of napari layers
+        Those of a viewer.
+    """
+    for layer in layers:
+        units = tuple(str(unit) for unit in layer.units)
+        known = layer.ndim == 3 and PIXEL not in units and ADOPTED not in layer.metadata.get("elsplus", ())
+        if known and "elsplus" in layer.metadata:
+            return tuple(float(step) for step in layer.scale), units
+    return None
+
+
+def adopt_axes(
+    words: dict[str, Any], reference: tuple[tuple[float, ...], tuple[str, ...]] | None
+) -> tuple[dict[str, Any], bool]:
+    """Return a layer's attributes with unknown axes replaced by those of a reference, and True if any was.
+
+    Parameters
+    ----------
+    words : dict
+        Attributes of a layer (T, rows, cols): ``scale``, ``units``, ``translate`` and ``metadata``.
+    reference : tuple or None
+        From :func:`reference_axes`.
+
+    Notes
+    -----
+    The frame index and pixels then coincide with those of the other layers. Measurements take scale and timing from
+    the recording and its calibration, and remain in pixels.
+    """
+    units = [str(unit) for unit in words.get("units", ())]
+    if reference is None or len(units) != 3 or PIXEL not in units:
+        return words, False
+    scale, translate = list(words["scale"]), list(words["translate"])
+    for axis, (step, unit) in enumerate(zip(*reference, strict=True)):
+        if units[axis] == PIXEL:
+            translate[axis] *= step / scale[axis]
+            scale[axis], units[axis] = step, unit
+    facts = {**words["metadata"]["elsplus"], ADOPTED: True}
+    adopted = {"scale": tuple(scale), "translate": tuple(translate), "units": tuple(units)}
+    return {**words, **adopted, "metadata": {**words["metadata"], "elsplus": facts}}, True
