@@ -59,6 +59,21 @@ def small_engine(tmp_path, monkeypatch):
         time.sleep(0.01)
 
 
+@pytest.fixture(autouse=True)
+def questions(monkeypatch):
+    """Questions before unsaved results are lost, each answered by the value of `answer`."""
+    asked = Questions()
+    monkeypatch.setattr(
+        "napari_elsplus.widgets.shared.confirming.confirm",
+        lambda _, question: (asked.append(question), asked.answer)[1],
+    )
+    return asked
+
+
+class Questions(list[str]):
+    answer = True
+
+
 @pytest.fixture
 def said():
     """What napari was told to show, as (severity, message)."""

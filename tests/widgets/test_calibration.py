@@ -396,3 +396,18 @@ def test_micrometres_and_times_are_absent_until_they_are_entered_and_read_from_a
     panel.load(tmp_path / "cal.json")
     assert (form.bundle_um.value(), form.line_period_us.value(), form.periods_per_frame.value()) == (1000, 10, 400)
     assert panel.draft.um_per_px == known.um_per_px
+
+
+def test_closing_with_an_unsaved_calibration_asks(viewer, panel, qtbot, open_recording, tmp_path, questions):
+    window = panel.window()
+    window.show()
+    qtbot.waitUntil(lambda: window.isVisible(), timeout=10_000)
+    qtbot.wait(100)
+    from_file(qtbot, panel, "offset", open_recording / "line.tif")
+    panel.form.accept.click()
+    questions.answer = False
+    window.close()
+    assert questions == ["The calibration was not saved. Discard it?"]
+    assert window.isVisible()
+    panel.save(tmp_path / "cal.json")
+    assert panel.unsaved() == ""

@@ -17,7 +17,7 @@ from napari_elsplus.processing.analysis.resolution import (
     nearest_usaf_1951,
     smallest_resolved_line_pair_um,
 )
-from napari_elsplus.processing.calibration.cancellation import AlignmentErrors, measure_alignment_errors
+from napari_elsplus.processing.calibration.bundle.cancellation import AlignmentErrors, measure_alignment_errors
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.script import recording_script

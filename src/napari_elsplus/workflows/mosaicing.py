@@ -7,12 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-<<<<<<< HEAD
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import TrackPoint, refuse_existing, write_mosaic, write_track
-=======
 from napari_elsplus.io import Recording, TrackPoint, refuse_existing, write_mosaic, write_track
->>>>>>> a8611f7 (Time AVI frames by the calibration; display depths in micrometres; share axes with uncalibrated recordings)
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import runpy
 import signal
 import sys
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication
+from qtpy.QtWidgets import QApplication, QWidget
 
 from napari_elsplus.acquisition.engine.live_images import display_layout
 from napari_elsplus.acquisition.engine.status import Settings
@@ -24,6 +25,7 @@ from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration, recall
 from napari_elsplus.processing.calibration.lag import ScanLag
+from napari_elsplus.widgets.live.form import DEFAULT_LIMIT_S, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers
 from napari_elsplus.widgets.shared.calibration_state import AMBER
 from processes import exists
@@ -46,6 +48,7 @@ def panel(viewer, qtbot, tmp_path):
     client = panel.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
     client.use(runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()).result(60)
     panel.form.folder.value = tmp_path
+    panel.form.seconds.value = 0
     return panel
 
 
@@ -369,3 +372,18 @@ def test_closing_the_last_panel_while_it_connects_leaves_no_engine(viewer, qtbot
     may_open.set()
     qtbot.waitUntil(lambda: small_engine and not exists(small_engine[-1].pid), timeout=30_000)
     assert connection.client is None
+
+
+def test_a_recording_has_a_limit_is_described_and_opened(viewer, panel, qtbot, tmp_path):
+    assert LiveForm(QWidget()).seconds.value == DEFAULT_LIMIT_S
+    panel.form.seconds.value = 0.5
+    start(panel, qtbot)
+    assert panel.form.opening.native.isHidden()
+    panel.form.record.native.click()
+    qtbot.waitUntil(lambda: "<b>recording</b> recording-" in panel.form.status.text(), timeout=30_000)
+    qtbot.waitUntil(lambda: "<b>recorded</b> recording-" in panel.form.status.text(), timeout=30_000)
+    assert re.search(r"ome.tif: \d+ frames, \d+ MB", panel.form.status.text())
+    assert not panel.form.opening.native.isHidden()
+    panel.form.opening.native.click()
+    (path,) = tmp_path.glob("recording-*.ome.tif")
+    assert any(layer.metadata["elsplus"]["path"] == path for layer in viewer.layers)

@@ -256,3 +256,18 @@ def test_the_layers_stay_when_the_panel_goes_and_the_next_one_uses_them(viewer, 
     _, again = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic")
     make(again, qtbot)
     assert viewer.layers["mosaic ELS+"] == layer
+
+
+def test_a_live_mosaic_replaces_an_unsaved_one_of_a_recording_only_if_confirmed(
+    viewer, panel, qtbot, tmp_path, questions, monkeypatch
+):
+    make(panel, qtbot)
+    assert panel.unsaved() == "The mosaic was not saved. Discard it?"
+    monkeypatch.setattr(panel.connection, "connect", lambda *_: pytest.fail("a rig was connected"))
+    questions.answer = False
+    panel.form.going_live.native.click()
+    assert len(questions) == 1
+    assert mosaics(viewer)
+    panel.save(tmp_path / "m.ome.tif")
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+    assert panel.unsaved() == ""

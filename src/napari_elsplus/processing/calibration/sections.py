@@ -13,8 +13,8 @@ from napari_elsplus.instrument.calibration import (
     QualitySection,
 )
 from napari_elsplus.instrument.optics import BUNDLE_UM
+from napari_elsplus.processing.calibration.bundle.cancellation import measure_alignment_errors
 from napari_elsplus.processing.calibration.bundle.view_alignment import darkness
-from napari_elsplus.processing.calibration.cancellation import measure_alignment_errors
 from napari_elsplus.processing.calibration.measurements import measure_flat_field, offset_at
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QVBoxLayout
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
 from napari_elsplus.processing.analysis.resolution import RESOLVED_CONTRAST
-from napari_elsplus.processing.calibration.cancellation import PAPER_TEXT
+from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     import napari.viewer
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.calibration.cancellation import AlignmentErrors
+    from napari_elsplus.processing.calibration.bundle.cancellation import AlignmentErrors
     from napari_elsplus.viewing.quality import Box
     from napari_elsplus.viewing.stack import Stack
 

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     import napari.viewer
 
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.step import CalibrationStep
 
@@ -66,7 +67,8 @@ class CalibrationPanel(Panel):
         self._setup: Setup | None = None
         self._following: OffsetFollowing | None = None
         self._left = False
-        self._window_end = WindowCloseFilter(self, self.cleanup)
+        self._saved: Calibration | None = None
+        self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
         self._stale: dict[str, str] = {}
         self._changed = False
         self.connection = join()
@@ -186,6 +188,7 @@ class CalibrationPanel(Panel):
         with notify_errors():
             written = write_calibration(path, self.draft.calibration, force=True)
             set_active_calibration(written)
+            self._saved = self.draft.calibration
             self.sharing.activate(self.draft.calibration, written)
             show_info(f"saved {written.name}: {summary(self.draft.calibration)}")
 
@@ -205,6 +208,11 @@ class CalibrationPanel(Panel):
             copy_as_script(
                 calibration_script(self.session.sources, self.draft.bundle_um, self.draft.calibration.optics)
             )
+
+    def unsaved(self) -> str:
+        """Return a question if accepted results were not saved; else an empty string."""
+        lost = self.session.sources and self.draft.calibration is not self._saved
+        return "The calibration was not saved. Discard it?" if lost else ""
 
     def cleanup(self) -> None:
         """Stop measuring, remove the layers, release the engine and the viewer."""

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 SECTION: Final = "live"
 ONCE, CONTINUOUS, FIXED = "once", "continuous", "fixed"
+DEFAULT_LIMIT_S: Final = 10.0
+"""Default duration of a recording, seconds; chosen: 1.7 GB at 240 Hz, and several passes over a lesion."""
 KEYS: Final = {"start": "Ctrl+Return", "record": "Ctrl+Shift+R", "snap": "Ctrl+Shift+P"}
 
 
@@ -80,7 +82,7 @@ class LiveForm:
             tooltip="Folder for recordings and single frames",
         )
         self.seconds = FloatSpinBox(
-            value=0,
+            value=last.get("seconds", DEFAULT_LIMIT_S),
             min=0,
             max=36000,
             label="limit (s)",
@@ -106,6 +108,7 @@ class LiveForm:
             tooltip="Include the last seconds before Record is pressed, 0 to 1.9 s",
         )
         self.lag = lag_button()
+        self.opening = PushButton(text="Open it", tooltip="Open the newest recording as layers", visible=False)
         self.status = QLabel()
         self.status.setWordWrap(True)
         self._panel = panel
@@ -147,7 +150,7 @@ class LiveForm:
         remember(
             SECTION, folder=str(self.folder.value), cores=self.cores.value, background=self.background.value,
             flat_field=self.flat_field.value, average=self.average.value, kinds=self.chosen,
-            side_by_side=self.side_by_side.value,
+            side_by_side=self.side_by_side.value, seconds=self.seconds.value,
         )  # fmt: skip
 
     def connect(self, slots: Mapping[str, Callable[[], Any]], view: Callable[[], Any]) -> None:
@@ -203,6 +206,7 @@ class LiveForm:
         layout.addWidget(Container(widgets=form, labels=True).native)
         layout.addWidget(self.script.native)
         layout.addWidget(self.status)
+        layout.addWidget(self.opening.native)
         layout.addWidget(self.lag.native)
         layout.addStretch(1)
 

@@ -61,6 +61,7 @@ class LivePanel(EnginePanel):
         self.form = LiveForm(self)
         self.form.connect({"start": self.toggle, "record": self.toggle_recording, "snap": self.snap}, self.change_view)
         self.form.contrast.changed.connect(self._contrast_chosen)
+        self.form.opening.clicked.connect(self.open_recorded)
         self.form.lag.clicked.connect(self.measure_lag)
         self.form.script.clicked.connect(self.copy_script)
         self._timer = QTimer(self)
@@ -111,6 +112,13 @@ class LivePanel(EnginePanel):
             path = self.form.next_path("snap")
             self.requests.follow(client.record(RecordingPlan(path, frames=1)), lambda _: show_info(f"saved {path}"))
 
+    def open_recorded(self) -> None:
+        """Open the newest recording as layers."""
+        client = self.connection.client
+        recorded = None if client is None else client.status.recording
+        if recorded is not None and not recorded.running:
+            self.viewer.open(recorded.path, plugin="napari-elsplus")
+
     def change_view(self) -> None:
         """Apply the form's processing to live images."""
         self.form.remember()
@@ -145,6 +153,8 @@ class LivePanel(EnginePanel):
         self.form.set_enabled(live=live, busy=busy, calibrating=calibrating, recording=recording)
         calibration, file = self.connection.calibration, self.connection.calibration_file
         self.form.lag.visible = status is not None and not calibrating and bool(lag_advice(calibration))
+        recorded = status is not None and status.recording is not None and not recording
+        self.form.opening.visible = recorded
         self.form.lag.enabled = not busy and not recording
         self.form.status.setText(status_text(status, calibration, self._display_hz, busy=busy, calibration_file=file))
         self._show_new_faults(status)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import suppress
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -44,15 +46,14 @@ def status_text(
     if status.progress is not None:
         return f"Calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
     if not status.live:
-        return "<br>".join(["Starting..." if busy else "Stopped.", *calibration_lines(calibration, calibration_file)])
+        begun = ["Starting..." if busy else "Stopped.", *_recorded(status)]
+        return "<br>".join([*begun, *calibration_lines(calibration, calibration_file)])
     lost = ", ".join(f"{count} {cause}" for cause, count in status.dropped.items()) or "none"
     lines = [
         f"camera {status.camera_hz:.0f} Hz, display {display_hz:.0f} Hz, latency {status.latency_ms.p50:.1f} ms",
         f"lost: {lost}",
     ]
-    if status.recording is not None and status.recording.running:
-        left = shutil.disk_usage(Path(status.recording.path).parent).free / status.disk_bytes_per_s / 60
-        lines.append(f"<b>recording</b> {status.recording.frames} frames; {left:.0f} min of disk space left")
+    lines += _recorded(status)
     measures = status.measures
     lines.append(f"saturated {100 * measures.saturated:.2f} %, sharpness (relative) {measures.focus:.3g}")
     if measures.saturated > SATURATION_WARNING_SHARE:
@@ -60,3 +61,21 @@ def status_text(
     lines += [f"stale: {section} ({reason})" for section, reason in status.stale.items()]
     lines += calibration_lines(calibration, calibration_file)
     return "<br>".join(lines)
+
+
+def _recorded(status: Status) -> list[str]:
+    """Return name, frames, duration and size of the newest recording, and the free disk space while it runs."""
+    recording = status.recording
+    if recording is None:
+        return []
+    path, running = Path(recording.path), recording.running
+    parts = [f"{path.name}: {recording.frames} frames"]
+    if running and isfinite(status.camera_hz) and status.camera_hz > 0:
+        parts.append(f"{recording.frames / status.camera_hz:.1f} s")
+    with suppress(OSError):
+        parts.append(f"{path.stat().st_size / 1e6:.0f} MB")
+    line = f"<b>{'recording' if running else 'recorded'}</b> {', '.join(parts)}"
+    if running:
+        left = shutil.disk_usage(path.parent).free / status.disk_bytes_per_s / 60
+        line += f"; {left:.0f} min of disk space left"
+    return [line]

@@ -23,6 +23,7 @@ from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
 from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
+from napari_elsplus.widgets.shared import window_close
 from napari_elsplus.widgets.shared.calibration_state import lag_advice
 from napari_elsplus.widgets.shared.choosing import chosen_image, refresh_choices
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
@@ -31,7 +32,7 @@ from napari_elsplus.widgets.shared.panel import copy_as_script, notify_errors
 from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     import napari.viewer
     from napari.layers import Image
@@ -59,6 +60,7 @@ class MosaicPanel(EnginePanel):
         self.work = Work(self._ended)
         self._stack: StackMosaics | None = None
         self._shown: StackMosaics | LiveMosaicView | None = None
+        self._saved: StackMosaics | LiveMosaicView | None = None
         self._source: MosaicSource | None = None
         self._hidden: list[Any] = []
         self._ticks = 0
@@ -128,8 +130,11 @@ class MosaicPanel(EnginePanel):
 
     def toggle_live(self) -> None:
         """Insert the live stream into a mosaic, connecting and starting first if needed; or stop."""
-        self._following_live = True
         client = self.connection.client
+        replaced = isinstance(self._shown, StackMosaics) and not self.live and self.unsaved()
+        if replaced and not window_close.confirm(self, f"The live mosaic replaces that of the recording. {replaced}"):
+            return
+        self._following_live = True
         if client is not None and client.status.progress is not None:
             self.requests.follow(client.cancel())
         elif client is not None and self.live:
@@ -158,6 +163,11 @@ class MosaicPanel(EnginePanel):
             self._stale = not whole
         if self._ticks % WHOLE_TICKS == WHOLE_TICKS // 2:
             self.refresh()  # at another tick, because both take long in the window's thread
+
+    def unsaved(self) -> str:
+        """Return a question if the mosaic was not saved; else an empty string."""
+        lost = self._shown is not None and self._shown is not self._saved
+        return "The mosaic was not saved. Discard it?" if lost else ""
 
     def clear(self) -> None:
         """Remove the mosaics, and restore hidden layers."""
@@ -209,7 +219,7 @@ class MosaicPanel(EnginePanel):
             self.work.begin(
                 0,
                 lambda: save_mosaics(shown, path, shown.plan, shown.calibration, force=path.exists()),
-                lambda paths: show_info("saved " + ", ".join(one.name for one in paths)),
+                lambda paths: self._mosaic_saved(shown, paths),
             )
             self.refresh()
 
@@ -284,6 +294,10 @@ class MosaicPanel(EnginePanel):
     def _leave_live(self) -> None:
         if isinstance(self._shown, LiveMosaicView):
             self._shown.close()
+
+    def _mosaic_saved(self, saved: StackMosaics | LiveMosaicView, paths: Sequence[Path]) -> None:
+        self._saved = saved
+        show_info("saved " + ", ".join(one.name for one in paths))
 
     def _made(self, mosaics: StackMosaics) -> None:
         for note in mosaics.notes:

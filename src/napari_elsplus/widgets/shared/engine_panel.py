@@ -44,10 +44,14 @@ class EnginePanel(Panel):
         self.connection = join()
         self.requests = PendingRequests(self, self.refresh)
         self._closed = False
-        self._window_end = WindowCloseFilter(self, self.cleanup)
+        self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
 
     def refresh(self) -> None:
         """Update what the panel shows; called after each answer of the engine, and by the panel's own timer."""
+
+    def unsaved(self) -> str:
+        """Return a question if closing the window would lose a result; else an empty string."""
+        return ""
 
     def activate_calibration(self, client: EngineClient, then: Callable[[], None] = lambda: None) -> None:
         """Apply the active calibration to a rig that has none, then go on, whether the rig accepts it or not.
