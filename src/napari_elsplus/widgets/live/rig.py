@@ -18,6 +18,7 @@ from napari_elsplus.instrument.optics import PRESETS, preset
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.formats.registry import CALIBRATION, dialog_filter
 from napari_elsplus.io.settings import recall, remember, set_active_calibration
+from napari_elsplus.widgets.live.rehearsal import Rehearsal
 from napari_elsplus.widgets.shared.calibration_state import calibration_lines, lag_advice, lag_button
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import notify_errors
@@ -158,12 +159,14 @@ class RigPanel(EnginePanel):
         )
         self.lag.visible = connected and bool(lag_advice(self.connection.calibration))
         self.lag.enabled = not busy
+        self.rehearsal.allow(not connected and not busy)
         self.optics.setText(self._optics())
         self.status.setText(self._status_text(client, busy))
 
     def cleanup(self) -> None:
         """Release the engine and disconnect from the viewer."""
         self._timer.stop()
+        self.rehearsal.cleanup()
         super().cleanup()
 
     def _build(self) -> None:
@@ -204,7 +207,9 @@ class RigPanel(EnginePanel):
         files = [self.calibrate_simulated, self.open_file, self.save_file]
         calibration = Container(widgets=files, layout="horizontal", labels=False)
         layout = QVBoxLayout(self)
-        for part in (form.native, self.optics, buttons.native, calibration.native, self.status, self.lag.native):
+        self.rehearsal = Rehearsal()
+        rows = (form.native, self.optics, buttons.native, calibration.native, self.status, self.lag.native)
+        for part in (*rows, self.rehearsal):
             layout.addWidget(part)
         layout.addStretch(1)
         self.connect.clicked.connect(self.toggle)
