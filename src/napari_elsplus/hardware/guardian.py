@@ -128,6 +128,7 @@ class Guardian:
         self._lock = threading.Lock()
         self._dismissed = threading.Event()
         self._reports: list[DeviceError] = []
+        self._subscribers: list[Callable[[DeviceError], None]] = []
         self._process = GuardianProcess(order)
         if not self._process.wait_until_ready():
             self._process.end()
@@ -154,6 +155,10 @@ class Guardian:
     def reports(self) -> tuple[DeviceError, ...]:
         """What has happened to guardians, oldest first."""
         return tuple(self._reports)
+
+    def on_report(self, callback: Callable[[DeviceError], None]) -> None:
+        """Call `callback` with every later report, in the thread that supervises."""
+        self._subscribers.append(callback)
 
     def revise(self, volts: float) -> None:
         """Park at another voltage, in volts, if this process dies; also for every replacement."""
@@ -204,6 +209,8 @@ class Guardian:
             return self._reports[-1]
         report = DeviceError(problem, "find out what ended it (memory, or another program), then start again")
         self._reports.append(report)
+        for callback in tuple(self._subscribers):
+            callback(report)
         return report
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from functools import partial
 from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import DeviceError, InputError
@@ -52,6 +53,8 @@ class GalvoController:
         self.scanning = False
         self._faults = faults
         self._end_subscription = rig.scanner.on_park_state(self._note)
+        if rig.guardian is not None:
+            rig.guardian.on_report(partial(faults.add, "guardian"))
 
     def waveform(self, calibration: Calibration | None) -> Waveform | None:
         """Return the scan by a calibration; None without its galvo and bundle sections.
