@@ -94,3 +94,15 @@ def test_version_help_and_errors_load_nothing_heavy(argument: str, code: int) ->
     assert (done.returncode, done.stdout.splitlines()[-1]) == (code, "[]")
     if argument == "--version":
         assert done.stdout.startswith(f"napari-elsplus, version {napari_elsplus.__version__}\n")
+
+
+def test_a_wrong_option_of_process_is_refused_before_numerics_are_imported() -> None:
+    run = (
+        "import sys; from napari_elsplus.cli import main\n"
+        "try: main(['process', '--wrong'])\n"
+        "finally: print([m for m in ('napari', 'qtpy', 'cv2', 'numba', 'scipy') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "No such option '--wrong'" in done.stderr
+    assert done.stdout == "[]\n"

@@ -14,7 +14,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io import refuse_existing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     Item = TypeVar("Item")
 
@@ -41,6 +41,25 @@ class _Named(click.Path):
         if value == "":
             raise InputError("the name of a file or folder is empty", "name one")
         return super().convert(value, param, ctx)
+
+
+class LazyChoice(click.Choice):  # type: ignore[type-arg, unused-ignore] # generic since click 8.2
+    """A choice whose values are computed when they are needed: naming a wrong option needs none.
+
+    Parameters
+    ----------
+    values : callable
+        Returns the values.
+    """
+
+    def __init__(self, values: Callable[[], Iterable[str]]) -> None:
+        self._values = values
+        self.case_sensitive = True
+
+    @property
+    def choices(self) -> tuple[str, ...]:  # type: ignore[override, unused-ignore]
+        """The values."""
+        return tuple(self._values())
 
 
 FILE = _Named(path_type=Path)

@@ -1,4 +1,7 @@
-"""``process``: raw frames to LS, residual, ELS+ or ELSA images."""
+"""``process``: raw frames to LS, residual, ELS+ or ELSA images.
+
+What computes is imported when the command is executed, so that a wrong option is refused at once.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,32 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, progress, refuse_outputs
+from napari_elsplus.cli.options import (
+    FILE,
+    LazyChoice,
+    calibration_option,
+    force_option,
+    output_option,
+    progress,
+    refuse_outputs,
+)
 from napari_elsplus.io import open_recording, read_calibration
 from napari_elsplus.io.formats.registry import supported_recordings
-from napari_elsplus.processing.images.cores import CoreFilter
-from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.workflows.sectioning import section
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+
+def _modes() -> list[str]:
+    from napari_elsplus.processing.images.sectioning import Mode
+
+    return [mode.value for mode in Mode]
+
+
+def _core_filters() -> list[str]:
+    from napari_elsplus.processing.images.cores import CoreFilter
+
+    return [kind.value for kind in CoreFilter]
 
 
 @click.command(
@@ -24,15 +44,15 @@ if TYPE_CHECKING:
 @calibration_option
 @click.option(
     "--mode",
-    type=click.Choice([mode.value for mode in Mode]),
-    default=Mode.ELS.value,
+    type=LazyChoice(_modes),
+    default="els",
     show_default=True,
     help="Image type: confocal (ls), aligned residual, their difference in one frame (els) or in two (elsa).",
 )
 @click.option(
     "--cores",
-    type=click.Choice([kind.value for kind in CoreFilter]),
-    default=CoreFilter.NONE.value,
+    type=LazyChoice(_core_filters),
+    default="none",
     show_default=True,
     help="Suppression of the core pattern.",
 )
@@ -41,6 +61,8 @@ if TYPE_CHECKING:
 @force_option
 def command(raw: Path, calibration: Path, mode: str, cores: str, flat_field: bool, output: Path, force: bool) -> None:
     """Section the raw frames of RAW: float32 grey levels, signed, written as OME-TIFF (T, n, n)."""
+    from napari_elsplus.workflows.sectioning import section
+
     refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
