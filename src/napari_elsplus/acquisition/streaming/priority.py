@@ -17,8 +17,9 @@ the tracking thread acquires the lock after each of its ten or so kernels per fr
 def settle_memory() -> None:
     """Exclude all objects that exist now from garbage collection, which stops every thread for tenths of a second.
 
-    To be called once in a process, when everything is allocated that is needed while frames stream.
+    To be called when everything is allocated that is needed while frames stream.
     """
+    gc.unfreeze()  # what an earlier call excluded may be garbage now, such as the engine of a rig that was closed
     gc.collect()
     gc.freeze()
 
