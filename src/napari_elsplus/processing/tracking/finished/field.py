@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 from math import ceil, floor
 from typing import TYPE_CHECKING, Any, Final
 
@@ -152,7 +153,7 @@ class FinishedField:
 
 def _lit_disc(stack: Sequence[NDArray[np.float32]]) -> tuple[tuple[float, float], float]:
     """Return the centre (row, col) and diameter, pixels, of the largest disc that is lit; the image's where unclear."""
-    brightest = np.max(np.stack(stack), axis=0)
+    brightest = reduce(np.maximum, stack)
     rows, cols = brightest.shape
     whole = ((rows - 1) / 2, (cols - 1) / 2), float(min(rows, cols))
     lit = (brightest > _LIT * np.percentile(brightest, 99)).astype(np.uint8)
