@@ -1,8 +1,8 @@
 """Tracking of finished images of any microscope: soft texture, large moves, frames without contact, repeated frames.
 
 Each image is registered to the last tracked one over all shifts and accepted by its odds
-(:mod:`~napari_elsplus.processing.tracking.finished.shift_odds`); the accepted shift is refined at full resolution
-by Lucas-Kanade. No rolling shutter is corrected: how other microscopes scan is unknown.
+(:mod:`~napari_elsplus.processing.tracking.finished.shift_odds`); the accepted shift is refined by
+Lucas-Kanade. No rolling shutter is corrected: how other microscopes scan is unknown.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.processing.tracking.finished.shift_odds import MIN_ODDS_NATS, ShiftOdds, SpectraOfImage
-from napari_elsplus.processing.tracking.front_end.grid import FIELD
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares_positions
@@ -39,6 +39,11 @@ differ by 1.4, a recompressed copy by less than 0.1."""
 MAX_JOINING_PAIRS: Final = 1000
 """Pairs of first and last frames of different segments that are compared to join these, the nearest in time first;
 chosen, some 20 s."""
+REFINED_DIAMETER_PX: Final = 240.0
+"""Diameter to which fields are binned for the refinement, as raw frames are: finer than that, what is left of the cores
+does not move with the tissue."""
+_BINOMIAL: Final = np.array([1, 4, 6, 4, 1], np.float32) / 16
+"""Smoothing of binned images, as of raw frames."""
 _REFINED_CELLS: Final = 1.0
 """Distance of the refined shift from the searched one up to which it is used, cells; rigid images agree within half a
 cell, while deforming tissue has no single shift, and a few bright details pull the refined one several pixels away."""
@@ -89,12 +94,14 @@ class FinishedTracking:
         self.grid = field.grid
         self._field = field
         self._odds = ShiftOdds(field.mask, field.coarse_diameter)
-        self._registrar = Registrar(field.grid)
+        self._binning = max(1, round(FIELD * self.grid.diameter / REFINED_DIAMETER_PX))
+        self._registrar = Registrar(_binned(self.grid, self._binning))
         self._image = np.zeros((self.grid.side,) * 2, np.float32)
         y, x = (np.arange(self.grid.side) - c for c in self.grid.centre)
         self._inside = np.hypot(y[:, None], x) < 0.5 * FIELD * self.grid.diameter - 1
         self._tracked: _Frame | None = None
         self._previous: _Frame | None = None
+        self._previous_image = np.zeros_like(self._image)
         self._pose = Pose(0, nan, nan, _UNKNOWN, nan, nan, TrackingState.LOST)
         self._twins: list[int] = []
         self._links: list[_Link] = []
@@ -119,7 +126,7 @@ class FinishedTracking:
         """See :meth:`~.methods.TrackingMethod.estimate_pose`; a repeated frame has the pose of its twin."""
         index = len(self._twins)
         previous = self._previous
-        if previous is not None and self._repeats(image, previous.view.image):
+        if previous is not None and self._repeats(image, self._previous_image):
             self._twins.append(self._twins[-1])
             return self._pose
         self._twins.append(index)
@@ -127,6 +134,7 @@ class FinishedTracking:
         self._pose = self._continue(here) or self._start_segment(here)
         self._untracked = 0 if self._pose.state is TrackingState.TRACKED else self._untracked + 1
         self._previous = here
+        self._previous_image[:] = image
         return self._pose
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
@@ -174,7 +182,9 @@ class FinishedTracking:
 
     def _prepared(self, index: int, image: NDArray[np.float32]) -> _Frame:
         view = self._registrar.view()
-        view.image[:] = image
+        side, used = len(view.image), len(view.image) * self._binning
+        binned = cv2.resize(image[:used, :used], (side, side), interpolation=cv2.INTER_AREA)
+        view.image[:] = cv2.sepFilter2D(binned, -1, _BINOMIAL, _BINOMIAL) if self._binning > 1 else binned
         return _Frame(index, self._registrar.prepare(view), self._odds.spectra(self._field.coarse_logarithm(image)))
 
     def _continue(self, here: _Frame) -> Pose | None:
@@ -214,11 +224,12 @@ class FinishedTracking:
             return None
         px = self._field.pixels_per_cell
         row, col = found.row * px, found.col * px
-        fine = self._registrar.link(earlier.view, later.view, Warp(1.0, row, 0.0, col), _SPREAD)
+        q = self._binning
+        fine = self._registrar.link(earlier.view, later.view, Warp(1.0, row / q, 0.0, col / q), _SPREAD)
         covariance = (_SEARCH_SIGMA_CELLS * px) ** 2 * np.eye(2)
-        refined = fine.correlation > 0 and hypot(fine.warp.b - row, fine.warp.d - col) < _REFINED_CELLS * px
+        refined = fine.correlation > 0 and hypot(q * fine.warp.b - row, q * fine.warp.d - col) < _REFINED_CELLS * px
         if refined and np.isfinite(fine.covariance).all():
-            row, col, covariance = fine.warp.b, fine.warp.d, fine.covariance + 1e-4 * np.eye(2)
+            row, col, covariance = q * fine.warp.b, q * fine.warp.d, q**2 * fine.covariance + 1e-4 * np.eye(2)
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
         return _Link(Edge(earlier.index, later.index, (-row, -col), covariance), found.correlation, sigma)
 
@@ -254,6 +265,13 @@ class FinishedTracking:
             if link is not None:
                 joins.append(link.edge)
         return joins
+
+
+def _binned(grid: Grid, binning: int) -> Grid:
+    """Return a grid of coarser pixels; what is left over at its end is cut off."""
+    row, col = ((c - (binning - 1) / 2) / binning for c in grid.centre)
+    side = grid.side // binning // 4 * 4
+    return Grid(side, binning, grid.origin, (row, col), grid.diameter / binning, grid.shutter)
 
 
 def _components(edges: Iterable[Edge]) -> list[set[int]]:
