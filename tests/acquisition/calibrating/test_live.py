@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
+from napari_elsplus.acquisition.calibrating import live
 from napari_elsplus.acquisition.calibrating.capture import find_span
 from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
 from napari_elsplus.acquisition.engine.engine import Engine
@@ -11,6 +14,7 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.instrument.optics import preset
+from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.simulation.specimen.scenes import empty
 
 
@@ -51,3 +55,22 @@ def test_without_a_line_the_search_says_so_and_the_calibration_before_stays(cali
 def test_a_real_rig_does_not_calibrate_itself(rig: object, engine: Engine) -> None:
     with pytest.raises(InputError, match="cannot be calibrated without its user"):
         calibrate_simulated(rig, engine)  # type: ignore[arg-type]
+
+
+def test_following_the_offset_parks_before_the_hold_limit_and_holds_again(engine, rig, calibration, monkeypatch):
+    monkeypatch.setattr(live, "REST_S", 0.05)
+    engine.galvo.hold_limit_s = 0.3
+    reports, published, end_s = [], [], time.monotonic() + 30
+    live.follow_offset(
+        engine,
+        Draft(calibration),
+        published.append,
+        lambda: rig.scanner.calls.count("hold") < 3 and time.monotonic() < end_s,
+        lambda text, done_s, total_s: reports.append(text),
+    )
+    moves = [call for call in rig.scanner.calls if call in ("hold", "park")]
+    assert moves[moves.index("hold") :][:5] == ["hold", "park", "hold", "park", "hold"]
+    assert rig.scanner.volts == rig.scanner.park_v
+    assert published
+    assert any("(hold limit 0.3 s)" in text for text in reports)
+    assert any("held again" in text for text in reports)

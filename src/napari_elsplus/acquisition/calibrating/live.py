@@ -38,6 +38,10 @@ SWEEP_VOLTAGES: Final = 400
 """Of the galvo map; as many as the paper takes."""
 FOLLOW_INTERVAL_S: Final = 6e-3
 """Shortest time from one offset to the next; chosen: 120 Hz needs no more, and leaves time to the window."""
+HELD_SHARE: Final = 0.8
+"""Share of the rig's hold limit for which the line is held at a time; chosen: the limit itself is a fault."""
+REST_S: Final = 3.0
+"""Seconds for which the line is parked between holds; chosen: a sixth of the time for the target to recover."""
 SWEEP_REACH: Final = 0.55
 """Of the bundle's diameter to either side of its centre; chosen: a tenth beyond the rim."""
 MEASURED_FIRST: Final = ("pair", "offset", "galvo")
@@ -150,8 +154,11 @@ def follow_offset(
     draft: Draft,
     publish: Callable[[SlitOffset | MeasurementError], None],
     keep_on: Callable[[], bool],
+    report: Callable[[str, float, float], None] = lambda _text, _done_s, _total_s: None,
 ) -> None:
-    """Measure the slit offset in frame after frame while the tilt mirror is being turned, the line held.
+    """Measure the slit offset in frame after frame while the tilt mirror is being turned, without end.
+
+    The line is held; before the rig's hold limit it is parked for a rest, and held again.
 
     Parameters
     ----------
@@ -163,20 +170,36 @@ def follow_offset(
         Receives each offset, or the reason why there is none.
     keep_on : callable
         Called before each frame; False ends the measurement.
+    report : callable
+        Receives the state of the line with the seconds that are left, the seconds passed, and their total.
     """
     volts = LiveMeasurement(engine).middle_v(draft)
     follower = OffsetFollower(draft.calibration.background)
+    limit_s = engine.galvo.hold_limit_s
+    held_s = HELD_SHARE * limit_s
     with streaming(engine):
-        engine.hold(volts)
-        frame = settled_frames(engine, 1)[0]
         while keep_on():
-            next_s = time.perf_counter() + FOLLOW_INTERVAL_S
-            try:
-                publish(follower.measure(frame))
-            except MeasurementError as error:
-                publish(error)
-            time.sleep(max(next_s - time.perf_counter(), 0.0))
-            frame = engine.fresh_frames(1)[0]
+            engine.hold(volts)
+            begun_s = time.perf_counter()
+            frame = settled_frames(engine, 1)[0]
+            while keep_on() and (passed_s := time.perf_counter() - begun_s) < held_s:
+                report(_held_text(held_s - passed_s, limit_s), passed_s, held_s)
+                next_s = time.perf_counter() + FOLLOW_INTERVAL_S
+                try:
+                    publish(follower.measure(frame))
+                except MeasurementError as error:
+                    publish(error)
+                time.sleep(max(next_s - time.perf_counter(), 0.0))
+                frame = engine.fresh_frames(1)[0]
+            engine.park()
+            begun_s = time.perf_counter()
+            while keep_on() and (passed_s := time.perf_counter() - begun_s) < REST_S:
+                report(f"line parked; held again in {REST_S - passed_s:.0f} s", passed_s, REST_S)
+                time.sleep(FOLLOW_INTERVAL_S)
+
+
+def _held_text(left_s: float, limit_s: float) -> str:
+    return f"line held; it parks in {left_s:.0f} s for {REST_S:g} s (hold limit {limit_s:g} s), then goes on"
 
 
 def calibrate_rig(

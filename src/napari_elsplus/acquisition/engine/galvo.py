@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.parking import ParkStage
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.scan.waveform import Waveform
     from napari_elsplus.instrument.calibration import Calibration
 
+DEFAULT_HOLD_LIMIT_S: Final = 20.0
+"""Hold limit of rig files that name none, seconds."""
 _log = logging.getLogger(__name__)
 
 
@@ -43,6 +45,8 @@ class GalvoController:
     ----------
     scanning : bool
         True if the last command was to scan.
+    hold_limit_s : float
+        Seconds after which the rig parks a line that is held still; 20 where its scanner has no such attribute.
     """
 
     def __init__(self, rig: Rig, setup: CameraSetup, operations: Operations, faults: FaultLog) -> None:
@@ -50,6 +54,7 @@ class GalvoController:
         self._operations = operations
         self._rig_park_v = rig.scanner.park_v
         self.limits: GalvoLimits = rig.limits
+        self.hold_limit_s: float = getattr(rig.scanner, "hold_limit_s", DEFAULT_HOLD_LIMIT_S)
         self.scanning = False
         self._faults = faults
         self._end_subscription = rig.scanner.on_park_state(self._note)

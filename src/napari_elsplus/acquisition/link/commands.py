@@ -226,7 +226,9 @@ class Commands:
         from napari_elsplus.processing.calibration.steps import OFFSET
 
         with target_placed(session.rig, OFFSET.target):
-            follow_offset(session.engine, draft, session.offsets.put, lambda: not session.cancelled)
+            follow_offset(
+                session.engine, draft, session.offsets.put, lambda: not session.cancelled, session.report_progress
+            )
 
     @command(needs_rig=False)
     def newest_offset(session: Session, number: int) -> tuple[int, SlitOffset | MeasurementError] | None:

@@ -145,6 +145,10 @@ class Session:
                 if not done and engine.calibration is not before and self._opened is not None:
                     engine.use(before, scan=False)
 
+    def report_progress(self, step: str, done: float, total: float) -> None:
+        """Put a step and its progress in whole seconds, `done` of `total`, into the status."""
+        self._progress = Progress(step, int(done), max(round(total), 1))
+
     def watch(self, step: str) -> ProgressWrapper:
         """Return what wraps the numbers of a step's parts: it counts them in the status, and ends when cancelled."""
 

@@ -64,6 +64,8 @@ class DaqScanner:
         """Held for calls to the card; `park` waits for it in no thread but the scanner's own."""
         self._parking = Parking(self._output, card.park_v)
         self._interlock = Interlock(card)
+        self.hold_limit_s = card.hold_limit_s
+        """Seconds after which a line that is held still is parked."""
         self._frames: Callable[[], int] | None = None
         self._fault: DeviceError | None = None
         self._waveform: Waveform | None = None

@@ -321,9 +321,7 @@ class CalibrationPanel(Panel):
             show_error(str(error))
         client = self.connection.client
         progress = None if client is None else client.status.progress
-        if self._following is not None:
-            self.work.show_step("following the slit offset", 0, 0)
-        elif self.work.busy and progress is not None:
+        if self.work.busy and progress is not None:
             self.work.show_step(progress.step, progress.done, progress.total)
         stale = {} if client is None else dict(client.status.stale)
         if client is not None and stale != self._stale and not self.work.busy:
