@@ -63,10 +63,8 @@ def small_engine(tmp_path, monkeypatch):
 def questions(monkeypatch):
     """Questions before unsaved results are lost, each answered by the value of `answer`."""
     asked = Questions()
-    monkeypatch.setattr(
-        "napari_elsplus.widgets.shared.confirming.confirm",
-        lambda _, question: (asked.append(question), asked.answer)[1],
-    )
+    confirm = lambda _, question: (asked.append(question), asked.answer)[1]  # noqa: E731
+    monkeypatch.setattr("napari_elsplus.widgets.shared.window_close.confirm", confirm)
     return asked
 
 
