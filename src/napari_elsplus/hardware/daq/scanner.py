@@ -189,6 +189,7 @@ class DaqScanner:
         """Hold the lock while the galvo is moved; whatever goes wrong parks it."""
         with self._lock:
             self._refuse_while_parking()
+            self._drop_lost_tasks()
             self._waveform, self._fault = None, None
             self._parking.begin(ParkStage.DRIVEN)
             try:
@@ -255,14 +256,17 @@ class DaqScanner:
 
     def _attempt(self) -> None:
         self._waveform = None
-        if self._tasks_lost.is_set():
-            self._tasks_lost.clear()
-            with contextlib.suppress(DeviceError):  # they ended with the reset
-                self._output.clear()
+        self._drop_lost_tasks()
         if self._parking.attempt().parked:
             self._volts = self._parking.volts
             self._interlock.rest()
             self._parks.clear()
+
+    def _drop_lost_tasks(self) -> None:
+        if self._tasks_lost.is_set():
+            self._tasks_lost.clear()
+            with contextlib.suppress(DeviceError):  # they ended with the reset
+                self._output.clear()
 
     def _fault_now(self) -> DeviceError | None:
         try:
@@ -290,6 +294,8 @@ class DaqScanner:
 
     def _bypass(self) -> None:
         """Reset the card and park it by tasks of its own while another thread is stuck in a call."""
+        if self._parking.state.parked:  # the call has returned meanwhile
+            return
         problem = "a call to the card did not return, so the card was reset and the galvo parked"
         self._fault = self._fault or DeviceError(problem, "check its cable, then start again")
         self._tasks_lost.set()
