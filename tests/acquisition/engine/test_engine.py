@@ -21,6 +21,7 @@ from napari_elsplus.errors import CalibrationError, DeviceError, InputError
 from napari_elsplus.hardware.parking import ParkStage, ParkState
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import RecordingWriter, open_recording
+from napari_elsplus.processing.images.sectioning import side_px
 from napari_elsplus.workflows.sectioning import section
 
 
@@ -56,7 +57,12 @@ def test_every_frame_has_its_result(engine: Engine, calibration: Calibration) ->
 
 def test_live_images_are_those_of_the_pipeline(engine: Engine, calibration: Calibration) -> None:
     background = np.full((524, 1328), 3, np.float32)
-    engine.use(calibration.model_copy(update={"background": background}))
+    assert calibration.bundle is not None
+    on_grid = tuple(
+        c + (side_px(calibration.bundle.diameter_px) - 1) / 2 % 1 for c in calibration.bundle.confocal_centre
+    )
+    bundle = calibration.bundle.model_copy(update={"confocal_centre": on_grid})  # live images are on the camera's grid
+    engine.use(calibration.model_copy(update={"background": background, "bundle": bundle}))
     engine.start()
     until(lambda: engine.status().processed > 12)
     engine.stop()

@@ -305,6 +305,8 @@ class DaqScanner:
             output.put(self.park_v)
             output.confirm(self.park_v)
         output.release()
+        self._parks.set()  # by the scanner's own tasks once more, those before the reset are gone
+        self._wake.set()
 
 
 def _as_fault(error: Exception) -> DeviceError:
