@@ -225,16 +225,11 @@ class Scanning(RuleBasedStateMachine):
 
 
 COMMON: dict[str, Any] = {"stateful_step_count": 15, "deadline": None, "suppress_health_check": list(HealthCheck)}
-BYPASSED = (
-    "hardware/daq/scanner.py: after 0.3 s `park` resets a card that refuses although no call is stuck; where the card "
-    "accepts at that moment, the reset follows the confirmation, and the line is on the bundle at 0 V, reported parked"
-)
 TestScanning = Scanning.TestCase
 TestScanning.settings = settings(max_examples=200, derandomize=True, **COMMON)
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason=BYPASSED)
 def test_scanning_at_length() -> None:
     run_state_machine_as_test(Scanning, settings=settings(max_examples=10_000, **COMMON))
 
@@ -246,7 +241,6 @@ def scanning() -> Iterator[Scanning]:
     machine.teardown()
 
 
-@pytest.mark.xfail(strict=True, reason=BYPASSED)
 def test_a_card_that_accepts_when_parking_would_be_bypassed_stays_parked(scanning: Scanning) -> None:
     scanning.refuse(0.28125)
     scanning.park()
