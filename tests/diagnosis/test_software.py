@@ -28,11 +28,11 @@ def test_this_installation_is_whole() -> None:
 
 def test_a_package_that_is_absent_or_too_old_is_named_with_the_command() -> None:
     with pytest.MonkeyPatch.context() as monkeypatch:
-        pretend(monkeypatch, numba=None, zarr="2.18.0")
+        pretend(monkeypatch, numba=None, tifffile="2020.1.1")
         found = {finding.what: finding.remedy for finding in software.packages()}
     assert found == {
         "numba is absent, >=0.61 needed": 'pip install "numba>=0.61"',
-        "zarr is 2.18.0, >=3.0 needed": 'pip install "zarr>=3.0"',
+        "tifffile is 2020.1.1, >=2024.12.12 needed": 'pip install "tifffile>=2024.12.12"',
     }
 
 
