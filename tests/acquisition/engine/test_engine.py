@@ -253,6 +253,8 @@ def test_a_fault_of_the_mirror_stops_the_stream(engine: Engine, rig: Any, calibr
     until(lambda: not engine.status().live)
     assert rig.scanner.calls[-1] == "park"
     assert [fault.problem for fault in engine.status().faults] == ["the strobe was lost"]
+    with pytest.raises(DeviceError, match="the strobe was lost"):  # the cause, not "no frames stream"
+        engine.fresh_frames(1)
 
 
 def test_other_settings_stop_the_scan_and_the_first_two_frames_are_not_used(

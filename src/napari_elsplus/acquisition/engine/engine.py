@@ -293,7 +293,7 @@ class Engine:
         run = self._run
         if run is None or not self._live:
             if run is not None:
-                run.raise_camera_fault()
+                run.raise_ending_fault()
             raise DeviceError("no frames stream", "start the stream first")
         return run.fresh_frames(count, after_s, _FRAME_TIMEOUT_S)
 

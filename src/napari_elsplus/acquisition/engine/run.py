@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.protocols import Camera
     from napari_elsplus.instrument.calibration import Calibration
 
+ENDING: Final = frozenset({"camera", "scanner", "engine"})
+"""Sources of faults that end a stream."""
 MIN_DEPTH: Final = 64
 """Frames in the stream at least; chosen: for rates at which 2 s are few frames."""
 
@@ -160,10 +162,10 @@ class Run:
             recording=self.recording,
         )
 
-    def raise_camera_fault(self) -> None:
-        """Raise the failure of the camera as a DeviceError, if there was one: the cause, not its consequence."""
+    def raise_ending_fault(self) -> None:
+        """Raise the fault that ended the stream as a DeviceError, if there was one: the cause, not its consequence."""
         for fault in self._faults.all():
-            if fault.source == "camera":
+            if fault.source in ENDING:
                 raise DeviceError(fault.problem, fault.remedy)
 
     def fresh_frames(self, count: int, after_s: float, timeout_s: float) -> NDArray[np.uint8]:
@@ -195,7 +197,7 @@ class Run:
             while got < count:
                 taken = cursor.take(timeout_s)
                 if taken is None:
-                    self.raise_camera_fault()
+                    self.raise_ending_fault()
                     raise DeviceError(f"{got} of {count} frames came", "check the camera, then start again")
                 if taken[1].readout_start_s + self._camera_worker.camera_clock_s >= after_s:
                     frames[got] = taken[0]
