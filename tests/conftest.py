@@ -32,3 +32,4 @@ def open_recording(data_folder: Path) -> Path:
 def _settings_of_their_own(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     """No test reads or writes the settings of whoever runs it."""
     monkeypatch.setenv("ELSPLUS_CONFIG", str(tmp_path_factory.mktemp("settings")))
+    monkeypatch.setenv("ELSPLUS_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))

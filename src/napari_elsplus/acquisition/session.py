@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
-from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated, open_live
+from napari_elsplus.acquisition.calibrating.simulated import open_live, use_simulated_calibration
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.hardware.rig import SIMULATED
@@ -68,8 +68,8 @@ def open_engine(
     rig : str
         ``"simulated"``, or the name of a rig file; ``napari-elsplus doctor`` lists them.
     calibration : Calibration, optional
-        Applied to images and scan. Without one the simulated rig is calibrated first (some seconds); a real rig then
-        streams raw frames with the galvo parked.
+        Applied to images and scan. Without one the simulated rig is calibrated first (some seconds, once); a real rig
+        then streams raw frames with the galvo parked.
     preset : str
         ``"240hz"`` or ``"120hz"``: camera region and objective.
     slit_rows : int
@@ -97,7 +97,7 @@ def open_engine(
     """
     with live_engine(rig, Settings(preset, slit_rows, frame_rate_hz, gain_db)) as (opened, engine):
         if calibration is None and opened.bench is not None:
-            calibrate_simulated(opened, engine, progress=lambda step: lambda numbers: progress(numbers, step))
+            use_simulated_calibration(opened, engine, progress=lambda step: lambda numbers: progress(numbers, step))
         else:
             engine.use(calibration)
         yield engine

@@ -6,6 +6,11 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.acquisition.calibrating.live import calibrate_rig
+from napari_elsplus.acquisition.calibrating.remembered import (
+    recall_calibration,
+    remember_calibration,
+    remembered_file,
+)
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.rigs import open_rig
@@ -19,7 +24,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.calibrating.live import StepProgress
     from napari_elsplus.acquisition.engine.engine import Engine
-    from napari_elsplus.hardware.rig import Rig
+    from napari_elsplus.hardware.rig import Rig, VirtualBench
     from napari_elsplus.processing.calibration.draft import Draft
 
 PATH: Final = Circle(diameter_um=800.0, period_s=1.75)
@@ -83,8 +88,38 @@ def calibrate_simulated(
     InputError
         If the rig is a real one.
     """
-    if rig.bench is None:
-        raise InputError(f"the rig {rig.name} cannot be calibrated without its user", "give a calibration with -c")
+    _require_bench(rig)
     draft = calibrate_rig(engine, lambda target: place_target(rig, target), voltages=voltages, progress=progress)
     place_target(rig, None)
     return draft
+
+
+def use_simulated_calibration(rig: Rig, engine: Engine, *, progress: StepProgress = lambda _: iter) -> None:
+    """Activate the calibration of a simulated rig that an earlier start remembered; else calibrate, and remember it.
+
+    Parameters
+    ----------
+    rig : Rig
+        The simulated rig.
+    engine : Engine
+        Configured.
+    progress : callable
+        As of :func:`calibrate_simulated`.
+
+    Raises
+    ------
+    InputError
+        If the rig is a real one.
+    """
+    file = remembered_file(_require_bench(rig).optics.simulation, engine.setup)
+    remembered = recall_calibration(file)
+    if remembered is not None:
+        engine.use(remembered)
+    else:
+        remember_calibration(file, calibrate_simulated(rig, engine, progress=progress).calibration)
+
+
+def _require_bench(rig: Rig) -> VirtualBench:
+    if rig.bench is None:
+        raise InputError(f"the rig {rig.name} cannot be calibrated without its user", "give a calibration with -c")
+    return rig.bench

@@ -242,6 +242,13 @@ class Commands:
 
         return calibrate_simulated(session.rig, session.engine, progress=session.watch)
 
+    @command(Turn.PROCEDURE, while_recording=False, activates=True)
+    def use_simulated_calibration(session: Session) -> None:
+        """Activate the remembered calibration of the simulated rig; if there is none, calibrate it unattended."""
+        from napari_elsplus.acquisition.calibrating.simulated import use_simulated_calibration
+
+        use_simulated_calibration(session.rig, session.engine, progress=session.watch)
+
 
 COMMANDS: Final[Mapping[str, Command[..., Any]]] = {
     name: value for name, value in vars(Commands).items() if isinstance(value, Command)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
+from napari_elsplus.acquisition.calibrating.simulated import use_simulated_calibration
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
 from napari_elsplus.acquisition.session import live_engine
@@ -70,7 +70,7 @@ def command(
         if given is not None:
             engine.use(given)
         else:
-            calibrate_simulated(rig, engine, progress=calibration_progress)
+            use_simulated_calibration(rig, engine, progress=calibration_progress)
         assert engine.calibration is not None
         tracker = None
         if mosaic is not None or track is not None:

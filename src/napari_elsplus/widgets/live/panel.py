@@ -177,7 +177,7 @@ class LivePanel(EnginePanel):
 
     def _calibrate_and_start(self, client: EngineClient) -> None:
         if client.calibration is None and self.connection.rig == SIMULATED:
-            self.requests.follow(client.calibrate_simulated(), lambda _: self._calibrate_and_start(client))
+            self.requests.follow(client.use_simulated_calibration(), lambda _: self._calibrate_and_start(client))
             return
         self.requests.follow(client.show(self.form.view), lambda _: self.requests.follow(client.start()))
 

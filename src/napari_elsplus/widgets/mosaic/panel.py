@@ -256,7 +256,7 @@ class MosaicPanel(EnginePanel):
 
     def _start_live(self, client: EngineClient) -> None:
         if client.calibration is None and self.connection.rig == SIMULATED:
-            self.requests.follow(client.calibrate_simulated(), lambda _: self._start_live(client))
+            self.requests.follow(client.use_simulated_calibration(), lambda _: self._start_live(client))
         elif not client.status.live:
             self._track(
                 client, lambda _: self.requests.follow(client.start())

@@ -1,0 +1,70 @@
+"""Calibrations of simulated rigs, remembered between starts in the user's cache folder.
+
+A simulated rig gives the same calibration whenever its devices, the camera's settings and the software are the same:
+the file's name is a hash of all three. The folder may be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import suppress
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import napari_elsplus
+from napari_elsplus.errors import CalibrationError
+from napari_elsplus.io.calibrations import read_calibration, write_calibration
+from napari_elsplus.io.user_folders import cache_folder
+
+if TYPE_CHECKING:
+    from napari_elsplus.acquisition.engine.camera_setup import CameraSetup
+    from napari_elsplus.hardware.virtual.bench import Simulation
+    from napari_elsplus.instrument.calibration import Calibration
+
+MAX_FILES: Final = 8
+"""Calibrations kept, 4 MB each; chosen: two presets of a few rigs."""
+PLAYED: Final = frozenset({"scene", "trajectory", "real_time", "own_process"})
+"""Fields of a simulation that its calibration does not depend on."""
+
+
+def remembered_file(simulation: Simulation, setup: CameraSetup) -> Path:
+    """Return the path of a simulated rig's calibration; it need not exist.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        The rig's devices.
+    setup : CameraSetup
+        The camera's settings.
+    """
+    devices = {part.name: getattr(simulation, part.name) for part in fields(simulation) if part.name not in PLAYED}
+    key = hashlib.sha256(f"{_sources()} {devices} {setup.acquired_with} {setup.frame_shape}".encode())
+    return cache_folder() / "calibrations" / f"simulated-{key.hexdigest()[:16]}.json"
+
+
+def recall_calibration(path: Path) -> Calibration | None:
+    """Read a remembered calibration; None if there is none at that path, or it cannot be read."""
+    try:
+        return read_calibration(path) if path.exists() else None
+    except (CalibrationError, OSError):
+        return None
+
+
+def remember_calibration(path: Path, calibration: Calibration) -> None:
+    """Write a calibration to a path, and remove the oldest beyond `MAX_FILES`; a refusing folder costs only time."""
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_calibration(path, calibration, force=True)
+        kept = sorted(path.parent.glob("simulated-*.json"), key=lambda file: file.stat().st_mtime)
+        for old in kept[:-MAX_FILES]:
+            old.unlink(missing_ok=True)
+            old.with_suffix(".npz").unlink(missing_ok=True)
+
+
+@cache
+def _sources() -> str:
+    """Return a hash of the package's sources: any other version of the software measures again."""
+    files = sorted(Path(napari_elsplus.__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
