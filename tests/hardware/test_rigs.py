@@ -36,7 +36,7 @@ def write(folder, text):
 
 
 def test_the_simulated_rig_is_first_and_keeps_the_protocols() -> None:
-    assert rig_names() == ["simulated"]
+    assert rig_names() == ["simulated", "simulated-real"]
     with open_rig(simulation=Simulation(scene=empty(), real_time=False)) as rig:
         rig.camera.configure(SMALL, slit_rows=3, frame_rate_hz=240)
         assert isinstance(rig.camera, Camera)
@@ -121,7 +121,7 @@ def test_a_users_own_rig_is_a_readable_file_that_comes_back_the_same(folder) -> 
     """
     write(folder, text)
     settings = read_rig("mine")
-    assert rig_names() == ["simulated", "mine"]
+    assert rig_names() == ["simulated", "simulated-real", "mine"]
     assert settings.limits().natural_hz == 800
     assert settings.limits().max_v == 2.0
     assert settings.camera.strobe is StrobePhase.READOUT
@@ -142,6 +142,9 @@ def test_a_users_own_rig_is_a_readable_file_that_comes_back_the_same(folder) -> 
         ("[card]\npark_v = -0.7\n[mirror]\nmin_v = -0.5\n", "park_v -0.7 is outside min_v -0.5"),
         ("[card]\npark_v = -0.7\nlaser_line = 'PFI3'\n", "laser_line.*PFI3"),
         ("[card]\npark_v = -0.7\noutput = 'ai0'\n", "output.*ai0"),
+        ("[simulation]\nimperfections = {galvo = 800}\n", "no imperfection is called 'galvo'"),
+        ("[simulation]\nimperfections = {row-noise = 300}\n", "row-noise is 300, outside of 0 to 20"),
+        ("[simulation]\n[card]\npark_v = -0.7\n", "card"),
         ("[card\n", "mine"),
         ("\xff", "mine"),
     ],
@@ -150,6 +153,27 @@ def test_a_wrong_file_says_which_key_and_which_value(folder, text, told) -> None
     write(folder, text)
     with pytest.raises(InputError, match=told):
         open_rig("mine")
+
+
+def test_a_file_may_name_an_imperfect_instrument_and_what_is_stated_about_its_galvo(folder) -> None:
+    write(
+        folder, "[simulation]\nimperfections = {galvo-resonance = 800, row-noise = 0.5}\n[mirror]\nnatural_hz = 1000\n"
+    )
+    with open_rig("mine", Simulation(scene=empty(), real_time=False)) as rig:
+        truth = rig.bench.optics.simulation
+        assert (rig.name, rig.limits.natural_hz, truth.moved_galvo.natural_hz) == ("mine", 1000, 800)
+        assert rig.bench.optics.instrument(PRESETS["240hz"]).imperfections.row_noise_dn == 0.5
+
+
+def test_the_real_simulated_rig_is_drawn_by_its_seed_and_states_nothing_about_its_galvo() -> None:
+    drawn = []
+    for name in ("simulated-real", "simulated-real:0", "simulated-real:7"):
+        with open_rig(name, Simulation(scene=empty(), real_time=False)) as rig:
+            assert rig.limits.natural_hz is None
+            drawn.append(rig.bench.optics.simulation.imperfections)
+    assert drawn[0] == drawn[1] != drawn[2]
+    with pytest.raises(InputError, match="'x' is no seed"):
+        open_rig("simulated-real:x")
 
 
 def test_an_unknown_rig_lists_the_known_ones() -> None:

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.virtual.card.process import RemoteCard
 
 SIMULATED: Final = "simulated"
-"""Name of the simulated rig."""
+"""Name of the simulated rig of the ideal instrument."""
+SIMULATED_REAL: Final = "simulated-real"
+"""Name of simulated rigs with imperfections drawn at random; ``simulated-real:SEED`` with another seed than 0."""
 
 
 @dataclass

@@ -6,14 +6,16 @@ import re
 import tomllib
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import MAX_HOLD_S, CardSettings
+from napari_elsplus.hardware.rig import SIMULATED, SIMULATED_REAL
 from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 from napari_elsplus.io.user_folders import config_folder
+from napari_elsplus.simulation.model.imperfections import Imperfections
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Volts = Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False)]
-RESERVED = ("simulated",)
+RESERVED = (SIMULATED, SIMULATED_REAL)
 """Names that no file may take."""
 
 
@@ -110,29 +112,28 @@ class GalvoTable(_Table):
         return self
 
 
-class RigSettings(_Table):
-    """Content of a rig file.
+class SimulationTable(_Table):
+    """A simulated instrument in the place of devices."""
 
-    Examples
-    --------
-    >>> RigSettings.parse({"card": {"park_v": -0.7}}, "mine").card_settings().park_v
-    -0.7
-    """
+    imperfections: dict[str, float] = {}
 
-    card: CardTable
-    camera: CameraTable = CameraTable()
-    scanner: ScannerTable = ScannerTable()
+    @field_validator("imperfections")
+    @classmethod
+    def _imperfections_exist(cls, values: dict[str, float]) -> dict[str, float]:
+        try:
+            Imperfections.of(values)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return values
+
+
+class _Settings(_Table):
+    """Content of a rig file: its tables."""
+
     mirror: GalvoTable = GalvoTable()
 
-    @model_validator(mode="after")
-    def _parking_is_within_the_range(self) -> Self:
-        low, park_v, high = self.mirror.min_v, self.card.park_v, self.mirror.max_v
-        if not low <= park_v <= high:
-            raise ValueError(f"the parking position park_v {park_v:g} is outside min_v {low:g} to max_v {high:g}")
-        return self
-
     @classmethod
-    def parse(cls, content: dict[str, Any], name: str) -> RigSettings:
+    def parse(cls, content: dict[str, Any], name: str) -> Self:
         """Validate the content of a rig file.
 
         Parameters
@@ -157,13 +158,52 @@ class RigSettings(_Table):
             raise InputError(f"{problem}{value}", "correct it in the rig's file") from None
         return settings
 
-    def card_settings(self) -> CardSettings:
-        """Return the settings of the card."""
-        return CardSettings(**self.card.model_dump())
-
     def limits(self) -> GalvoLimits:
         """Return the limits of the galvo."""
         return GalvoLimits(**self.mirror.model_dump())
+
+
+class SimulatedRigSettings(_Settings):
+    """Content of the file of a simulated rig: table ``simulation`` in the place of the devices.
+
+    Examples
+    --------
+    >>> content = {"simulation": {"imperfections": {"galvo-resonance": 800}}, "mirror": {"natural_hz": 1000}}
+    >>> SimulatedRigSettings.parse(content, "rough").imperfections.changed
+    {'galvo-resonance': 800.0}
+    """
+
+    simulation: SimulationTable
+
+    @property
+    def imperfections(self) -> Imperfections:
+        """Departures of the simulated instrument from the ideal one."""
+        return Imperfections.of(self.simulation.imperfections)
+
+
+class RigSettings(_Settings):
+    """Content of the file of a rig of devices.
+
+    Examples
+    --------
+    >>> RigSettings.parse({"card": {"park_v": -0.7}}, "mine").card_settings().park_v
+    -0.7
+    """
+
+    card: CardTable
+    camera: CameraTable = CameraTable()
+    scanner: ScannerTable = ScannerTable()
+
+    @model_validator(mode="after")
+    def _parking_is_within_the_range(self) -> Self:
+        low, park_v, high = self.mirror.min_v, self.card.park_v, self.mirror.max_v
+        if not low <= park_v <= high:
+            raise ValueError(f"the parking position park_v {park_v:g} is outside min_v {low:g} to max_v {high:g}")
+        return self
+
+    def card_settings(self) -> CardSettings:
+        """Return the settings of the card."""
+        return CardSettings(**self.card.model_dump())
 
 
 def rig_folder() -> Path:
@@ -176,7 +216,7 @@ def rig_files() -> dict[str, Path]:
     return {path.stem: path for path in rig_folder().glob("*.toml") if path.stem not in RESERVED}
 
 
-def read_rig(name: str) -> RigSettings:
+def read_rig(name: str) -> RigSettings | SimulatedRigSettings:
     """Read the file of the rig of that name.
 
     Raises
@@ -192,4 +232,40 @@ def read_rig(name: str) -> RigSettings:
         content = tomllib.loads(files[name].read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"rig {name}: {error}", f"correct {files[name]}") from error
-    return RigSettings.parse(content, name)
+    return (SimulatedRigSettings if "simulation" in content else RigSettings).parse(content, name)
+
+
+def rig_settings(name: str) -> RigSettings | SimulatedRigSettings:
+    """Return the settings of a rig by its name.
+
+    ``simulated`` is the ideal instrument. ``simulated-real`` and ``simulated-real:SEED`` are drawn at random from
+    plausible imperfections, and state nothing about their galvo. Others have files.
+
+    Raises
+    ------
+    InputError
+        If there is no such rig, its file is wrong, or the seed is no whole number.
+    """
+    if name == SIMULATED:
+        return SimulatedRigSettings(simulation=SimulationTable())
+    base, colon, seed = name.partition(":")
+    if base != SIMULATED_REAL:
+        return read_rig(name)
+    if colon and not (seed.isascii() and seed.isdigit()):
+        raise InputError(f"{seed!r:.40} is no seed of the rig {SIMULATED_REAL}", "give a whole number, 0 or more")
+    drawn = Imperfections.drawn(int(seed or 0)).changed
+    return SimulatedRigSettings(simulation=SimulationTable(imperfections=drawn))
+
+
+def is_simulated(name: str | None) -> bool:
+    """Return True for the name of a simulated rig, which changes its targets unattended; False if there is no such rig.
+
+    Examples
+    --------
+    >>> is_simulated("simulated"), is_simulated("simulated-real:7"), is_simulated(None)
+    (True, True, False)
+    """
+    try:
+        return name is not None and isinstance(rig_settings(name), SimulatedRigSettings)
+    except InputError:
+        return False

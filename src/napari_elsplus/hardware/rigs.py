@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import InputError
@@ -12,16 +13,16 @@ from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.drivers import open_camera, open_scanner
 from napari_elsplus.hardware.guardian import guard_scanner
 from napari_elsplus.hardware.protocols import CountsFrames
-from napari_elsplus.hardware.rig import SIMULATED, Rig
-from napari_elsplus.hardware.rig_files import RigSettings, read_rig, rig_files
+from napari_elsplus.hardware.rig import SIMULATED, SIMULATED_REAL, Rig
+from napari_elsplus.hardware.rig_files import RigSettings, SimulatedRigSettings, rig_files, rig_settings
 
 if TYPE_CHECKING:
     from napari_elsplus.hardware.virtual.bench import Simulation
 
 
 def rig_names() -> list[str]:
-    """Return the rigs that can be opened, ``simulated`` first."""
-    return [SIMULATED, *sorted(rig_files())]
+    """Return the rigs that can be opened, the simulated ones first."""
+    return [SIMULATED, SIMULATED_REAL, *sorted(rig_files())]
 
 
 def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig:
@@ -52,19 +53,28 @@ def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig
     """
     with ExitStack() as held:
         _end_on_sigterm(held)
-        if name == SIMULATED:
-            from napari_elsplus.hardware.virtual.simulated_rig import simulated_rig
-
-            rig = simulated_rig(simulation, held)
+        settings = rig_settings(name)
+        if isinstance(settings, SimulatedRigSettings):
+            rig = _simulated_rig(name, settings, simulation, held)
         elif simulation is not None:
-            raise InputError(f"the rig {name} was given a scene", "only the simulated rig takes one")
+            raise InputError(f"the rig {name} was given a scene", "only a simulated rig takes one")
         else:
-            rig = _real_rig(name, read_rig(name), held)
+            rig = _real_rig(name, settings, held)
         if isinstance(rig.camera, CountsFrames):
             counting = rig.camera
             rig.scanner.watch_frames(lambda: counting.frames_received)
         rig._held = held.pop_all()  # noqa: SLF001 - its own
     return rig
+
+
+def _simulated_rig(name: str, settings: SimulatedRigSettings, simulation: Simulation | None, held: ExitStack) -> Rig:
+    from napari_elsplus.hardware.virtual.bench import Simulation
+    from napari_elsplus.hardware.virtual.simulated_rig import simulated_rig
+
+    simulation = simulation or Simulation()
+    if name != SIMULATED:
+        simulation = replace(simulation, limits=settings.limits(), imperfections=settings.imperfections)
+    return simulated_rig(name, simulation, held)
 
 
 def _real_rig(name: str, settings: RigSettings, held: ExitStack) -> Rig:

@@ -46,6 +46,8 @@ class AxialScan:
         (n,) distances of the plate from contact, um.
     seed : int
         Seed of the camera's noise.
+    line_rows : numpy.ndarray, optional
+        (rows,) line positions; see :meth:`Renderer.render`.
 
     Examples
     --------
@@ -54,9 +56,16 @@ class AxialScan:
     (137, True)
     """
 
-    def __init__(self, instrument: Instrument, depths_um: NDArray[np.float64], *, seed: int = 0) -> None:
+    def __init__(
+        self,
+        instrument: Instrument,
+        depths_um: NDArray[np.float64],
+        *,
+        seed: int = 0,
+        line_rows: NDArray[np.float64] | None = None,
+    ) -> None:
         self.instrument, self.depths_um = instrument, depths_um
-        self._seed = seed
+        self._seed, self._line_rows = seed, line_rows
 
     def __len__(self) -> int:
         return len(self.depths_um)
@@ -65,7 +74,7 @@ class AxialScan:
         """Return the frame (rows, cols), uint8, at the depth of this index."""
         index = range(len(self))[index]
         scene = plate(float(self.depths_um[index]) + self.instrument.line.gap_um)
-        return Renderer(self.instrument, scene, seed=self._seed).render(index)
+        return Renderer(self.instrument, scene, seed=self._seed).render(index, line_rows=self._line_rows)
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
         return (self[index] for index in range(len(self)))

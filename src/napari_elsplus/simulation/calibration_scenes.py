@@ -75,8 +75,7 @@ def held_rows(instrument: Instrument, volt: float) -> NDArray[np.float64]:
     volt : float
         Galvo voltage, V.
     """
-    row = (volt - instrument.volts_at_row_zero) / instrument.volts_per_row
-    return np.full(instrument.frame_shape[0], row)
+    return np.full(instrument.frame_shape[0], instrument.line_row(volt))
 
 
 def line_volts(instrument: Instrument) -> NDArray[np.float64]:

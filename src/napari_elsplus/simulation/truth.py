@@ -111,6 +111,7 @@ def geometry(instrument: Instrument) -> dict[str, Any]:
         "um_per_px": instrument.optics.um_per_px,
         "line_period_s": instrument.optics.line_period_s,
         "rows_per_frame": instrument.optics.line_periods_per_frame,
+        "imperfections": instrument.imperfections.changed,
     }
 
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.hardware.rig import SIMULATED
+from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.viewing.script import write_script
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def live_script(rig: str, settings: Settings, view: LiveView, plan: RecordingPla
     CalibrationError
         If the calibration of a real rig has no file.
     """
-    if calibration is None and rig != SIMULATED:
+    if calibration is None and not is_simulated(rig):
         raise CalibrationError("the calibration has no file", "save it in the Rig panel")
     seconds = plan.seconds if plan.seconds or plan.frames else SECONDS
     calibrated = "" if calibration is None else f", calibration=elsplus.load_calibration({str(calibration)!r})"

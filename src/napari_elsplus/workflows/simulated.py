@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +13,12 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.virtual.steady_scan import steady_line_rows
 from napari_elsplus.io import beside, refuse_existing, replacing, write_calibration, write_column, write_stack
 from napari_elsplus.simulation import calibration_scenes, truth
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS
+from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import Scene, distal_light, empty, picture, scene
@@ -119,6 +122,7 @@ def simulate_recording(
     offset_um: float = -29.0,
     slit_um: float | None = None,
     seed: int = 0,
+    imperfections: Imperfections = IDEAL,
 ) -> SimulatedRecording:
     """Simulate raw frames of a moving probe with known truth.
 
@@ -145,6 +149,8 @@ def simulate_recording(
         Slit width in micrometres at the bundle, rounded to whole rows; 3 rows by default.
     seed : int
         Seed of the scene and of the camera noise.
+    imperfections : Imperfections
+        Departures from the ideal instrument.
 
     Returns
     -------
@@ -155,13 +161,16 @@ def simulate_recording(
     InputError
         If there is no such scene or path, the path leaves the scene, or the optics do not fit the camera region.
     """
-    instrument = Instrument.of(preset, slit_um=slit_um, offset_um=offset_um, rate_hz=rate_hz)
+    instrument = Instrument.of(
+        preset, slit_um=slit_um, offset_um=offset_um, rate_hz=rate_hz, imperfections=imperfections
+    )
     moved = _trajectory(path, speed_um_s, seed)
     specimen = _scene(scene_name, seed, scene_um_per_px, instrument.optics.um_per_px)
     renderer = Renderer(instrument, specimen, moved, seed=seed)
     renderer.refuse_path(frames)
     facts = {"seed": seed, "scene": scene_name, "path": path, **truth.motion(instrument, moved, frames)}
-    return _simulated(instrument, facts, renderer.render, frames)
+    line_rows = steady_line_rows(instrument) if imperfections.moves_galvo else None
+    return _simulated(instrument, facts, partial(renderer.render, line_rows=line_rows), frames)
 
 
 def simulate_axial_scan(
@@ -171,6 +180,7 @@ def simulate_axial_scan(
     state: str = "a",
     depth_um: Sequence[float] | NDArray[np.float64] | None = None,
     seed: int = 0,
+    imperfections: Imperfections = IDEAL,
 ) -> SimulatedRecording:
     """Simulate a scan of depths: a raw frame of a stained plate at each, as sectioning is measured.
 
@@ -186,15 +196,21 @@ def simulate_axial_scan(
         (T,) distances of the plate from contact; by default 2 um apart near the focus, farther apart beyond.
     seed : int
         Seed of the camera noise.
+    imperfections : Imperfections
+        Departures from the ideal instrument.
 
     Returns
     -------
     SimulatedRecording
         With `depth_um`.
     """
-    instrument = lit_for_plate(Instrument.of("120hz", slit_um=slit_um, offset_um=offset_um, line=LINE_MODELS[state]))
+    line = LINE_MODELS[state]
+    instrument = lit_for_plate(
+        Instrument.of("120hz", slit_um=slit_um, offset_um=offset_um, line=line, imperfections=imperfections)
+    )
     depths = scan_depths_um() if depth_um is None else np.asarray(depth_um, np.float64)
-    scan = AxialScan(instrument, depths, seed=seed)
+    line_rows = steady_line_rows(instrument) if imperfections.moves_galvo else None
+    scan = AxialScan(instrument, depths, seed=seed, line_rows=line_rows)
     return _simulated(instrument, {"seed": seed, "state": state}, scan.__getitem__, len(depths), depths)
 
 
@@ -255,7 +271,12 @@ class SimulatedCalibrationFrames:
 
 
 def simulate_calibration(
-    *, preset: str = "240hz", offset_um: float = -29.0, slit_um: float | None = None, seed: int = 0
+    *,
+    preset: str = "240hz",
+    offset_um: float = -29.0,
+    slit_um: float | None = None,
+    seed: int = 0,
+    imperfections: Imperfections = IDEAL,
 ) -> SimulatedCalibrationFrames:
     """Simulate the recordings that a calibration is measured from: line, sweep, transmission, background.
 
@@ -269,12 +290,14 @@ def simulate_calibration(
         Slit width in micrometres at the bundle, rounded to whole rows; 3 rows by default.
     seed : int
         Seed of the camera noise.
+    imperfections : Imperfections
+        Departures from the ideal instrument.
 
     Returns
     -------
     SimulatedCalibrationFrames
     """
-    instrument = Instrument.of(preset, slit_um=slit_um, offset_um=offset_um)
+    instrument = Instrument.of(preset, slit_um=slit_um, offset_um=offset_um, imperfections=imperfections)
     volts = calibration_scenes.sweep_volts(instrument)
     transmission = Renderer(instrument, distal_light(), seed=seed + 2)
     dark_tube = Renderer(instrument, empty(), seed=seed + 3)

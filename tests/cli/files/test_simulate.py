@@ -101,6 +101,11 @@ def test_any_image_is_a_scene_and_a_csv_file_a_path(elsplus: Elsplus, tmp_path: 
         (("recording", "--rate-hz", 500), "500.0 frames per second"),
         (("recording", "--offset-um", 900), "offset is 900.0 um, beyond the bundle"),
         (("recording", "--offset-um", -300), "do not fit a frame of 524 x 1328"),
+        (
+            ("recording", "--imperfect", "galvo=800"),
+            "no imperfection is called 'galvo': the imperfections are galvo-re",
+        ),
+        (("axial", "--imperfect", "row-noise=300"), "row-noise is 300, outside of 0 to 20 grey levels"),
         (("axial", "--slit-um", 700), "slit is 700.4 um wide"),
         (("axial", "--offset-um", "nan"), "--offset-um is nan"),
     ],

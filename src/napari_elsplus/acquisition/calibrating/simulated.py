@@ -12,7 +12,7 @@ from napari_elsplus.acquisition.calibrating.remembered import (
     remembered_file,
 )
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.rig import SIMULATED
+from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
@@ -51,7 +51,7 @@ def open_live(name: str, *, own_process: bool = False) -> Rig:
     DeviceError
         If a device is absent, busy or fails.
     """
-    if name != SIMULATED:
+    if not is_simulated(name):
         return open_rig(name)
     return open_rig(name, Simulation(scene=fibres(), trajectory=PATH, own_process=own_process))
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from napari_elsplus.cli.options import FILE, NUMBER, POSITIVE, SEED, force_option, output_option, progress
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS
+from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
 from napari_elsplus.simulation.specimen.scenes import SCENES
 from napari_elsplus.simulation.specimen.trajectories import PATHS
 from napari_elsplus.workflows.simulated import simulate_axial_scan, simulate_calibration, simulate_recording
@@ -17,6 +18,16 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.workflows.simulated import SimulatedRecording
+
+
+class _ImperfectionsType(click.ParamType):  # type: ignore[type-arg, unused-ignore] # generic since click 8.3
+    """Text ``NAME=VALUE,...``."""
+
+    name = "imperfections"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Imperfections:
+        return value if isinstance(value, Imperfections) else Imperfections.parse(value)
+
 
 preset_option = click.option(
     "--preset",
@@ -34,6 +45,14 @@ offset_option = click.option(
 )
 slit_option = click.option("--slit-um", type=POSITIVE, help="Slit width, rounded to whole rows; 3 rows by default.")
 seed_option = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of scene and camera noise.")
+imperfect_option = click.option(
+    "--imperfect",
+    "imperfections",
+    type=_ImperfectionsType(),
+    default=IDEAL,
+    metavar="NAME=VALUE,...",
+    help="Departures from the ideal instrument: galvo-resonance=800,row-noise=0.5 for instance.",
+)
 
 
 @click.group()
@@ -64,16 +83,18 @@ def command() -> None:
 @offset_option
 @slit_option
 @seed_option
+@imperfect_option
 @output_option
 @force_option
 def recording(
     preset: str, scene_name: str, scene_um_per_px: float | None, path_name: str, speed_um_s: float, frames: int,
-    rate_hz: float | None, offset_um: float, slit_um: float | None, seed: int, output: Path, force: bool,
+    rate_hz: float | None, offset_um: float, slit_um: float | None, seed: int, imperfections: Imperfections,
+    output: Path, force: bool,
 ) -> None:  # fmt: skip
     """Simulate a moving probe: raw frames, NAME.truth.json, NAME.calibration.json."""
     simulated = simulate_recording(
         preset=preset, scene_name=scene_name, scene_um_per_px=scene_um_per_px, path=path_name, speed_um_s=speed_um_s,
-        frames=frames, rate_hz=rate_hz, offset_um=offset_um, slit_um=slit_um, seed=seed,
+        frames=frames, rate_hz=rate_hz, offset_um=offset_um, slit_um=slit_um, seed=seed, imperfections=imperfections,
     )  # fmt: skip
     _save(simulated, output, force=force)
 
@@ -89,11 +110,17 @@ def recording(
     help="Line model: of the paper's panels a and b, or the sharper one of c and d.",
 )
 @seed_option
+@imperfect_option
 @output_option
 @force_option
-def axial(slit_um: float, offset_um: float, state: str, seed: int, output: Path, force: bool) -> None:
+def axial(
+    slit_um: float, offset_um: float, state: str, seed: int, imperfections: Imperfections, output: Path, force: bool
+) -> None:
     """Simulate a scan of depths of a stained plate: raw frames, NAME.{depths.csv,calibration.json,truth.json}."""
-    _save(simulate_axial_scan(slit_um=slit_um, offset_um=offset_um, state=state, seed=seed), output, force=force)
+    simulated = simulate_axial_scan(
+        slit_um=slit_um, offset_um=offset_um, state=state, seed=seed, imperfections=imperfections
+    )
+    _save(simulated, output, force=force)
 
 
 @command.command()
@@ -101,11 +128,17 @@ def axial(slit_um: float, offset_um: float, state: str, seed: int, output: Path,
 @offset_option
 @slit_option
 @seed_option
+@imperfect_option
 @click.option("-o", "--output", type=FILE, required=True, help="Folder to write into.")
 @force_option
-def calibration(preset: str, offset_um: float, slit_um: float | None, seed: int, output: Path, force: bool) -> None:
+def calibration(
+    preset: str, offset_um: float, slit_um: float | None, seed: int, imperfections: Imperfections, output: Path,
+    force: bool,
+) -> None:  # fmt: skip
     """Simulate the recordings of a calibration: line, sweep, transmission, background; and the truth, into a folder."""
-    simulated = simulate_calibration(preset=preset, offset_um=offset_um, slit_um=slit_um, seed=seed)
+    simulated = simulate_calibration(
+        preset=preset, offset_um=offset_um, slit_um=slit_um, seed=seed, imperfections=imperfections
+    )
     simulated.save(output, force=force, progress=progress)
     click.echo(f"wrote {output}")
 

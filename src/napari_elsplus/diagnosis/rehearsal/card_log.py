@@ -9,7 +9,7 @@ import numpy as np
 
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.virtual.card.process import RemoteCard
-from napari_elsplus.hardware.virtual.galvo import SETTLED_AFTER_S, STEP_S, GalvoModel
+from napari_elsplus.hardware.virtual.galvo import STEP_S, GalvoModel
 from napari_elsplus.hardware.virtual.timeline import mean_volts, volts_at
 from napari_elsplus.simulation.truth import PARK_CLEARANCE_UM
 
@@ -82,8 +82,9 @@ class CardLog:
         last = exposed[-1]
         if last == len(times) - 1:
             return None
-        begins = np.arange(times[last] - SETTLED_AFTER_S, times[last] + 2 * SETTLED_AFTER_S, STEP_S)
-        galvo = GalvoModel().follow(mean_volts(programs, begins, STEP_S))
+        model = GalvoModel()
+        begins = np.arange(times[last] - model.settled_after_s, times[last] + 2 * model.settled_after_s, STEP_S)
+        galvo = model.follow(mean_volts(programs, begins, STEP_S))
         off = begins[np.flatnonzero(self._exposed(galvo))[-1]] + STEP_S
         return float(max(0.0, off - fault_s))
 

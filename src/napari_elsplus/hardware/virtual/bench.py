@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
+from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.hardware.virtual.frame_source import Circle, FrameSource
-from napari_elsplus.hardware.virtual.galvo import SETTLED_AFTER_S, STEP_S, GalvoModel
-from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain, mean_volts
+from napari_elsplus.hardware.virtual.galvo import GalvoModel, imperfect_galvo
+from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain
 from napari_elsplus.instrument.optics import PRESETS, Preset
+from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.specimen.scenes import Scene, fibres
 from napari_elsplus.simulation.specimen.trajectories import Still, Trajectory
@@ -56,7 +58,11 @@ class Simulation:
     offset_um : float
         Slit offset at the bundle, signed.
     galvo : GalvoModel
-        The galvo.
+        The galvo, but for its imperfections.
+    limits : GalvoLimits, optional
+        Limits and galvo as a rig file states them; `galvo` is stated by default.
+    imperfections : Imperfections
+        Departures from the ideal instrument, among them those of the galvo from the rig file.
     seed : int
         Seed of the camera's noise.
     real_time : bool
@@ -75,6 +81,18 @@ class Simulation:
     real_time: bool = True
     own_process: bool = False
     instrument: dict[str, Any] = field(default_factory=dict)
+    limits: GalvoLimits | None = None
+    imperfections: Imperfections = IDEAL
+
+    @property
+    def stated_limits(self) -> GalvoLimits:
+        """Limits and galvo as the rig states them."""
+        return self.limits or GalvoLimits(natural_hz=self.galvo.natural_hz, damping=self.galvo.damping)
+
+    @property
+    def moved_galvo(self) -> GalvoModel:
+        """The galvo as it moves, with its imperfections."""
+        return imperfect_galvo(self.galvo, self.imperfections)
 
 
 class OpticalBench:
@@ -113,34 +131,32 @@ class OpticalBench:
             Gain in dB.
         """
         known = Instrument.of(preset.name if preset.name in PRESETS else "120hz", offset_um=self.simulation.offset_um)
-        changed = replace(known, preset=preset, slit_rows=slit_rows, **self.simulation.instrument)
+        simulation = self.simulation
+        fields = {"imperfections": simulation.imperfections, **simulation.instrument}
+        changed = replace(known, preset=preset, slit_rows=slit_rows, **fields)
         return changed.with_gain_db(gain_db) if gain_db else changed
 
     def calibration(self, preset: Preset, slit_rows: float = 3.0) -> Calibration:
         """Return the true calibration for a preset and a slit of `slit_rows`, the galvo's lag included."""
         perfect = true_calibration(self.instrument(preset, slit_rows))
         assert perfect.galvo is not None
-        galvo = perfect.galvo.model_copy(update={"lag_s": self.simulation.galvo.lag_s})
+        galvo = perfect.galvo.model_copy(update={"lag_s": self.simulation.moved_galvo.lag_s})
         return perfect.model_copy(update={"galvo": galvo})
 
     def line_row_now(self, preset: Preset) -> float:
         """Return the row of the confocal view, in a preset's frame, on which the card's voltage holds the line."""
         instrument = self.instrument(preset)
-        return (self.card.last_volts - instrument.volts_at_row_zero) / instrument.volts_per_row
+        return float(instrument.line_row(self.card.last_volts))
 
     def line_rows(self, shot: Shot) -> NDArray[np.float64]:
         """Return the row of the confocal view on which the line is in the middle of each row's exposure of a shot."""
         return self._rows_by(self.card.programs(), shot)
 
     def _rows_by(self, programs: Sequence[Program], shot: Shot) -> NDArray[np.float64]:
-        instrument = self._instrument_of(shot)
-        before = round(SETTLED_AFTER_S / STEP_S)
-        steps = before + int((shot.read_out_s - shot.strobe_s) / STEP_S) + 2
-        begins = np.asarray(shot.strobe_s + STEP_S * (np.arange(steps) - before), np.float64)
-        galvo = self.simulation.galvo.follow(mean_volts(_since(programs, begins[0]), begins, STEP_S))
-        exposed = shot.row_zero_s + np.arange(shot.region[2]) * shot.line_period_s - shot.exposure_s / 2
-        volts = np.interp(exposed, begins + STEP_S, galvo)
-        return np.asarray((volts - instrument.volts_at_row_zero) / instrument.volts_per_row)
+        rows = np.arange(shot.region[2], dtype=np.float64)
+        exposed = np.asarray(shot.row_zero_s + rows * shot.line_period_s - shot.exposure_s / 2)
+        volts = self.simulation.moved_galvo.position(programs, exposed, shot.strobe_s)
+        return self._instrument_of(shot).line_row(volts)
 
     # The camera's side.
 
@@ -176,12 +192,6 @@ class OpticalBench:
             frames = FrameSource(wanted, simulation.scene, simulation.trajectory, simulation.seed, ahead=ahead)
             self._frames = frames
         return frames
-
-
-def _since(programs: Sequence[Program], time_s: float) -> Sequence[Program]:
-    """Leave out the programs that were over by a time."""
-    over = sum(program.since_s <= time_s for program in programs[1:])
-    return programs[over:]
 
 
 def preset_of(shot: Shot) -> Preset:

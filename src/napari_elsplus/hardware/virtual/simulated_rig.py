@@ -8,13 +8,12 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.guardian import guard_scanner, when_parked
-from napari_elsplus.hardware.rig import SIMULATED, Rig, VirtualBench
+from napari_elsplus.hardware.rig import Rig, VirtualBench
 from napari_elsplus.hardware.scan.timing import StrobePhase
-from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.u3v.flea3 import Flea3
-from napari_elsplus.hardware.virtual.bench import OpticalBench, Simulation
+from napari_elsplus.hardware.virtual.bench import OpticalBench
 from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
 from napari_elsplus.hardware.virtual.camera.device import VirtualCamera
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
@@ -28,18 +27,21 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import ExitStack
 
+    from napari_elsplus.hardware.virtual.bench import Simulation
     from napari_elsplus.hardware.virtual.card.process import RemoteCard
 
 SERIAL = "virtual-1"
 """Serial number of the virtual camera."""
 
 
-def simulated_rig(simulation: Simulation | None, held: ExitStack) -> Rig:
+def simulated_rig(name: str, simulation: Simulation, held: ExitStack) -> Rig:
     """Open the drivers on virtual devices.
 
     Parameters
     ----------
-    simulation : Simulation, optional
+    name : str
+        Name of the rig.
+    simulation : Simulation
         Scene, motion and devices.
     held : contextlib.ExitStack
         Closes the devices.
@@ -49,7 +51,6 @@ def simulated_rig(simulation: Simulation | None, held: ExitStack) -> Rig:
     InputError
         If the card should live in a process of its own without real time.
     """
-    simulation = simulation or Simulation()
     clock = BenchClock(simulation.real_time)
     card, address, release = _card(simulation, clock)
     opened: list[DaqScanner] = []
@@ -57,8 +58,7 @@ def simulated_rig(simulation: Simulation | None, held: ExitStack) -> Rig:
     optics = OpticalBench(simulation, card, clock)
     plug = Plug(VirtualCamera(optics, serial=SERIAL))
     park_v = min(park_volts(optics.instrument(preset)) for preset in PRESETS.values())
-    galvo = simulation.galvo
-    limits = GalvoLimits(natural_hz=galvo.natural_hz, damping=galvo.damping)
+    limits = simulation.stated_limits
     settings = CardSettings(park_v, address=address)
     device = choose_camera(SERIAL, VirtualBus(plug))
     camera = held.enter_context(U3vCamera(device, Flea3, wait_for_reader=not simulation.real_time))
@@ -66,7 +66,7 @@ def simulated_rig(simulation: Simulation | None, held: ExitStack) -> Rig:
     opened.append(held.enter_context(scanner))
     guardian = guard_scanner(scanner, held, virtual=True) if simulation.own_process else None
     bench = VirtualBench(optics, card, plug)
-    return Rig(SIMULATED, camera, scanner, limits, StrobePhase.EXPOSURE, guardian, bench)
+    return Rig(name, camera, scanner, limits, StrobePhase.EXPOSURE, guardian, bench)
 
 
 def _card(simulation: Simulation, clock: BenchClock) -> tuple[VirtualCard | RemoteCard, str, Callable[[], None]]:

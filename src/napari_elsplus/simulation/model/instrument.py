@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import isfinite
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -12,6 +12,10 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.optics import PIXEL_PITCH_UM, SENSOR_SHAPE, Optics, Preset, preset
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel
 from napari_elsplus.simulation.model.bundle import Bundle
+from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
 
 REFERENCE_SLIT_ROWS: Final = 3
 """Slit width, rows, at which `Instrument.light_dn` holds: the paper's 2.9 um; a wider slit gathers more."""
@@ -21,6 +25,9 @@ _VOLTS_AT_SENSOR_ROW_0: Final = -0.459
 """Galvo map of the paper, V at sensor row 0."""
 _MAGNIFICATION: Final = 3.778
 """Magnification of the paper's 120 Hz preset, for which its galvo map holds: 3.63 um pixels, 0.9608 um per row."""
+
+_S_CURVE_REACH: Final = 1.5
+"""Radii of the bundle from its middle beyond which the galvo's deviation stays constant: the parked line; chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +80,8 @@ class Instrument:
         Brightness of the bundle itself.
     volts_per_row, volts_at_row_zero : float
         Galvo map: voltage at which the line lies on a row of the confocal view.
+    imperfections : Imperfections
+        Departures from the ideal instrument.
 
     Raises
     ------
@@ -105,6 +114,7 @@ class Instrument:
     autofluorescence: float = 0.04
     volts_per_row: float = _VOLTS_PER_SENSOR_PX
     volts_at_row_zero: float = _VOLTS_AT_SENSOR_ROW_0
+    imperfections: Imperfections = IDEAL
 
     def __post_init__(self) -> None:
         self._refuse_impossible_numbers()
@@ -221,6 +231,18 @@ class Instrument:
         """Row and column of the centre of the residual view."""
         rows, cols = self.confocal_centre
         return rows + self.offset_rows, cols + self.frame_shape[1] / 2 - 0.85
+
+    def line_row(self, volts: ArrayLike) -> NDArray[np.float64]:
+        """Return the row of the confocal view on which the line lies, for galvo positions in volts.
+
+        The galvo map is linear but for ``galvo-s-curve``: a cubic that is zero at the bundle's middle and rim.
+        """
+        row = (np.asarray(volts, np.float64) - self.volts_at_row_zero) / self.volts_per_row
+        peak_rows = self.imperfections.galvo_s_curve_rows
+        if not peak_rows:
+            return row
+        u = np.clip((row - self.confocal_centre[0]) / (self.diameter_px / 2), -_S_CURVE_REACH, _S_CURVE_REACH)
+        return np.asarray(row + peak_rows * 1.5 * np.sqrt(3) * (u - u**3))
 
     def with_gain_db(self, gain_db: float) -> Instrument:
         """Return the instrument with the camera's gain raised: more grey levels, fewer electrons per level."""

@@ -14,6 +14,8 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.compiled import kernel
+from napari_elsplus.simulation.model.imperfections import IDEAL
+from napari_elsplus.simulation.rendering.disturbances import Disturbances
 from napari_elsplus.simulation.rendering.scan import CoreLight, Scan
 from napari_elsplus.simulation.rendering.sensor import expose
 from napari_elsplus.simulation.rendering.views import views
@@ -76,6 +78,7 @@ class Renderer:
         self.trajectory = Still() if trajectory is None else trajectory
         self.frame_shape = instrument.frame_shape
         self._seed = seed
+        self._disturbances = Disturbances(instrument, seed) if noise and instrument.imperfections != IDEAL else None
         self._cores, *self._views = views(instrument)
         self._scan = Scan(instrument, scene, self._cores)
         reach_um = instrument.bundle.radius_um + abs(instrument.offset_um) / 2
@@ -117,12 +120,13 @@ class Renderer:
             raise InputError(f"a frame buffer {out.shape} {out.dtype}", f"give {self.frame_shape} uint8")
         core_dn = self.core_values(frame_index, line_rows=line_rows)
         camera = self.instrument
+        readout = None if self._disturbances is None else self._disturbances.readout(frame_index)
         left, right = (view.spots for view in self._views)
         expose(
             out,
             left.first, left.column, left.cores, left.weights, core_dn[0] * np.float32(left.scale),
             right.first, right.column, right.cores, right.weights, core_dn[1] * np.float32(right.scale),
-            self._row_signal,
+            self._row_signal, None if readout is None else readout.row_black_dn,
             camera.black_dn, camera.electrons_per_dn, camera.read_noise_e, _noise_key(self._seed, frame_index),
         )  # fmt: skip
         return out

@@ -93,6 +93,7 @@ def expose(
     right_weights: NDArray[np.uint8],
     right_values: NDArray[np.float32],
     row_signal: NDArray[np.float32],
+    row_black_dn: NDArray[np.float32] | None,
     black_dn: float,
     electrons_per_dn: float,
     read_noise_e: float,
@@ -115,6 +116,8 @@ def expose(
         The same of the residual view.
     row_signal : numpy.ndarray
         (cols,) scratch.
+    row_black_dn : numpy.ndarray or None
+        (rows,) grey levels added to each row; None adds none.
     black_dn, electrons_per_dn, read_noise_e : float
         Black level, grey levels; gain, electrons per grey level; read noise, electrons.
     key : int
@@ -136,6 +139,9 @@ def expose(
             row_signal, right_column[r], right_first[r], right_first[r + 1], right_cores, right_weights, right_values
         )
         base = np.uint32(r * cols)
+        row_black = black
+        if row_black_dn is not None:
+            row_black += row_black_dn[r]
         for c in range(cols):
             signal = row_signal[c]
             if noisy:
@@ -152,7 +158,7 @@ def expose(
                     + (word >> np.uint32(24))
                 )
                 signal += np.sqrt(signal * shot + read) * (np.float32(total) - np.float32(510)) * norm
-            out[r, c] = np.uint8(min(np.float32(255), max(np.float32(0), signal + black)))
+            out[r, c] = np.uint8(min(np.float32(255), max(np.float32(0), signal + row_black)))
 
 
 @kernel

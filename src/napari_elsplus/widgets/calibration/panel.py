@@ -13,6 +13,7 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.rig import SIMULATED
+from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.settings import recall, remember, set_active_calibration
@@ -291,7 +292,7 @@ class CalibrationPanel(Panel):
 
     def _connected(self, setup: Setup) -> None:
         self._setup = setup
-        if self.connection.rig == SIMULATED and self.draft.bundle_um is None and self.draft.calibration.bundle is None:
+        if is_simulated(self.connection.rig) and self.draft.bundle_um is None and self.draft.calibration.bundle is None:
             self.session.change(self.draft.with_bundle_um(BUNDLE_UM))  # of the simulated bundle; the field shows it
         self.sharing.activate(self.draft.calibration)
 
@@ -350,7 +351,8 @@ class CalibrationPanel(Panel):
         connected = self.connection.client is not None
         form.show_optics(draft.bundle_um, draft.calibration.optics)
         form.show_states({step.key: step.state(draft, self._setup) for step in calibration_steps()}, self.key)
-        unattended = " The simulated rig does this by itself." if connected and self.connection.rig == SIMULATED else ""
+        simulated = connected and is_simulated(self.connection.rig)
+        unattended = " The simulated rig does this by itself." if simulated else ""
         form.explanation.setText(f"{step.explanation}<br><i>{step.preparation}{unattended}</i>")
         shown = self.session.shown(self.key)
         form.show_picture(None if shown is None else shown.picture)

@@ -11,7 +11,7 @@ from napari.utils.notifications import show_error, show_info
 from qtpy.QtCore import QTimer
 
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
-from napari_elsplus.hardware.rig import SIMULATED
+from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.live.form import CONTINUOUS, FIXED, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers
@@ -176,7 +176,7 @@ class LivePanel(EnginePanel):
         self.activate_calibration(client, lambda: self._calibrate_and_start(client))
 
     def _calibrate_and_start(self, client: EngineClient) -> None:
-        if client.calibration is None and self.connection.rig == SIMULATED:
+        if client.calibration is None and is_simulated(self.connection.rig):
             self.requests.follow(client.use_simulated_calibration(), lambda _: self._calibrate_and_start(client))
             return
         self.requests.follow(client.show(self.form.view), lambda _: self.requests.follow(client.start()))

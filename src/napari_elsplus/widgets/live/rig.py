@@ -13,6 +13,7 @@ from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig import SIMULATED
+from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS, preset
 from napari_elsplus.io import read_calibration, write_calibration
@@ -133,7 +134,7 @@ class RigPanel(EnginePanel):
         """Update status text and buttons."""
         client, busy = self.connection.client, self.requests.busy
         connected = client is not None
-        simulated = self.connection.rig == SIMULATED
+        simulated = is_simulated(self.connection.rig)
         progress = client.status.progress if client is not None else None
         self.connect.text = "Disconnect" if connected else "Connect"
         self.connect.enabled = not busy or progress is not None

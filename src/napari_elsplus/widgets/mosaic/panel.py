@@ -11,7 +11,7 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.rig import SIMULATED
+from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.io import read_calibration
 from napari_elsplus.io.formats.registry import dialog_filter, recordings_filter
 from napari_elsplus.io.formats.tiff import TIFF
@@ -255,7 +255,7 @@ class MosaicPanel(EnginePanel):
         super().cleanup()
 
     def _start_live(self, client: EngineClient) -> None:
-        if client.calibration is None and self.connection.rig == SIMULATED:
+        if client.calibration is None and is_simulated(self.connection.rig):
             self.requests.follow(client.use_simulated_calibration(), lambda _: self._start_live(client))
         elif not client.status.live:
             self._track(

@@ -1,0 +1,57 @@
+"""Line positions of a scan that repeats: the drive of a rig file's galvo, followed by the galvo as it moves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.hardware.scan.timing import ScanTiming
+from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
+from napari_elsplus.hardware.virtual.galvo import GalvoModel, imperfect_galvo
+from napari_elsplus.hardware.virtual.timeline import Program, StrobeTrain
+from napari_elsplus.simulation.truth import true_calibration
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.simulation.model.instrument import Instrument
+
+_STEADY_AFTER: Final = 10
+"""Frames after which the galvo's motion is periodic; chosen: 40 ms at 240 Hz, six times the slowest settling."""
+
+
+def steady_line_rows(instrument: Instrument, stated: GalvoModel | None = None) -> NDArray[np.float64]:
+    """Return the line positions (rows,) of a periodic ELS+ scan, as :meth:`Renderer.render` takes them.
+
+    The drive compensates the stated galvo and the true galvo's lag behind a steady ramp, as one that was measured with
+    a single lag does.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The instrument; its imperfections state how the galvo moves.
+    stated : GalvoModel, optional
+        The galvo of the rig file; that of the simulated rig by default.
+
+    Raises
+    ------
+    InputError
+        If the flyback does not fit the frame.
+    """
+    stated = stated or GalvoModel()
+    moved = imperfect_galvo(stated, instrument.imperfections)
+    perfect = true_calibration(instrument)
+    assert perfect.galvo is not None
+    lagging = perfect.model_copy(update={"galvo": perfect.galvo.model_copy(update={"lag_s": moved.lag_s})})
+    optics, slit_rows = instrument.optics, round(instrument.slit_rows)
+    timing = ScanTiming(optics.line_period_s, optics.line_periods_per_frame, slit_rows)
+    drive = els_waveform(lagging, timing, GalvoLimits(natural_hz=stated.natural_hz, damping=stated.damping))
+    train = StrobeTrain(0.0, timing.frame_period_s)
+    output = Program(
+        0.0, float(drive.volts[0]), drive.volts, drive.samples_per_ramp, drive.sample_rate_hz, strobe=train
+    )
+    strobe_s = _STEADY_AFTER * timing.frame_period_s
+    rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
+    middles_s = strobe_s + timing.row_zero_s + (rows - timing.slit_rows / 2) * timing.line_period_s
+    return instrument.line_row(moved.position([output], middles_s, strobe_s))

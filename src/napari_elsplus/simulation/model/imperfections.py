@@ -1,0 +1,172 @@
+"""Departures of an instrument from the ideal one, as named numbers: galvo, laser line, views, camera, specimen.
+
+Each is one parameter with a unit, a range, and a plausible range from which instruments are drawn at random. The
+simulator's image formation follows from them alone; no calibration is involved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from math import exp, isfinite, log
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+
+import numpy as np
+
+from napari_elsplus.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+class Parameter(NamedTuple):
+    """One imperfection: unit, limits, the range of plausible instruments, what it does.
+
+    A plausible range whose ends have the same sign is drawn from logarithmically, others linearly.
+    """
+
+    unit: str
+    low: float
+    high: float
+    plausible: tuple[float, float]
+    effect: str
+
+
+def _imperfection(
+    unit: str, low: float, high: float, plausible: tuple[float, float], effect: str, default: float | None = 0.0
+) -> Any:
+    return field(default=default, metadata={"parameter": Parameter(unit, low, high, plausible, effect)})
+
+
+@dataclass(frozen=True, slots=True)
+class Imperfections:
+    """Departures of an instrument from the ideal one; all zero, or absent, by default.
+
+    On the command line and in rig files each is named without its unit: ``galvo-resonance``. `PARAMETERS` describes
+    them all.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+
+    Examples
+    --------
+    >>> Imperfections.parse("galvo-resonance=800,row-noise=0.5").changed
+    {'galvo-resonance': 800.0, 'row-noise': 0.5}
+    >>> Imperfections.parse("galvo=800")
+    Traceback (most recent call last):
+        ...
+    napari_elsplus.errors.InputError: no imperfection is called 'galvo': ...
+    """
+
+    galvo_resonance_hz: float | None = _imperfection(
+        "Hz", 200, 10_000, (500, 2000), "resonance of the galvo, where it differs from the rig file's", None
+    )
+    galvo_damping: float | None = _imperfection(
+        "", 0.05, 3, (0.3, 1.0), "damping ratio of the galvo, where it differs from the rig file's", None
+    )
+    galvo_delay_us: float = _imperfection("us", 0, 1000, (0, 100), "delay of card, amplifier and trigger")
+    galvo_s_curve_rows: float = _imperfection(
+        "rows", -20, 20, (-2, 2), "largest deviation of the line from a linear galvo map over the bundle, cubic"
+    )
+    row_noise_dn: float = _imperfection(
+        "grey levels", 0, 20, (0, 2), "standard deviation of the black level from row to row and frame to frame"
+    )
+
+    def __post_init__(self) -> None:
+        for name, parameter in PARAMETERS.items():
+            value = getattr(self, _FIELDS[name])
+            if value is None:
+                continue
+            if not (isfinite(value) and parameter.low <= value <= parameter.high):
+                limits = f"{parameter.low:g} to {parameter.high:g} {parameter.unit}".rstrip()
+                raise InputError(f"{name} is {value:g}, outside of {limits}", _names())
+
+    @classmethod
+    def of(cls, values: Mapping[str, float]) -> Self:
+        """Return imperfections from values by name, as rig files and the command line name them.
+
+        Raises
+        ------
+        InputError
+            If there is no such name, or a value is no number or out of range.
+        """
+        for name, value in values.items():
+            if name not in PARAMETERS:
+                raise InputError(f"no imperfection is called {name!r:.40}", _names())
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise InputError(f"{name} is {value!r:.40}, which is no number", _names())
+        return cls(**{_FIELDS[name]: float(value) for name, value in values.items()})
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return imperfections from text ``name=value,name=value``.
+
+        Raises
+        ------
+        InputError
+            If the text has another form, or as of `of`.
+        """
+        values: dict[str, float] = {}
+        for part in filter(None, (part.strip() for part in text.split(","))):
+            name, _, number = part.partition("=")
+            try:
+                values[name.strip()] = float(number)
+            except ValueError:
+                raise InputError(f"{part!r:.60} is no imperfection", f"give NAME=VALUE; {_names()}") from None
+        return cls.of(values)
+
+    @classmethod
+    def drawn(cls, seed: int) -> Self:
+        """Return the imperfections of an instrument drawn at random: each from its plausible range, independently.
+
+        Parameters
+        ----------
+        seed : int
+            0 or more; the same seed gives the same instrument.
+
+        Examples
+        --------
+        >>> Imperfections.drawn(3) == Imperfections.drawn(3) != Imperfections.drawn(4)
+        True
+        """
+        rng = np.random.default_rng((_DRAW, seed))
+        return cls(**{_FIELDS[name]: _draw(parameter.plausible, rng) for name, parameter in PARAMETERS.items()})
+
+    @property
+    def changed(self) -> dict[str, float]:
+        """Values that differ from the ideal instrument's, by name."""
+        mine = ((name, getattr(self, _FIELDS[name])) for name in PARAMETERS)
+        return {name: value for name, value in mine if value != _DEFAULTS[name]}
+
+    @property
+    def moves_galvo(self) -> bool:
+        """True if the galvo's motion differs from the rig file's."""
+        return any(name.startswith("galvo-") for name in self.changed)
+
+
+_DRAW: Final = 0xE15
+"""Keeps the draws apart from other uses of the same seed; chosen."""
+_FIELDS: Final[dict[str, str]] = {}
+_DEFAULTS: Final[dict[str, Any]] = {}
+PARAMETERS: Final[dict[str, Parameter]] = {}
+"""Imperfections by the names that rig files and the command line use."""
+
+for _field in fields(Imperfections):
+    _parameter: Parameter = _field.metadata["parameter"]
+    _unit_at = _field.name.rfind("_") if _parameter.unit else len(_field.name)
+    _name = _field.name[:_unit_at].replace("_", "-")
+    _FIELDS[_name], _DEFAULTS[_name], PARAMETERS[_name] = _field.name, _field.default, _parameter
+
+
+def _names() -> str:
+    return f"the imperfections are {', '.join(PARAMETERS)}"
+
+
+def _draw(plausible: tuple[float, float], rng: np.random.Generator) -> float:
+    low, high = plausible
+    return exp(rng.uniform(log(low), log(high))) if low > 0 else float(rng.uniform(low, high))
+
+
+IDEAL: Final = Imperfections()
+"""The ideal instrument."""
