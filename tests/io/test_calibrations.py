@@ -52,6 +52,46 @@ def test_everything_comes_back_and_unknown_keys_survive(tmp_path):
     np.testing.assert_array_equal(again.flat, ARRAYS["flat"])
 
 
+DISTORTION = np.arange(20, dtype=np.float32).reshape(2, 10) / 100
+
+
+def test_distortion_makes_a_file_of_version_2_that_is_not_read_without_it(tmp_path):
+    calibration = Calibration.parse(FULL).model_copy(update=ARRAYS | {"distortion": DISTORTION})
+    write_calibration(tmp_path / "c.json", calibration)
+    assert json.loads((tmp_path / "c.json").read_text(encoding="utf-8")) == FULL | {"version": 2}
+    again = read_calibration(tmp_path / "c.json")
+    np.testing.assert_array_equal(again.distortion, DISTORTION)
+    assert again.content()["version"] == 2
+    (tmp_path / "c.npz").unlink()
+    with pytest.raises(CalibrationError, match=r"needs the distortion in c\.npz"):
+        read_calibration(tmp_path / "c.json")
+    np.savez(tmp_path / "c.npz", distortion=DISTORTION[:, :6])
+    with pytest.raises(CalibrationError, match=r"distortion has shape \(2, 6\)"):
+        read_calibration(tmp_path / "c.json")
+
+
+FROZEN = """{
+ "format": "napari-elsplus/calibration", "version": 1, "created": "2026-01-31T12:00:00Z",
+ "frame": {"shape": [4, 6], "sensor_origin": [0, 0]},
+ "offset": {"rows": -12.03, "uncertainty_rows": 0.01, "tilt_deg": 0.2},
+ "galvo": {"volts_per_row": 0.00126, "volts_at_row_zero": -0.459, "r_squared": 0.9999, "rms_rows": 0.05, "lag_s": 0.0},
+ "bundle": {"confocal_centre": [161.0, 158.0], "residual_centre": [149.0, 481.0], "diameter_px": 290.0,
+            "residual_to_confocal": [[1.0, 0.0, 12.0], [0.0, 1.0, -323.0]], "residual_gain": 1.0},
+ "optics": {"um_per_px": 2.138, "line_period_s": 7.648e-06, "rows_per_frame": 544.8}}"""
+"""A file of version 1 as it was written; never to be changed."""
+
+
+def test_a_frozen_file_of_version_1_opens_for_ever(tmp_path):
+    (tmp_path / "old.json").write_text(FROZEN)
+    np.savez(tmp_path / "old.npz", background=np.full((4, 6), 5.0, np.float32), flat=np.ones((3, 3), np.float32))
+    old = read_calibration(tmp_path / "old.json")
+    assert old.version == 1
+    assert old.distortion is None
+    assert old.offset.rows == -12.03
+    assert old.bundle.residual_to_confocal[1] == (0.0, 1.0, -323.0)
+    assert old.background[0, 0] == 5.0
+
+
 def test_arrays_that_no_longer_belong_are_removed(tmp_path):
     bare = Calibration.parse(FULL)
     write_calibration(tmp_path / "c.json", bare.model_copy(update=ARRAYS))

@@ -17,8 +17,13 @@ from napari_elsplus.errors import CalibrationError
 
 FORMAT = "napari-elsplus/calibration"
 """Value of the file's key `format`."""
-VERSION = 1
+VERSION = 2
 """Highest version of the file format that is read."""
+
+ARRAYS = ("background", "flat", "distortion")
+"""Names of the arrays, which lie in the .npz beside the file."""
+DISTORTION_SHAPE = (2, 10)
+"""Row and column, and the ten coefficients of a polynomial of third degree in two variables."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -172,6 +177,10 @@ class Calibration(Section):
         Mean frame of the dark tube with the laser on, raw shape (rows, cols), float32 grey levels.
     flat : numpy.ndarray, optional
         Flat field of the confocal crop (n, n), float32, mean 1 inside the disc.
+    distortion : numpy.ndarray, optional
+        (2, 10), px: row and column by which the residual view departs from the inverse of `residual_to_confocal`, as
+        coefficients of 1, r, c, r^2, rc, c^2, r^3, r^2 c, r c^2, c^3 of the position (r, c) about the confocal centre
+        over half the diameter. With it the version is 2; without it, 1.
 
     Examples
     --------
@@ -185,7 +194,7 @@ class Calibration(Section):
     """
 
     format: Literal["napari-elsplus/calibration"] = "napari-elsplus/calibration"
-    version: Literal[1] = 1
+    version: Literal[1, 2] = 1
     created: str = Field(default_factory=utc_now)
     frame: FrameSection | None = None
     acquired_with: AcquiredWith | None = None
@@ -196,12 +205,13 @@ class Calibration(Section):
     quality: QualitySection | None = None
     background: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
     flat: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
+    distortion: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
 
     def __eq__(self, other: object) -> bool:
         """Return True if all sections and both arrays are equal."""
         if not isinstance(other, Calibration):
             return NotImplemented
-        pairs = ((self.background, other.background), (self.flat, other.flat))
+        pairs = [(getattr(self, name), getattr(other, name)) for name in ARRAYS]
         same = (one is two or (one is not None and two is not None and np.array_equal(one, two)) for one, two in pairs)
         return self.content() == other.content() and all(same)
 
@@ -222,7 +232,7 @@ class Calibration(Section):
                 f"the calibration has version {version}, this software reads up to {VERSION}", "update napari-elsplus"
             )
         try:
-            return cls.model_validate({k: v for k, v in content.items() if k not in {"background", "flat"}})
+            return cls.model_validate({k: v for k, v in content.items() if k not in ARRAYS})
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"]) or "calibration"
@@ -246,7 +256,8 @@ class Calibration(Section):
 
     def content(self) -> dict[str, Any]:
         """Return all but the arrays, ready for JSON; absent sections are left out, unknown keys are kept."""
-        return self.model_dump(mode="json", by_alias=True, exclude_none=True)
+        content = self.model_dump(mode="json", by_alias=True, exclude_none=True)
+        return content if self.distortion is None else content | {"version": 2}
 
     def require(self, *sections: str) -> None:
         """Check that sections were measured.

@@ -1,4 +1,4 @@
-"""Calibration files: NAME.json for the numbers, NAME.npz beside it for background and flat field."""
+"""Calibration files: NAME.json for the numbers, NAME.npz beside it for background, flat field and distortion."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.instrument.calibration import ARRAYS, DISTORTION_SHAPE, Calibration
 from napari_elsplus.io.atomic import refuse_existing, replacing
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ MAX_JSON_BYTES: Final = 4 << 20
 """Chosen: a calibration has some kilobytes; a larger file is another one, named by mistake."""
 MAX_ARRAYS_BYTES: Final = 1 << 30
 """Chosen: the background of a 20-megapixel camera unpacks to 80 MB; more is a forged or foreign archive."""
-ARRAYS: Final = ("background", "flat")
 _HEADER_READERS: Final = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
@@ -31,7 +30,7 @@ _HEADER_READERS: Final = {
 
 
 def read_calibration(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration, with its background and flat field where they lie beside it.
+    """Read a calibration, with its background, flat field and distortion where they lie beside it.
 
     Parameters
     ----------
@@ -51,11 +50,16 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
     path = Path(path)
     calibration = parse_calibration(_read_text(path), name=path.name)
     arrays = _read_arrays(path.with_suffix(".npz"), calibration)
+    if calibration.version == 2 and "distortion" not in arrays:
+        raise CalibrationError(
+            f"{path.name} needs the distortion in {path.with_suffix('.npz').name}, which is absent",
+            "put that file beside it, or calibrate again",
+        )
     return calibration.model_copy(update=arrays)
 
 
 def write_calibration(path: str | os.PathLike[str], calibration: Calibration, force: bool = False) -> Path:
-    """Write a calibration as NAME.json and, if it has a background or a flat field, NAME.npz beside it.
+    """Write a calibration as NAME.json and, if it has a background, flat field or distortion, NAME.npz beside it.
 
     Parameters
     ----------
@@ -199,6 +203,8 @@ def _checked(path: Path, name: str, array: NDArray[Any]) -> NDArray[np.float32]:
         )
     with np.errstate(over="ignore"):
         image = np.ascontiguousarray(array, np.float32)
+    if name == "distortion" and image.shape != DISTORTION_SHAPE:
+        raise CalibrationError(f"{path.name}: the distortion has shape {image.shape}, not (2, 10)", "calibrate again")
     if not np.isfinite(image).all():
         raise CalibrationError(f"{path.name}: the {name} holds NaN or infinity", "calibrate again")
     return image

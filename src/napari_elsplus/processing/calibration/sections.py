@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import (
     BundleSection,
@@ -14,11 +16,10 @@ from napari_elsplus.instrument.calibration import (
 )
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.calibration.bundle.cancellation import measure_alignment_errors
-from napari_elsplus.processing.calibration.bundle.view_alignment import darkness
+from napari_elsplus.processing.calibration.bundle.gain import darkness
 from napari_elsplus.processing.calibration.measurements import measure_flat_field, offset_at
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
@@ -79,7 +80,13 @@ def apply_pair(draft: Draft, pair: BundlePair) -> Calibration:
     MeasurementError
         If the two views do not fit each other.
     """
-    known = draft.calibration.model_copy(update={"bundle": _bundle_section(pair)})
+    distortion = pair.alignment.distortion
+    update = {
+        "bundle": _bundle_section(pair),
+        "distortion": None if distortion is None else distortion.astype(np.float32),
+        "version": 1 if distortion is None else 2,
+    }
+    known = draft.calibration.model_copy(update=update)
     if draft.bundle_um is not None:
         scale = draft.bundle_um / pair.confocal.diameter_px
         known = known.model_copy(

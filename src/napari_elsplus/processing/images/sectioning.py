@@ -17,6 +17,7 @@ from napari_elsplus.errors import CalibrationError
 from napari_elsplus.processing.images.elsa import FRAMES_PER_IMAGE, elsa_frames
 from napari_elsplus.processing.images.fused import FusedSections
 from napari_elsplus.processing.images.resampling import Resampler
+from napari_elsplus.processing.images.warping import WarpedResampler, polynomial_terms, within_frame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -87,34 +88,6 @@ def disc(side: int, diameter_px: float) -> NDArray[np.bool_]:
     axis = np.arange(side) - (side - 1) / 2
     inside: NDArray[np.bool_] = axis[:, None] ** 2 + axis**2 <= (diameter_px / 2) ** 2
     return inside
-
-
-def within_frame(grid_to_frame: NDArray[np.float64], side: int, frame_shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return the pixels of a square grid that an affine map puts into a frame.
-
-    Parameters
-    ----------
-    grid_to_frame : numpy.ndarray
-        (2, 3): maps (row, col, 1) on the grid to (row, col) in the frame.
-    side : int
-        Rows and columns of the grid.
-    frame_shape : tuple of int
-        Rows and columns of the frame.
-
-    Returns
-    -------
-    numpy.ndarray
-        (side, side), bool.
-
-    Examples
-    --------
-    >>> within_frame(np.array([[1.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), 2, (9, 9)).tolist()
-    [[False, False], [True, True]]
-    """
-    rows, cols = np.mgrid[:side, :side]
-    points = np.tensordot(grid_to_frame, np.stack([rows, cols, np.ones_like(rows)]), 1)
-    last = np.reshape(frame_shape, (2, 1, 1)) - 1
-    return np.asarray(((points >= 0) & (points <= last)).all(axis=0))
 
 
 class Sectioner:
@@ -188,13 +161,33 @@ class Sectioner:
             self.subtracted = self.seen & _line_within_bundle(calibration, self.side)
         residual_brightness[self.inside & ~self.subtracted] = np.nan
         background = calibration.background
-        self._confocal = _View(grid_to_confocal[:2], confocal_brightness, frame_shape, background)
-        self._residual = _View(grid_to_residual[:2], residual_brightness, frame_shape, background)
+        confocal_resampler = Resampler(grid_to_confocal[:2], self.side)
+        residual_resampler = self._residual_resampler(calibration, grid_to_residual[:2])
+        self._confocal = _View(confocal_resampler, confocal_brightness, frame_shape, background)
+        self._residual = _View(residual_resampler, residual_brightness, frame_shape, background)
         self._scratch = np.empty((self.side, self.side), np.float32)
         self._fused: FusedSections | None = None
         maps = grid_to_confocal[:2], grid_to_residual[:2]
-        if self.seen[self.inside].all() and all(FusedSections.fits(each, self.side) for each in maps):
+        straight = calibration.distortion is None and all(FusedSections.fits(each, self.side) for each in maps)
+        if straight and self.seen[self.inside].all():
             self._fused = FusedSections(*maps, bundle.residual_gain, self.inside, background, frame_shape)
+
+    def _residual_resampler(
+        self, calibration: Calibration, grid_to_residual: NDArray[np.float64]
+    ) -> Resampler | WarpedResampler:
+        """Return the resampling of the residual view: affine, or with the calibration's distortion."""
+        if calibration.distortion is None:
+            if calibration.version > 1:
+                raise CalibrationError(
+                    "the calibration's distortion is absent", "read it with the .npz beside its file"
+                )
+            return Resampler(grid_to_residual, self.side)
+        axis = np.arange(self.side) - (self.side - 1) / 2
+        rows, cols = np.meshgrid(axis, axis, indexing="ij")
+        terms = polynomial_terms(rows / (self.diameter_px / 2), cols / (self.diameter_px / 2))
+        points = np.stack([rows - axis[0], cols - axis[0], np.ones_like(rows)])
+        affine = np.tensordot(grid_to_residual, points, 1)
+        return WarpedResampler(affine + np.tensordot(calibration.distortion, terms, 1))
 
     def ls(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """Return the confocal view of a raw frame.
@@ -301,14 +294,14 @@ class _View:
 
     def __init__(
         self,
-        grid_to_frame: NDArray[np.float64],
+        resampler: Resampler | WarpedResampler,
         brightness: NDArray[np.float32],
         frame_shape: tuple[int, int],
         background: NDArray[np.float32] | None,
     ) -> None:
         self._brightness = brightness
-        self._resampler = Resampler(grid_to_frame, len(brightness))
-        first, window = self._resampler.first, self._resampler.window
+        self._resampler = resampler
+        first, window = resampler.first, resampler.window
         low = [max(f, 0) for f in first]
         high = [min(f + size, limit) for f, size, limit in zip(first, window.shape, frame_shape, strict=True)]
         if any(a >= b for a, b in zip(low, high, strict=True)):

@@ -9,8 +9,8 @@ import numpy as np
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT, alignment_error
+from napari_elsplus.processing.calibration.bundle.gain import darkness
 from napari_elsplus.processing.calibration.bundle.location import Disc
-from napari_elsplus.processing.calibration.bundle.view_alignment import darkness
 from napari_elsplus.processing.images.cores import GAUSSIAN_SIGMA_PITCHES, CoreFilter
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 

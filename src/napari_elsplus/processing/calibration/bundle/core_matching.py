@@ -19,6 +19,8 @@ from napari_elsplus.processing.analysis.uncertainty import estimator_influence
 from napari_elsplus.processing.images.resampling import resampled
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.calibration.bundle.location import Disc
@@ -100,6 +102,26 @@ class AlignmentModel(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class TileShifts:
+    """Shift of the cores that a fit leaves over, by tile of the disc.
+
+    Parameters
+    ----------
+    rows, cols : numpy.ndarray
+        Mean position about the confocal centre, px, shape (tiles,).
+    scores : numpy.ndarray
+        Gradient of the match by the shift (row, col), shape (tiles, 2).
+    curvature : numpy.ndarray
+        Negative derivative of the scores by the shift, shape (tiles, 2, 2): the shift is that of scores over curvature.
+    """
+
+    rows: Floats
+    cols: Floats
+    scores: Floats
+    curvature: Floats
+
+
+@dataclass(frozen=True, slots=True)
 class CoreFit:
     """One model fitted to the cores.
 
@@ -113,12 +135,15 @@ class CoreFit:
         Between the aligned contrasts.
     uncertainty_px : float
         One standard deviation of the motion along a row or column, at the rim.
+    left_over : TileShifts
+        Of each tile of the disc that is compared.
     """
 
     motion: Floats
     influence: Floats
     correlation: float
     uncertainty_px: float
+    left_over: TileShifts
 
     @property
     def parameters(self) -> Floats:
@@ -144,6 +169,12 @@ class CoreMatcher:
         (side, side) bool: the pixels that are compared, those of the 90 % disc that the frame contains in both views.
     rows, cols : numpy.ndarray
         Their positions about the confocal centre, shape (points,).
+    residual_centre : tuple of float
+        Row and column of the residual disc's centre in the frame.
+    contrast : numpy.ndarray
+        (rows, cols) float32: the frame's light over its local mean.
+    confocal : numpy.ndarray
+        (side, side) float32: the contrast of the confocal view on the grid.
     """
 
     def __init__(self, frame: Image, confocal: Disc, residual: Disc) -> None:
@@ -155,10 +186,10 @@ class CoreMatcher:
             for at, centre, size in zip((rows, cols), disc.centre, frame.shape, strict=True):
                 self.inside &= (centre + at >= 3) & (centre + at < size - 3)
         self.rows, self.cols = rows[self.inside], cols[self.inside]
-        self._residual_centre = residual.centre
+        self.residual_centre = residual.centre
         self._scale = residual.diameter_px / confocal.diameter_px
-        self._contrast = _contrast(frame, radius)
-        self._confocal = resampled(self._contrast, self.grid_to_frame(confocal.centre, np.eye(2, 3)), self.side)
+        self.contrast = _contrast(frame, radius)
+        self.confocal = resampled(self.contrast, self.grid_to_frame(confocal.centre, np.eye(2, 3)), self.side)
 
     @property
     def points(self) -> int:
@@ -171,26 +202,37 @@ class CoreMatcher:
         moved[:, 2] += np.array(centre) - moved[:, :2] @ np.full(2, (self.side - 1) / 2)
         return moved
 
-    def start(self) -> Floats:
+    def start(self, part: float = 1.0, scales: Sequence[float] = (1.0,)) -> Floats:
         """Estimate the motion to within half a core: scale from the diameters, angle and shift by correlation.
 
+        Parameters
+        ----------
+        part : float
+            Share of the compared disc's radius within which the cores are compared.
+        scales : sequence of float
+            Factors to the ratio of the diameters that are tried: distorted views differ more at the rim than inside.
+
+        Notes
+        -----
         The discs' rims do not determine the angle; the shift corrects a rim that is a core off, where the lattices
         nearly match too.
         """
         motion = np.array([[self._scale, 0.0, 0.0], [0.0, self._scale, 0.0]])
-        some = slice(None, None, -(-self.points // SEARCHED_POINTS))
+        away = np.hypot(self.rows, self.cols)
+        central = np.flatnonzero(away <= part * away.max())
+        some = central[:: -(-len(central) // SEARCHED_POINTS)]
         rows, cols = self.rows[some], self.cols[some]
-        target = self._confocal[self.inside][some]
+        target = self.confocal[self.inside][some]
         target = (target - target.mean()) / target.std()
         shifts = SHIFT_STEP_PX * np.arange(-SHIFT_STEPS, SHIFT_STEPS + 1)
         down, across = (grid.ravel() for grid in np.meshgrid(shifts, shifts, indexing="ij"))
         step = 0.5 / float(np.hypot(rows, cols).max())
         count = int(np.radians(MAX_ROTATION_DEG) / step)
         best, found = -1.0, motion
-        for turned in (_rotated(motion, k * step) for k in range(-count, count + 1)):
-            row, col = turned @ np.stack([rows, cols, np.ones_like(rows)]) + np.array(self._residual_centre)[:, None]
+        for turned in (_rotated(scale * motion, k * step) for scale in scales for k in range(-count, count + 1)):
+            row, col = turned @ np.stack([rows, cols, np.ones_like(rows)]) + np.array(self.residual_centre)[:, None]
             at_row, at_col = (at.astype(np.float32) for at in (row + down[:, None], col + across[:, None]))
-            values = cv2.remap(self._contrast, at_col, at_row, cv2.INTER_LINEAR)
+            values = cv2.remap(self.contrast, at_col, at_row, cv2.INTER_LINEAR)
             scores = (values @ target) / len(target) / np.maximum(values.std(axis=1), 1e-9)
             if scores.max() > best:
                 best = float(scores.max())
@@ -221,8 +263,8 @@ class CoreMatcher:
         motion = start.copy()
         motion[:, :2] = model.nearest(motion[:, :2])
         moves = model.displacements(self.rows, self.cols)
-        target = self._confocal[self.inside].astype(np.float64)
-        of_target = self._slopes(self._confocal, moves)
+        target = self.confocal[self.inside].astype(np.float64)
+        of_target = self._slopes(self.confocal, moves)
         for _ in range(20):
             moved = self._sample(motion)
             found = moved[self.inside].astype(np.float64)
@@ -247,6 +289,26 @@ class CoreMatcher:
             influence=influence,
             correlation=float(np.corrcoef(target, found)[0, 1]),
             uncertainty_px=self._at_rim(influence, model),
+            left_over=self._left_over(of_target[:, :2], of_found[:, :2], scores[:, :2], tile, count),
+        )
+
+    def _left_over(
+        self, of_target: Floats, of_found: Floats, scores: Floats, tile: NDArray[np.intp], count: int
+    ) -> TileShifts:
+        """Sum scores and curvature of the shift, whose derivatives are given, over each tile."""
+
+        def summed(values: Floats) -> Floats:
+            return np.asarray(np.bincount(tile, weights=values, minlength=count)[filled], np.float64)
+
+        pixels = np.bincount(tile, minlength=count)
+        filled = pixels > 0
+        cross = [[summed(of_target[:, a] * of_found[:, b]) for b in (0, 1)] for a in (0, 1)]
+        curvature = np.moveaxis(np.array(cross), -1, 0)
+        return TileShifts(
+            rows=summed(self.rows) / pixels[filled],
+            cols=summed(self.cols) / pixels[filled],
+            scores=np.stack([summed(column) for column in scores.T], axis=1),
+            curvature=(curvature + np.swapaxes(curvature, 1, 2)) / 2,
         )
 
     def _slopes(self, image: Image, moves: Floats) -> Floats:
@@ -255,7 +317,7 @@ class CoreMatcher:
         return np.asarray((moves[:, 0] * down + moves[:, 1] * across).T, np.float64)
 
     def _sample(self, motion: Floats) -> Image:
-        return resampled(self._contrast, self.grid_to_frame(self._residual_centre, motion), self.side)
+        return resampled(self.contrast, self.grid_to_frame(self.residual_centre, motion), self.side)
 
     def _at_rim(self, influence: Floats, model: AlignmentModel) -> float:
         rim = float(np.hypot(self.rows, self.cols).max())

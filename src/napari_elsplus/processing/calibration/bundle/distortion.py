@@ -1,0 +1,247 @@
+"""Distortion of the residual against the confocal view, fitted to the cores as a polynomial of third degree.
+
+Each model is a linear space of polynomials, and contains the one before it; the Newton steps are those of
+:meth:`CoreMatcher.fit`. The fit begins in the middle of the disc, where the views differ by less than a core.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.linalg import null_space
+
+from napari_elsplus.processing.analysis.uncertainty import estimator_influence
+from napari_elsplus.processing.calibration.bundle.core_matching import tiles
+from napari_elsplus.processing.images.warping import POWERS, polynomial_terms, warped
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.calibration.bundle.core_matching import CoreMatcher
+
+    Floats = NDArray[np.float64]
+    Image = NDArray[np.float32]
+
+GROWING: Final = (0.45, 0.65, 0.8)
+"""Parts of the bundle's radius on which the fit begins; chosen: a distortion of 1 % displaces the cores of the first by
+a third of their spacing."""
+SCALES: Final = (1.0, 0.99, 1.01, 0.98, 1.02)
+"""Scales of the middle over that of the diameters that are tried; chosen: they cover distortion of 2 % of the rim to
+within a third of a core."""
+MAX_STEPS: Final = 12
+"""Newton steps of a fit; measured: five suffice on frames distorted by 1 %."""
+
+
+class DistortionModel(StrEnum):
+    """Maps from the confocal to the residual view, from the simplest."""
+
+    AFFINE = "affine"
+    RADIAL = "radial distortion"
+    CUBIC = "cubic distortion"
+
+    @property
+    def basis(self) -> Floats:
+        """Coefficients of the polynomials that span the model, shape (parameters, 2, 10)."""
+        unit = np.eye(2 * len(POWERS)).reshape(-1, 2, len(POWERS))
+        if self is DistortionModel.CUBIC:
+            return unit
+        affine = [unit[axis * len(POWERS) + term] for axis in (0, 1) for term in (0, 1, 2)]
+        if self is DistortionModel.AFFINE:
+            return np.array(affine)
+
+        def field(row: dict[tuple[int, int], float], col: dict[tuple[int, int], float]) -> Floats:
+            return np.array([[part.get(power, 0.0) for power in POWERS] for part in (row, col)])
+
+        radial = [
+            field({(3, 0): 1, (1, 2): 1}, {(2, 1): 1, (0, 3): 1}),  # r^2 p
+            field({(2, 0): 3, (0, 2): 1}, {(1, 1): 2}),  # its derivative by the row of its centre, and by the column
+            field({(1, 1): 2}, {(0, 2): 3, (2, 0): 1}),
+        ]
+        return np.array(affine + radial)
+
+
+@dataclass(frozen=True, slots=True)
+class DistortedFit:
+    """One polynomial fitted to the cores.
+
+    Parameters
+    ----------
+    coefficients : numpy.ndarray
+        (2, 10): row and column about the residual centre, px, of the terms of the position about the confocal centre
+        over the bundle's radius.
+    basis : numpy.ndarray
+        (parameters, 2, 10): the model.
+    influence : numpy.ndarray
+        Contribution of each tile of the disc to the errors of the parameters, shape (tiles, parameters).
+    correlation : float
+        Between the aligned contrasts.
+    """
+
+    coefficients: Floats
+    basis: Floats
+    influence: Floats
+    correlation: float
+
+    def criterion(self, model: DistortionModel) -> float:
+        """Return the Bayesian information criterion of a model: Wald statistic of what it omits, and its parameters.
+
+        Parameters
+        ----------
+        model : DistortionModel
+            Contained in the fitted one.
+        """
+        space = model.basis.reshape(len(model.basis), -1)
+        omitted = null_space(space).T
+        must_vanish = omitted @ self.coefficients.ravel()
+        influence = self.influence @ (omitted @ self.basis.reshape(len(self.basis), -1).T).T
+        wald = float(must_vanish @ np.linalg.pinv(influence.T @ influence) @ must_vanish) if len(omitted) else 0.0
+        return wald + len(space) * float(np.log(len(influence)))
+
+
+class DistortionMatcher:
+    """Fits of distorted maps to the cores of both views.
+
+    Parameters
+    ----------
+    matcher : CoreMatcher
+        The cores on a grid about the confocal centre.
+    radius_px : float
+        Of the bundle in the confocal view: the polynomial's unit.
+
+    Attributes
+    ----------
+    terms : numpy.ndarray
+        (10, side, side): the polynomial's terms on the grid.
+    """
+
+    def __init__(self, matcher: CoreMatcher, radius_px: float) -> None:
+        self.matcher, self.radius_px = matcher, radius_px
+        axis = (np.arange(matcher.side) - (matcher.side - 1) / 2) / radius_px
+        self.terms = polynomial_terms(*np.meshgrid(axis, axis, indexing="ij"))
+
+    def positions(self, coefficients: Floats) -> Floats:
+        """Return row and column in the frame of each pixel of the grid, (2, side, side), for (2, 10) coefficients.
+
+        Parameters
+        ----------
+        coefficients : numpy.ndarray
+            (2, 10) map, as in :class:`DistortedFit`.
+        """
+        centre = np.reshape(self.matcher.residual_centre, (2, 1, 1))
+        return np.asarray(np.tensordot(coefficients, self.terms, 1) + centre, np.float64)
+
+    def start(self, motion: Floats) -> Floats:
+        """Return the coefficients (2, 10) of an affine motion (2, 3) about the centres.
+
+        Parameters
+        ----------
+        motion : numpy.ndarray
+            (2, 3), as in :class:`CoreFit`.
+        """
+        coefficients = np.zeros((2, len(POWERS)))
+        coefficients[:, 0], coefficients[:, 1:3] = motion[:, 2], self.radius_px * motion[:, :2]
+        return coefficients
+
+    def affine_part(self, coefficients: Floats) -> Floats:
+        """Return the affine motion (2, 3) about the centres that is nearest to a map in the compared disc.
+
+        Parameters
+        ----------
+        coefficients : numpy.ndarray
+            (2, 10) map, as in :class:`DistortedFit`.
+        """
+        terms = self.terms[:, self.matcher.inside]
+        motion = np.linalg.lstsq(terms[:3].T, (coefficients @ terms).T, rcond=None)[0].T
+        return np.column_stack([motion[:, 1:] / self.radius_px, motion[:, 0]])
+
+    def rms_px(self, coefficients: Floats) -> float:
+        """Return the root mean square length of a displacement (2, 10) over the compared disc.
+
+        Parameters
+        ----------
+        coefficients : numpy.ndarray
+            (2, 10) displacement, px.
+        """
+        return float(np.sqrt(np.square(coefficients @ self.terms[:, self.matcher.inside]).sum(axis=0).mean()))
+
+    @property
+    def _rim(self) -> Floats:
+        """Terms at 24 points of the compared disc's rim, (10, 24)."""
+        rim = float(np.hypot(self.matcher.rows, self.matcher.cols).max()) / self.radius_px
+        angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        return polynomial_terms(rim * np.sin(angles), rim * np.cos(angles))
+
+    def uncertainty_px(self, fit: DistortedFit) -> float:
+        """Return one standard deviation of a fitted map along a row or column, at the rim.
+
+        Parameters
+        ----------
+        fit : DistortedFit
+            With the influence of the disc's tiles.
+        """
+        errors = np.tensordot(fit.influence, np.tensordot(fit.basis, self._rim, 1), 1)
+        return float(np.sqrt(np.square(errors).sum(axis=0).mean()))
+
+    def left_over_px(self, full: DistortedFit, coefficients: Floats) -> float:
+        """Return how far a map departs from the fullest one along a row or column, at the rim, beyond chance.
+
+        Parameters
+        ----------
+        full : DistortedFit
+            The fullest model.
+        coefficients : numpy.ndarray
+            (2, 10): the map.
+        """
+        departure = np.square((full.coefficients - coefficients) @ self._rim).mean()
+        return float(np.sqrt(max(departure - 2 * self.uncertainty_px(full) ** 2, 0.0)))
+
+    def grown(self) -> Floats:
+        """Return coefficients (2, 10) fitted to discs that grow, from a motion found in the middle of the disc."""
+        coefficients = self.start(self.matcher.start(GROWING[0], SCALES))
+        models = (DistortionModel.AFFINE, DistortionModel.RADIAL, DistortionModel.RADIAL)
+        for part, model in zip(GROWING, models, strict=True):
+            coefficients = self.fit(coefficients, model, part).coefficients
+        return coefficients
+
+    def fit(self, start: Floats, model: DistortionModel, part: float = 1.0) -> DistortedFit:
+        """Fit a model by Newton steps, to the part of the disc within a share of its radius.
+
+        Parameters
+        ----------
+        start : numpy.ndarray
+            (2, 10) coefficients that are correct to within a core.
+        model : DistortionModel
+            The map.
+        part : float
+            Share of the bundle's radius.
+        """
+        matcher, basis, coefficients = self.matcher, model.basis, start
+        used = np.hypot(matcher.rows, matcher.cols) < part * self.radius_px
+        moves = np.tensordot(basis, self.terms[:, matcher.inside][:, used], 1)
+        target = matcher.confocal[matcher.inside][used].astype(np.float64)
+        of_target = self._slopes(matcher.confocal, moves, used)
+        for _ in range(MAX_STEPS):
+            moved = warped(matcher.contrast, self.positions(coefficients))
+            found = moved[matcher.inside][used].astype(np.float64)
+            of_found = self._slopes(moved, moves, used)
+            curvature = of_target @ of_found.T
+            curvature = (curvature + curvature.T) / 2
+            scores = (of_found * target - of_target * found) / 2
+            step = np.linalg.lstsq(curvature, scores.sum(axis=1), rcond=None)[0]
+            moved_px = float(np.abs(np.tensordot(step, moves, 1)).max())
+            if moved_px > 0.2 * self.radius_px:
+                break
+            coefficients = coefficients + np.tensordot(step, basis, 1)
+            if moved_px < 2e-3:
+                break
+        tile, count = tiles(matcher.rows[used], matcher.cols[used])
+        influence = estimator_influence(scores.T, curvature, tile, count)
+        return DistortedFit(coefficients, basis, influence, float(np.corrcoef(target, found)[0, 1]))
+
+    def _slopes(self, image: Image, moves: Floats, used: NDArray[np.bool_]) -> Floats:
+        """Return the derivative of the image by each parameter, shape (parameters, points)."""
+        down, across = (np.asarray(np.gradient(image, axis=axis))[self.matcher.inside][used] for axis in (0, 1))
+        return np.asarray(moves[:, 0] * down + moves[:, 1] * across, np.float64)

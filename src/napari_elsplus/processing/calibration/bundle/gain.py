@@ -1,0 +1,130 @@
+"""Gain of the residual view: its brightness over the confocal view's, each above the darkness around the bundle."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.calibration.bundle.core_matching import tiles
+from napari_elsplus.processing.images.resampling import resampled
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.calibration.bundle.core_matching import CoreMatcher
+    from napari_elsplus.processing.calibration.bundle.location import Disc
+
+    Floats = NDArray[np.float64]
+    Image = NDArray[np.float32]
+
+GAINS: Final = (0.5, 2.0)
+"""Range of the gain, as of the calibration's files."""
+MIN_RING_PIXELS: Final = 200
+"""Around the discs, for a plane of darkness; chosen."""
+MAX_SATURATED_NEARBY: Final = 0.02
+"""Share of the pixels around one that may be saturated if it is to count for the gain; chosen: patches are left out,
+single cores are not, as leaving out the brightest cores alone would favour the dim ones."""
+
+
+def measure_gain(
+    frame: NDArray[np.float32],
+    confocal: Disc,
+    residual: Disc,
+    residual_view: Callable[[Image], Image],
+    matcher: CoreMatcher,
+    saturated: NDArray[np.bool_] | None,
+) -> tuple[float, float]:
+    """Return the brightness of the residual view over the confocal, each above darkness, and its uncertainty.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        (rows, cols) float32, the bundle lit from its far end.
+    confocal, residual : Disc
+        The bundle images in it.
+    residual_view : callable
+        Resamples a frame onto the matcher's grid, the residual view aligned with the confocal one.
+    matcher : CoreMatcher
+        The grid, and its pixels that are compared.
+    saturated : numpy.ndarray or None
+        (rows, cols), bool: pixels that are left out.
+
+    Raises
+    ------
+    MeasurementError
+        If saturation leaves no pixels, or the gain lies outside of :data:`GAINS`.
+    """
+    plane, covariance = _dark_plane(frame, confocal, residual)
+    above_dark = frame - _spread_out(plane, frame)
+
+    def both(image: Image) -> list[Image]:
+        confocal_view = resampled(image, matcher.grid_to_frame(confocal.centre, np.eye(2, 3)), matcher.side)
+        return [view[matcher.inside] for view in (confocal_view, residual_view(image))]
+
+    first, second = both(above_dark)
+    tile, count = tiles(matcher.rows, matcher.cols)
+    if saturated is not None and saturated.any():
+        around = cv2.GaussianBlur(saturated.astype(np.float32), (0, 0), confocal.diameter_px / 60)
+        counts = np.maximum(*both(around)) < MAX_SATURATED_NEARBY
+        if not counts.any():
+            raise MeasurementError("the bundle's images are saturated all over", "lower the light or the gain")
+        first, second, tile = first[counts], second[counts], tile[counts]
+    gain = float(second.sum(dtype=np.float64) / first.sum(dtype=np.float64))
+    if not GAINS[0] < gain < GAINS[1]:
+        raise MeasurementError(
+            f"the residual view is {gain:.2f} times as bright as the confocal; {GAINS[0]:g} to {GAINS[1]:g} expected",
+            "is one of the views blocked?",
+        )
+    misses = np.bincount(tile, weights=second - gain * first, minlength=count)
+    filled = np.count_nonzero(np.bincount(tile, minlength=count))
+    by_tiles = np.sqrt(np.square(misses).sum() * filled / max(filled - 1, 1)) / first.sum()
+    by_darkness = (gain * np.array([1, *confocal.centre]) - np.array([1, *residual.centre])) / first.mean()
+    return gain, float(np.sqrt(by_tiles**2 + by_darkness @ covariance @ by_darkness))
+
+
+def darkness(frame: NDArray[np.float32], confocal: Disc, residual: Disc) -> NDArray[np.float32]:
+    """Estimate the level of stray light and black from rings around both discs, outside of the bundle.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        (rows, cols) float32.
+    confocal, residual : Disc
+        The bundle images in it.
+
+    Returns
+    -------
+    numpy.ndarray
+        (rows, cols) float32: a plane fitted to the rings of 1.08 to 1.25 radii, robust against light in them.
+    """
+    return _spread_out(_dark_plane(frame, confocal, residual)[0], frame)
+
+
+def _spread_out(plane: Floats, frame: Image) -> Image:
+    rows, cols = np.ogrid[: frame.shape[0], : frame.shape[1]]
+    return np.asarray(plane[0] + plane[1] * rows + plane[2] * cols, np.float32)
+
+
+def _dark_plane(frame: Image, confocal: Disc, residual: Disc) -> tuple[Floats, Floats]:
+    """Fit level and slopes per row and column of the darkness; return them and their covariance."""
+    rows, cols = np.ogrid[: frame.shape[0], : frame.shape[1]]
+    away = [np.hypot(rows - d.centre[0], cols - d.centre[1]) / (d.diameter_px / 2) for d in (confocal, residual)]
+    nearest = np.minimum(*away)
+    y, x = np.nonzero((nearest > 1.08) & (nearest < 1.25))
+    if len(y) < MIN_RING_PIXELS:
+        return np.array([frame.min(), 0.0, 0.0]), np.zeros((3, 3))
+    level = frame[y, x].astype(np.float64)
+    terms = np.stack([np.ones(len(y)), y, x], axis=1)
+    plane, covariance = np.array([np.median(level), 0.0, 0.0]), np.zeros((3, 3))
+    for _ in range(3):
+        miss = level - terms @ plane
+        kept = np.abs(miss) <= 4 * max(1.4826 * float(np.median(np.abs(miss))), 0.5)
+        inverse = np.linalg.pinv(terms[kept].T @ terms[kept])
+        plane = inverse @ (terms[kept].T @ level[kept])
+        covariance = inverse * float(np.var(level[kept] - terms[kept] @ plane))
+    return plane, covariance
