@@ -48,6 +48,9 @@ def test_a_run_is_recorded_tracked_and_reported(calibration_file: Path, tmp_path
     assert 78 < frames["acquired"] < 900  # what comes until a busy machine has stopped it counts, too
     assert set(report["latency_ms"]) == {"p50", "p99", "max"}
     assert report["faults"] == []
+    assert {"camera", "processing", "recorder"} <= set(report["cpu_us_per_frame"])
+    assert 10 < sum(report["cpu_us_per_frame"].values()) < 1e6
+    assert 0 < report["started_s"] < 600
     assert report["camera_hz"] == pytest.approx(60, rel=0.1)
     with open_recording(files["r.ome.tif"]) as recording:
         assert len(recording) == frames["recorded"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -11,6 +12,7 @@ from napari_elsplus.acquisition.engine.workers import CameraWorker, ProcessingWo
 from napari_elsplus.acquisition.streaming.recorder import Recorder
 from napari_elsplus.acquisition.streaming.stream import FrameStream
 from napari_elsplus.acquisition.streaming.tally import Tally
+from napari_elsplus.acquisition.streaming.usage import process_age_s, thread_times_s
 from napari_elsplus.errors import DeviceError, InputError
 
 if TYPE_CHECKING:
@@ -69,9 +71,13 @@ class Run:
         self._camera_worker = CameraWorker(camera, self._stream, self.tally, faults, settling)
         self.processing = ProcessingWorker(self._stream, sink, self.tally, faults, tracker)
         self._recorder: Recorder | None = None
+        self._age_s = process_age_s() - time.perf_counter()
+        self._times_s: dict[str, float] = {}
+        self._cpu_us_per_frame: dict[str, float] = {}
 
     def start(self) -> None:
         """Begin to stream."""
+        self._times_s = thread_times_s()
         self.processing.start()
         try:
             self._camera.start()
@@ -92,6 +98,10 @@ class Run:
 
     def stop(self) -> None:
         """End the stream; every frame that came has its result then, and the recorder goes on to its end."""
+        frames = max(1, self.tally.acquired)
+        self._cpu_us_per_frame = {
+            name: 1e6 * (end_s - self._times_s.get(name, 0.0)) / frames for name, end_s in thread_times_s().items()
+        }
         self._camera_worker.stop()
         if self._camera_worker.ident is not None:
             self._camera_worker.join()
@@ -158,6 +168,8 @@ class Run:
             camera_hz=tally.recent_hz if live else 0.0,
             mean_hz=tally.mean_hz,
             latency_ms=tally.latency.summary(),
+            cpu_us_per_frame=self._cpu_us_per_frame,
+            started_s=self._age_s + tally.first_s,
             measures=self.processing.measures,
             recording=self.recording,
         )

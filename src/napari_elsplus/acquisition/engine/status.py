@@ -100,6 +100,10 @@ class Status:
         Frames per second over the run.
     latency_ms : Latency
         Last byte of a frame to its result.
+    cpu_us_per_frame : mapping
+        Processor time of each thread of the engine's process in microseconds per frame, once the run has ended.
+    started_s : float
+        Seconds from the process' creation to the first frame of the run; NaN before it.
     measures : Measures
         Saturation and focus of the newest displayed frame.
     recording : RecordingState, optional
@@ -129,6 +133,8 @@ class Status:
     camera_hz: float = nan
     mean_hz: float = nan
     latency_ms: Latency = field(default_factory=Latency)
+    cpu_us_per_frame: Mapping[str, float] = field(default_factory=dict)
+    started_s: float = nan
     measures: Measures = field(default_factory=Measures)
     recording: RecordingState | None = None
     disk_bytes_per_s: float = nan
@@ -139,7 +145,7 @@ class Status:
     track: TrackState | None = None
 
     def report(self) -> dict[str, Any]:
-        """Return the report of `acquire`: frames, galvo, rate, latencies, faults; None where there is no number."""
+        """Return the report of `acquire`, its keys as documented there; None where there is no number."""
         latency = {name: _number(getattr(self.latency_ms, name)) for name in ("p50", "p99", "max")}
         return {
             "frames": {
@@ -151,6 +157,8 @@ class Status:
             "galvo": {"stage": self.park_state.stage.value, "message": self.park_state.message},
             "camera_hz": _number(self.mean_hz),
             "latency_ms": latency,
+            "cpu_us_per_frame": {name: round(us, 1) for name, us in self.cpu_us_per_frame.items()},
+            "started_s": _number(self.started_s),
             "faults": [
                 {"source": fault.source, "problem": fault.problem, "remedy": fault.remedy} for fault in self.faults
             ],

@@ -149,6 +149,11 @@ class Tally:
             self.dropped[cause] = count
 
     @property
+    def first_s(self) -> float:
+        """Time of the first frame, on the clock of ``time.perf_counter``; NaN before it."""
+        return self._first_s
+
+    @property
     def mean_hz(self) -> float:
         """Frames per second over the whole run; NaN before the second frame."""
         return (self._acquired - 1) / (self._last_s - self._first_s) if self._acquired > 1 else nan

@@ -1,12 +1,18 @@
-"""Processor time and memory of the engine's process."""
+"""Processor time, by thread, and memory of the engine's process; its age."""
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
+import psutil
+
+NATIVE: Final = "native"
+"""Name for threads that Python has not started, those of gRPC for instance."""
 _STATUS = Path("/proc/self/status")
 
 
@@ -41,3 +47,21 @@ def _memory_mb() -> float:
 
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most / (1 << 20) if sys.platform == "darwin" else most / 1024
+
+
+def thread_times_s() -> dict[str, float]:
+    """Return the processor time of each thread of this process, in seconds since it began, by the thread's name.
+
+    The system counts in steps of some milliseconds. Threads of the same name are summed.
+    """
+    names = {thread.native_id: thread.name for thread in threading.enumerate()}
+    times: dict[str, float] = {}
+    for thread in psutil.Process().threads():
+        name = names.get(thread.id, NATIVE)
+        times[name] = times.get(name, 0.0) + thread.user_time + thread.system_time
+    return times
+
+
+def process_age_s() -> float:
+    """Return the seconds since this process was created."""
+    return time.time() - float(psutil.Process().create_time())
