@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy import stats
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import clustered_influence, overlapping_influence
@@ -170,7 +169,9 @@ def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: flo
     rows = np.array([line.row_at(column) for _, line in whole])
     if np.ptp(v) < MIN_SWEEP_V:
         raise InputError(f"all voltages are {v[0]:g}, to {np.ptp(v):g} V", "sweep a range of voltages")
-    slope = float(stats.theilslopes(rows, v).slope)
+    from scipy.stats import theilslopes  # 1 s to import, so only where a sweep is fitted
+
+    slope = float(theilslopes(rows, v).slope)
     away = rows - slope * v
     away -= np.median(away)
     scatter = max(1.4826 * float(np.median(np.abs(away))), 0.02)

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.signal import resample
 from scipy.spatial import Delaunay
 from skimage.feature import peak_local_max
 
@@ -153,6 +152,8 @@ def find_cores(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> NDArray
     MeasurementError
         If the camera does not resolve the cores.
     """
+    from scipy.signal import resample  # 1 s to import, so only where cores are found
+
     pitch_px = core_pitch_px(flat, inside)
     zoom = ceil(8 / pitch_px)
     fine = np.where(inside, flat, 0)
