@@ -161,6 +161,17 @@ def test_keys_start_and_stop(viewer, panel, qtbot):
     qtbot.waitUntil(lambda: not panel.live, timeout=30_000)
 
 
+def test_the_key_of_one_frame_is_not_that_of_the_command_palette(viewer, panel, qtbot, tmp_path):
+    viewer.window.show()
+    start(panel, qtbot)
+    panel.window().activateWindow()
+    qtbot.waitUntil(lambda: panel.window().isActiveWindow(), timeout=10_000)
+    assert "Ctrl+Shift+F" in panel.form.snapping.tooltip
+    QTest.keyClick(panel, Qt.Key.Key_F, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
+    qtbot.waitUntil(lambda: list(tmp_path.glob("snap-*.ome.tif")) != [], timeout=30_000)
+    qtbot.waitUntil(lambda: ended(panel), timeout=30_000)
+
+
 def test_the_rig_panel_connects_sets_up_parks_and_remembers(viewer, qtbot, tmp_path, small_engine):
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
     assert panel.rig.value == "simulated"

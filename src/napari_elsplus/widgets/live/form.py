@@ -26,7 +26,7 @@ SECTION: Final = "live"
 ONCE, CONTINUOUS, FIXED = "once", "continuous", "fixed"
 DEFAULT_LIMIT_S: Final = 10.0
 """Default duration of a recording, seconds; chosen: 1.7 GB at 240 Hz, and several passes over a lesion."""
-KEYS: Final = {"start": "Ctrl+Return", "record": "Ctrl+Shift+R", "snap": "Ctrl+Shift+P"}
+KEYS: Final = {"start": "Ctrl+Return", "record": "Ctrl+Shift+R", "snap": "Ctrl+Shift+F"}
 
 
 class LiveForm:
