@@ -73,6 +73,7 @@ ORDER = (
     "widgets.live",
     "widgets.mosaic",
     "widgets.analysis",
+    "widgets.dock",
     "_reader",
     "_writer",
     "_sample_data",

@@ -31,9 +31,9 @@ def test_the_window_shows_what_the_manifest_offers(
     viewer = make_napari_viewer()
     _window.fill(viewer)
     panels = [widget.display_name for widget in manifest.contributions.widgets or ()]
-    docks = viewer.window.dock_widgets
-    assert len(docks) >= len(panels) > 0
-    titles = [dock.windowTitle() for dock in viewer.window._qt_window.findChildren(QDockWidget)]
-    assert set(panels) <= set(titles)
+    (dock,) = viewer.window.dock_widgets.values()
+    tabs = [dock.tabs.tabText(index) for index in range(dock.tabs.count())]
+    assert tabs == panels[1:]
+    assert panels[0] in [one.windowTitle() for one in viewer.window._qt_window.findChildren(QDockWidget)]
     assert [layer.name for layer in viewer.layers if layer.visible] == ["fibres LS", "fibres residual", "fibres ELS+"]
     assert viewer.canvas.overlays.scale_bar.visible

@@ -66,7 +66,7 @@ class MeanSignalPanel(EnginePanel):
 
     def plot_layer(self):
         """Plot the mean of each frame of the selected layer; frames are read in a thread."""
-        with notify_errors():
+        with notify_errors(self):
             layer = self.viewer.layers.selection.active
             if not isinstance(layer, Image) or layer.ndim != 3:
                 raise InputError("no image layer (T, rows, cols) is selected", "select one, for instance ELS+")

@@ -64,7 +64,7 @@ def questions(monkeypatch):
     """Questions before unsaved results are lost, each answered by the value of `answer`."""
     asked = Questions()
     confirm = lambda _, question: (asked.append(question), asked.answer)[1]  # noqa: E731
-    monkeypatch.setattr("napari_elsplus.widgets.shared.window_close.confirm", confirm)
+    monkeypatch.setattr("napari_elsplus.widgets.shared.window.closing.confirm", confirm)
     return asked
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from magicgui.widgets import ComboBox, Container, FloatSpinBox, PushButton
+from magicgui.widgets import ComboBox, FloatSpinBox, PushButton
 from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
 from napari_elsplus.errors import InputError
@@ -32,15 +32,14 @@ from napari_elsplus.widgets.shared.choosing import (
     refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, notify_errors, set_enabled
+from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, set_enabled
 from napari_elsplus.widgets.shared.plots import ThemedPlot
+from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
     import napari.viewer
-    from magicgui.widgets import Widget
     from napari.layers import Image
-    from qtpy.QtWidgets import QWidget
 
 STACK, MANUAL, SIMULATED = "axial stack", "manual steps", "simulated instrument"
 OPEN_SCAN: Final = "open a scan with NAME.depths.csv and a calibration beside it, or the sample axial scan"
@@ -80,7 +79,7 @@ class AxialResponsePanel(Panel):
 
     def measure_stack(self) -> None:
         """Measure the selected axial stack in a thread."""
-        with notify_errors():
+        with notify_errors(self):
             facts = chosen_image(self.viewer, self.stack, "axial stack").metadata["elsplus"]
             stack, calibration = facts["stack"], facts["calibration"]
             self._start(len(stack.planes), lambda: measure_scan(stack, calibration, progress=self.work.progress))
@@ -88,13 +87,13 @@ class AxialResponsePanel(Panel):
     def measure_simulated(self) -> None:
         """Simulate a scan with the given offset and slit width, and measure it in a thread."""
         offset_um, slit_um = self.offset.value, self.slit.value
-        with notify_errors():
+        with notify_errors(self):
             stack, calibration = simulated_scan(offset_um, slit_um)
             self._start(len(stack.planes), lambda: measure_scan(stack, calibration, progress=self.work.progress))
 
     def take_frame(self) -> None:
         """Add the displayed frame at the given depth, and advance the depth by a step."""
-        with notify_errors():
+        with notify_errors(self):
             layer = chosen_image(self.viewer, self.live, "recording with a calibration")
             calibration = layer.metadata["elsplus"]["calibration"]
             self._manual.take(self._frame(layer), calibration, self.depth_now.value)
@@ -125,7 +124,7 @@ class AxialResponsePanel(Panel):
             curves, marks = response_curves(self.scans)
             self.plot.draw(curves, marks=marks, bottom="distance from contact / µm", left="signal / signal in contact")
         else:
-            with notify_errors():
+            with notify_errors(self):
                 against = SlitParameter(self.shown.value)
                 curves = drop_off_curves(drop_offs(self.scans, against))
                 self.plot.draw(curves, bottom=f"{against.value} / µm", left="ELS+ drop-off / µm")
@@ -156,7 +155,7 @@ class AxialResponsePanel(Panel):
 
     def copy_script(self) -> None:
         """Copy a script that measures the selected stack to the clipboard."""
-        with notify_errors():
+        with notify_errors(self):
             facts = chosen_image(self.viewer, self.stack, "axial stack").metadata["elsplus"]
             text = axial_script(facts["stack"], facts["calibration_path"])
             copy_as_script(text)
@@ -187,10 +186,10 @@ class AxialResponsePanel(Panel):
         self.measure, self.take, self.simulate, self.script, self.save, self.clear = (
             PushButton(text=name) for name in names
         )
-        self._forms = {
-            STACK: _form(self.stack, self.measure),
-            MANUAL: _form(self.live, self.depth_now, self.depth_step, self.take),
-            SIMULATED: _form(self.offset, self.slit, self.simulate),
+        self._fields = {
+            STACK: (self.stack, self.measure),
+            MANUAL: (self.live, self.depth_now, self.depth_step, self.take),
+            SIMULATED: (self.offset, self.slit, self.simulate),
         }
         self.shown = ComboBox(label="plot", choices=[CURVES, *(one.value for one in SlitParameter)])
         self.shown.tooltip = (
@@ -202,9 +201,10 @@ class AxialResponsePanel(Panel):
         self.plot.setMinimumHeight(200)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 6)
-        for form in (_form(self.source), *self._forms.values(), _form(self.shown)):
-            layout.addWidget(form)
-        layout.insertWidget(layout.count() - 1, self.work)
+        fields = [field for group in self._fields.values() for field in group]
+        self._form = form_layout(self.source, *fields, self.shown)
+        layout.addLayout(self._form)
+        layout.addWidget(self.work)
         layout.addWidget(self.plot, 1)
         layout.addWidget(self.numbers)
         layout.addLayout(button_row(self.script, self.save, self.clear))
@@ -229,8 +229,9 @@ class AxialResponsePanel(Panel):
         return [name for name, stack in stacks.items() if stack is not None and stack.depth_um is not None]
 
     def _source_changed(self) -> None:
-        for name, form in self._forms.items():
-            form.setVisible(name == self.source.value)
+        for name, fields in self._fields.items():
+            for field in fields:
+                self._form.setRowVisible(field.native, name == self.source.value)
         self._layers_changed()
 
     def _layers_changed(self) -> None:
@@ -252,12 +253,5 @@ class AxialResponsePanel(Panel):
         kinds = dialog_filter(PICTURE, TABLE, AXIAL_RESPONSES)
         path, _ = QFileDialog.getSaveFileName(self, "Save the axial response", "axial.png", kinds)
         if path:
-            with notify_errors():
+            with notify_errors(self):
                 self.save_to(path)
-
-
-def _form(*fields: Widget) -> QWidget:
-    form = Container(widgets=fields)
-    form.margins = (0, 0, 0, 0)
-    native: QWidget = form.native
-    return native

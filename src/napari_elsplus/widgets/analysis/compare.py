@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from magicgui.widgets import ComboBox, Container, PushButton
+from magicgui.widgets import ComboBox, PushButton
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
@@ -34,8 +34,9 @@ from napari_elsplus.widgets.shared.choosing import (
     refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, notify_errors, set_enabled
+from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, set_enabled
 from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
+from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
 from napari_elsplus.widgets.shared.work import Work
 
@@ -102,7 +103,7 @@ class ComparePanel(Panel):
 
     def begin(self) -> None:
         """Compute LS, ELSA and ELS+ of the selected recording in a thread, and display them."""
-        with notify_errors():
+        with notify_errors(self):
             source = self._chosen()
             facts, cores, index = source.metadata["elsplus"], self.cores.value, self._index()
 
@@ -156,7 +157,7 @@ class ComparePanel(Panel):
         self.numbers.setText(_table(image_statistics(images, self._comparison.inside), self.plot))
         if self.display.line is None:
             return
-        with notify_errors():
+        with notify_errors(self):
             found = line_profiles(images, *self.display.line, self._comparison.um_per_px)
             unit = "\N{MICRO SIGN}m" if found.unit == "um" else "px"
             curves = [
@@ -167,7 +168,7 @@ class ComparePanel(Panel):
 
     def copy_script(self) -> None:
         """Copy a script that makes this comparison to the clipboard."""
-        with notify_errors():
+        with notify_errors(self):
             facts, index = self._chosen().metadata["elsplus"], self._index()
             source = facts["calibration_path"]
             copy_as_script(comparison_script(facts["stack"], source, self.cores.value, self.scaling.value, index))
@@ -191,15 +192,13 @@ class ComparePanel(Panel):
         self.rescale = PushButton(text="Rescale")
         self.script = PushButton(text="Copy as script")
         self.save = PushButton(text="Save plot...")
-        form = Container(widgets=[self.recording, self.cores, self.scaling, self.view], labels=True)
-        form.margins = (0, 0, 0, 0)
         self.numbers = QLabel()
         self.numbers.setWordWrap(True)
         self.plot = ThemedPlot("position along the line / px", "grey levels", self.viewer.theme)
         self.plot.setMinimumHeight(180)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 6)
-        layout.addWidget(form.native)
+        layout.addLayout(form_layout(self.recording, self.cores, self.scaling, self.view))
         layout.addLayout(button_row(self.start, self.rescale))
         layout.addWidget(self.work)
         layout.addWidget(self.numbers)
@@ -214,7 +213,7 @@ class ComparePanel(Panel):
         if source not in self.viewer.layers:
             return
         step = self.viewer.dims.current_step
-        with notify_errors():
+        with notify_errors(self):
             compared = self._compared_images(comparison)  # may raise, so before the viewer is changed
             if self.comparing:
                 self.end()
@@ -290,7 +289,7 @@ class ComparePanel(Panel):
         kinds = dialog_filter(PICTURE, TABLE)
         path, _ = QFileDialog.getSaveFileName(self, "Save the profiles", "profiles.png", kinds)
         if path:
-            with notify_errors():
+            with notify_errors(self):
                 self.plot.save(Path(path))
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from magicgui.widgets import ComboBox, Container, PushButton
+from magicgui.widgets import ComboBox, PushButton
 from napari.layers import Image, Shapes
 from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QVBoxLayout
 
@@ -34,8 +34,9 @@ from napari_elsplus.widgets.shared.choosing import (
     refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, notify_errors, set_enabled
+from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, set_enabled
 from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
+from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
 from napari_elsplus.widgets.shared.work import Work
 
@@ -93,7 +94,7 @@ class QualityPanel(Panel):
 
     def measure_alignment(self) -> None:
         """Measure the alignment error of the displayed frame."""
-        with notify_errors():
+        with notify_errors(self):
             stack, calibration, frame = self._chosen()
             self.alignment = None
             self._aligned = f"{self.recording.value}, frame {frame}"
@@ -102,7 +103,7 @@ class QualityPanel(Panel):
 
     def mark_elements(self) -> None:
         """Add a layer for boxes around the elements of a USAF target; each is measured when it is drawn."""
-        with notify_errors():
+        with notify_errors(self):
             stack, calibration, _ = self._chosen()
             place = space(_scale(stack, calibration), images_origin_px(calibration))
             self.work.begin(0, prepare_shapes, lambda _: self._draw_boxes(place))
@@ -113,7 +114,7 @@ class QualityPanel(Panel):
         boxes = self.boxes_px
         self.resolution = None
         if boxes:
-            with notify_errors():
+            with notify_errors(self):
                 stack, calibration, frame = self._chosen()
                 image = image_planes(stack.planes, calibration, Mode.LS, cores=self.cores.value)[frame]
                 self.resolution = measure_resolution(image, boxes, _scale(stack, calibration))
@@ -121,7 +122,7 @@ class QualityPanel(Panel):
 
     def measure_edge(self) -> None:
         """Average the residual images of the recording in a thread."""
-        with notify_errors():
+        with notify_errors(self):
             stack, calibration, _ = self._chosen()
             place = space(um_per_px_of(stack, calibration), images_origin_px(calibration))
             self.work.begin(
@@ -165,7 +166,7 @@ class QualityPanel(Panel):
 
     def copy_script(self) -> None:
         """Copy a script that makes these measurements to the clipboard."""
-        with notify_errors():
+        with notify_errors(self):
             stack, _, frame = self._chosen()
             source = self.viewer.layers[self.recording.value].metadata["elsplus"]["calibration_path"]
             copy_as_script(quality_script(stack, source, self.cores.value, frame, self.boxes_px))
@@ -185,8 +186,6 @@ class QualityPanel(Panel):
         self.cores.tooltip = "Suppression of the core pattern (honeycomb) where the resolution is measured"
         names = ("Alignment", "Measure USAF resolution", "Edge map", "Copy as script", "Save plot...")
         self.align, self.mark, self.average, self.script, self.save = (PushButton(text=name) for name in names)
-        form = Container(widgets=[self.recording, self.cores], labels=True)
-        form.margins = (0, 0, 0, 0)
         self.numbers = QLabel()
         self.numbers.setWordWrap(True)
         self.numbers.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)  # it follows the dock
@@ -194,7 +193,7 @@ class QualityPanel(Panel):
         self.plot.setMinimumHeight(160)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 6)
-        layout.addWidget(form.native)
+        layout.addLayout(form_layout(self.recording, self.cores))
         layout.addLayout(button_row(self.align, self.mark, self.average))
         layout.addWidget(self.work)
         layout.addWidget(self.numbers)
@@ -275,7 +274,7 @@ class QualityPanel(Panel):
         kinds = dialog_filter(PICTURE, TABLE)
         path, _ = QFileDialog.getSaveFileName(self, "Save the profile", "edge.png", kinds)
         if path:
-            with notify_errors():
+            with notify_errors(self):
                 self.plot.save(Path(path))
 
 

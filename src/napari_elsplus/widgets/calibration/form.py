@@ -25,6 +25,7 @@ from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.calibration.step import Capture, StepState
 from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps
 from napari_elsplus.widgets.shared.plots import ThemedPlot
+from napari_elsplus.widgets.shared.window.keys import key_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -85,6 +86,8 @@ class Form:
         self.periods_per_frame = _number("", 2, 100_000, "Line periods from one frame to the next, idle time included")
         self.measure, self.follow_button, self.from_file = QPushButton(), QPushButton(), QPushButton("From file...")
         self.accept, self.discard, self.undo = QPushButton("Accept"), QPushButton("Discard"), QPushButton("Undo")
+        self.next_step = QPushButton("Next step")
+        self.next_step.setToolTip(f"Display the next step ({key_name('next step')})")
         self.load, self.save = QPushButton("Load..."), QPushButton("Save...")
         self.load.setToolTip("Read and activate a calibration")
         self.save_plots, self.script = QPushButton("Save plots..."), QPushButton("Copy as script")
@@ -274,7 +277,7 @@ class Form:
             layout.addWidget(plot, PLOT_STRETCH)
         layout.addStretch(1)
         layout.addWidget(self.numbers)
-        layout.addLayout(_row(self.accept, self.discard, self.undo))
+        layout.addLayout(_row(self.accept, self.discard, self.undo, self.next_step))
         layout.addLayout(_row(self.load, self.save))
         layout.addLayout(_row(self.save_plots, self.script))
 

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from napari.utils.notifications import show_error, show_info
+from napari.utils.notifications import show_info
 from qtpy.QtCore import QTimer
 
 from napari_elsplus.acquisition.engine.status import Settings
@@ -28,8 +28,10 @@ from napari_elsplus.widgets.calibration.measuring import OffsetFollowing, measur
 from napari_elsplus.widgets.calibration.session import Session, ShownResult
 from napari_elsplus.widgets.calibration.sharing import Sharing
 from napari_elsplus.widgets.shared.connection import join
-from napari_elsplus.widgets.shared.panel import Panel, copy_as_script, notify_errors
-from napari_elsplus.widgets.shared.window_close import WindowCloseFilter
+from napari_elsplus.widgets.shared.panel import Panel, copy_as_script
+from napari_elsplus.widgets.shared.problems import notify_errors, problems
+from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
+from napari_elsplus.widgets.shared.window.keys import bind_keys
 from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
@@ -122,9 +124,14 @@ class CalibrationPanel(Panel):
         self.key = key
         self._refresh()
 
+    def next_step(self) -> None:
+        """Display the step after this one; the first one after the last."""
+        keys = [step.key for step in calibration_steps()]
+        self.choose(keys[(keys.index(self.key) + 1) % len(keys)])
+
     def measure(self) -> None:
         """Measure the step live, in a thread of its own."""
-        with notify_errors():
+        with notify_errors(self):
             guided = GuidedCalibration(self.connection.require(), self.form.voltages.value())
             measured = partial(measure_live, guided, self.draft, self.form.target_um, self._live_source())
             self.work.begin(0, self._suppressing_cancellation(measured), self._found)
@@ -135,7 +142,7 @@ class CalibrationPanel(Panel):
         if self._following is not None:
             self._following.stop()
             return
-        with notify_errors():
+        with notify_errors(self):
             guided = GuidedCalibration(self.connection.require())
             self._following = OffsetFollowing(guided, self.draft, self.form.target_um, self._live_source())
             self.work.begin(0, self._suppressing_cancellation(self._following.run), lambda _: None)
@@ -158,7 +165,7 @@ class CalibrationPanel(Panel):
 
     def accept(self) -> None:
         """Accept the result into the calibration, and activate the calibration."""
-        with notify_errors():
+        with notify_errors(self):
             if self.session.accept():
                 self.sharing.activate(self.draft.calibration)
         self._refresh()
@@ -176,7 +183,7 @@ class CalibrationPanel(Panel):
 
     def load(self, path: str | Path) -> None:
         """Read and activate the calibration at a path."""
-        with notify_errors():
+        with notify_errors(self):
             calibration = read_calibration(path)
             self.session.begin_with(calibration)
             self.sharing.activate(self.draft.calibration, Path(path))
@@ -186,7 +193,7 @@ class CalibrationPanel(Panel):
 
     def save(self, path: str | Path) -> None:
         """Write the calibration to a path, and open recordings that have none of their own with it from now on."""
-        with notify_errors():
+        with notify_errors(self):
             written = write_calibration(path, self.draft.calibration, force=True)
             set_active_calibration(written)
             self._saved = self.draft.calibration
@@ -195,7 +202,7 @@ class CalibrationPanel(Panel):
 
     def save_plots(self, path: str | Path) -> None:
         """Save the step's plots to a path: pictures to NAME.png, numbers to NAME.csv; a second plot to NAME-2."""
-        with notify_errors():
+        with notify_errors(self):
             path = Path(path)
             shown = [plot for plot in self.form.plots if plot.curves]
             if not shown:
@@ -205,7 +212,7 @@ class CalibrationPanel(Panel):
 
     def copy_script(self) -> None:
         """Copy Python that makes this calibration again to the clipboard."""
-        with notify_errors():
+        with notify_errors(self):
             copy_as_script(
                 calibration_script(self.session.sources, self.draft.bundle_um, self.draft.calibration.optics)
             )
@@ -245,6 +252,7 @@ class CalibrationPanel(Panel):
         form.accept.clicked.connect(self.accept)
         form.discard.clicked.connect(self.discard)
         form.undo.clicked.connect(self.undo)
+        form.next_step.clicked.connect(self.next_step)
         form.from_file.clicked.connect(self._choose_recording)
         for button in form.steps.values():
             button.clicked.connect(self._step_clicked)
@@ -252,6 +260,7 @@ class CalibrationPanel(Panel):
         form.save.clicked.connect(self._choose_file_to_save)
         form.save_plots.clicked.connect(self._choose_file_for_plots)
         form.script.clicked.connect(self.copy_script)
+        bind_keys(self, {"next step": self.next_step})
         self.connect_signal(self.viewer.events.theme, self._theme_changed)
 
     def _change(self, draft: Draft) -> None:
@@ -319,7 +328,7 @@ class CalibrationPanel(Panel):
             self.session.begin_with(shared)
             self._refresh()
         if (error := self.sharing.error()) is not None:
-            show_error(str(error))
+            problems.report(str(error), self)
         client = self.connection.client
         progress = None if client is None else client.status.progress
         if self.work.busy and progress is not None:

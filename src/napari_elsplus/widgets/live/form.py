@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from magicgui.types import FileDialogMode
-from magicgui.widgets import CheckBox, ComboBox, Container, FileEdit, FloatSpinBox, PushButton, SpinBox
-from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
+from magicgui.widgets import CheckBox, ComboBox, FileEdit, FloatSpinBox, PushButton, SpinBox
 from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from napari_elsplus.acquisition.engine.live_images import RAW, LiveView
@@ -18,6 +17,8 @@ from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.widgets.live.layers import KINDS
 from napari_elsplus.widgets.shared.calibration_state import lag_button
+from napari_elsplus.widgets.shared.panel import button_row, form_layout
+from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -26,7 +27,6 @@ SECTION: Final = "live"
 ONCE, CONTINUOUS, FIXED = "once", "continuous", "fixed"
 DEFAULT_LIMIT_S: Final = 10.0
 """Default duration of a recording, seconds; chosen: 1.7 GB at 240 Hz, and several passes over a lesion."""
-KEYS: Final = {"start": "Ctrl+Return", "record": "Ctrl+Shift+R", "snap": "Ctrl+Shift+F"}
 
 
 class LiveForm:
@@ -44,7 +44,7 @@ class LiveForm:
         self.start, self.record, self.snapping = (
             PushButton(text=word) for word in ("Start", "Record", "Save one frame")
         )
-        self.start.tooltip = f"Start or stop the stream ({KEYS['start']})"
+        self.start.tooltip = f"Start or stop the stream ({key_name('live')})"
         self.script = PushButton(
             text="Copy as script", tooltip="Copy a Python script that streams and records with these settings"
         )
@@ -72,20 +72,20 @@ class LiveForm:
             tooltip="Suppression of the core pattern (honeycomb)",
         )  # fmt: skip
         self.average = SpinBox(
-            value=last.get("average", 1), min=1, max=64, label="running average over (frames)",
+            value=last.get("average", 1), min=1, max=64, label="running average (frames)",
             tooltip="Exponential running average: weight of a new frame is 1/N, N from 1 to 64",
         )  # fmt: skip
         self.folder = FileEdit(
             value=last.get("folder", str(Path.home())),
             mode=FileDialogMode.EXISTING_DIRECTORY,
-            label="folder",
+            label="recording folder",
             tooltip="Folder for recordings and single frames",
         )
         self.seconds = FloatSpinBox(
             value=last.get("seconds", DEFAULT_LIMIT_S),
             min=0,
             max=36000,
-            label="limit (s)",
+            label="duration limit (s)",
             tooltip="Duration of a recording; 0: limited by frames, or until it is stopped",
         )
         self.frames = FloatSpinBox(  # of whole numbers: napari's spin box of integers shows no special text
@@ -93,7 +93,7 @@ class LiveForm:
             min=0,
             max=10_000_000,
             step=1,
-            label="limit (frames)",
+            label="frame limit",
             tooltip="Frames of a recording; 0: limited by duration, or until it is stopped",
         )
         self.frames.native.setDecimals(0)
@@ -159,13 +159,13 @@ class LiveForm:
         Parameters
         ----------
         slots : mapping of str to callable
-            By name of the shortcut.
+            By action: live, record, snap.
         view : callable
             Called when the processing of live images changes.
         """
-        for (name, slot), button in zip(slots.items(), (self.start, self.record, self.snapping), strict=True):
+        for slot, button in zip(slots.values(), (self.start, self.record, self.snapping), strict=True):
             button.clicked.connect(slot)
-            QShortcut(QKeySequence(KEYS[name]), self._panel).activated.connect(slot)
+        bind_keys(self._panel, slots)
         for choice in (self.background, self.flat_field, self.cores, self.average):
             choice.changed.connect(view)
         for box in (*self.kinds.values(), self.side_by_side):
@@ -188,22 +188,22 @@ class LiveForm:
         self.record.text = "Stop recording" if recording else "Record"
         self.record.enabled = self.snapping.enabled = live
         why = "" if live else "; start the stream first"
-        self.record.tooltip = f"Record raw frames and the calibration ({KEYS['record']}){why}"
-        self.snapping.tooltip = f"Save the newest raw frame and the calibration ({KEYS['snap']}){why}"
+        self.record.tooltip = f"Record raw frames and the calibration ({key_name('record')}){why}"
+        self.snapping.tooltip = f"Save the newest raw frame and the calibration ({key_name('snap')}){why}"
 
     def _build_layout(self) -> None:
         layout = QVBoxLayout(self._panel)
-        rows: list[list[Any]] = [
+        for row in (
             [self.start, self.record, self.snapping],
             list(self.kinds.values()),
             [self.side_by_side, self.background, self.flat_field],
-        ]
-        for row in rows:
-            layout.addWidget(Container(widgets=row, layout="horizontal", labels=False).native)
-        form = [
-            self.contrast, self.cores, self.average, self.folder, self.seconds, self.frames, self.pretrigger_s
-        ]  # fmt: skip
-        layout.addWidget(Container(widgets=form, labels=True).native)
+        ):
+            layout.addLayout(button_row(*row))
+        layout.addLayout(
+            form_layout(
+                self.contrast, self.cores, self.average, self.folder, self.seconds, self.frames, self.pretrigger_s
+            )
+        )
         layout.addWidget(self.script.native)
         layout.addWidget(self.status)
         layout.addWidget(self.opening.native)

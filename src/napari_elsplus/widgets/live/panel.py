@@ -7,7 +7,7 @@ from collections import deque
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Final
 
-from napari.utils.notifications import show_error, show_info
+from napari.utils.notifications import show_info
 from qtpy.QtCore import QTimer
 
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
@@ -18,10 +18,11 @@ from napari_elsplus.widgets.live.layers import LiveLayers
 from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.live.status import status_text
 from napari_elsplus.widgets.shared.calibration_state import lag_advice
-from napari_elsplus.widgets.shared.canvas_monitor import CanvasMonitor
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.layer_list import LayerListModels
-from napari_elsplus.widgets.shared.panel import copy_as_script, notify_errors
+from napari_elsplus.widgets.shared.panel import copy_as_script
+from napari_elsplus.widgets.shared.problems import notify_errors, problems
+from napari_elsplus.widgets.shared.window.canvas_monitor import CanvasMonitor
+from napari_elsplus.widgets.shared.window.layer_list import LayerListModels
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -59,7 +60,7 @@ class LivePanel(EnginePanel):
         self._shown_at_s: deque[float] = deque(maxlen=RATE_TICKS)
         self._whole_at_s = self._status_at_s = 0.0
         self.form = LiveForm(self)
-        self.form.connect({"start": self.toggle, "record": self.toggle_recording, "snap": self.snap}, self.change_view)
+        self.form.connect({"live": self.toggle, "record": self.toggle_recording, "snap": self.snap}, self.change_view)
         self.form.contrast.changed.connect(self._contrast_chosen)
         self.form.opening.clicked.connect(self.open_recorded)
         self.form.lag.clicked.connect(self.measure_lag)
@@ -99,7 +100,7 @@ class LivePanel(EnginePanel):
         if recording is not None and recording.running:
             self.requests.follow(client.stop_recording(), lambda _: show_info(f"recorded {recording.path}"))
             return
-        with notify_errors():
+        with notify_errors(self):
             self.requests.follow(client.record(self.form.plan))
             self.form.remember()
 
@@ -108,7 +109,7 @@ class LivePanel(EnginePanel):
         client = self.connection.client
         if client is None:
             return
-        with notify_errors():
+        with notify_errors(self):
             path = self.form.next_path("snap")
             self.requests.follow(client.record(RecordingPlan(path, frames=1)), lambda _: show_info(f"saved {path}"))
 
@@ -128,7 +129,7 @@ class LivePanel(EnginePanel):
 
     def copy_script(self) -> None:
         """Copy a script that streams and records with the form's settings to the clipboard."""
-        with notify_errors():
+        with notify_errors(self):
             file = self.connection.calibration_file
             rig, settings = self.connection.rig or remembered_rig(), remembered_settings()
             copy_as_script(live_script(rig, settings, self.form.view, self.form.plan, file))
@@ -220,4 +221,4 @@ class LivePanel(EnginePanel):
         for message in messages:
             if message not in self._faults_shown:
                 self._faults_shown.add(message)
-                show_error(message)
+                problems.report(message, self)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from magicgui.widgets import ComboBox, Container, FloatSpinBox, PushButton, SpinBox
+from magicgui.widgets import ComboBox, FloatSpinBox, PushButton, SpinBox
 from napari.utils.notifications import show_info
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
@@ -22,7 +22,9 @@ from napari_elsplus.io.settings import recall, remember, set_active_calibration
 from napari_elsplus.widgets.live.rehearsal import Rehearsal
 from napari_elsplus.widgets.shared.calibration_state import calibration_lines, lag_advice, lag_button
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.panel import notify_errors
+from napari_elsplus.widgets.shared.panel import button_row, form_layout
+from napari_elsplus.widgets.shared.problems import notify_errors
+from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -96,7 +98,7 @@ class RigPanel(EnginePanel):
         self.refresh()
 
     def park(self) -> None:
-        """Move the laser line off the bundle."""
+        """Move the laser line off the bundle; without a rig there is nothing to move."""
         client = self.connection.client
         if client is not None:
             self.requests.follow(client.park())
@@ -113,7 +115,7 @@ class RigPanel(EnginePanel):
 
     def load(self, path: Path) -> None:
         """Read a calibration from a path and make it the active calibration."""
-        with notify_errors():
+        with notify_errors(self):
             calibration = read_calibration(path)
             self.connection.require()
             self.requests.follow(self.connection.apply(calibration, path), lambda _: set_active_calibration(path))
@@ -121,7 +123,7 @@ class RigPanel(EnginePanel):
     def save(self, path: Path) -> None:
         """Write the active calibration to a path; recordings without a calibration are displayed with it."""
         calibration = self.connection.calibration
-        with notify_errors():
+        with notify_errors(self):
             if calibration is None:
                 raise InputError("there is no calibration to save", "calibrate first")
             written = write_calibration(path, calibration, force=True)
@@ -141,7 +143,9 @@ class RigPanel(EnginePanel):
         self.connect.tooltip = "Park the galvo, and close camera and galvo" if connected else "Open camera and galvo"
         self.rig.enabled = not connected and not busy
         self.parking.enabled = self.open_file.enabled = connected
-        self.parking.tooltip = "Move the laser line off the bundle" if connected else "Connect first"
+        self.parking.tooltip = (
+            f"Move the laser line off the bundle ({key_name('park')}){'' if connected else '; connect first'}"
+        )
         self.open_file.tooltip = "Make a calibration file the active calibration" if connected else "Connect first"
         self.save_file.enabled = self.connection.calibration is not None
         self.save_file.tooltip = (
@@ -203,18 +207,19 @@ class RigPanel(EnginePanel):
         self.optics, self.status = QLabel(), QLabel()
         for label in (self.optics, self.status):
             label.setWordWrap(True)
-        form = Container(widgets=[self.rig, self.preset, self.slit_rows, self.rate_hz, self.gain_db], labels=True)
-        buttons = Container(widgets=[self.connect, self.parking], layout="horizontal", labels=False)
-        files = [self.calibrate_simulated, self.open_file, self.save_file]
-        calibration = Container(widgets=files, layout="horizontal", labels=False)
         layout = QVBoxLayout(self)
         self.rehearsal = Rehearsal()
-        rows = (form.native, self.optics, buttons.native, calibration.native, self.status, self.lag.native)
-        for part in (*rows, self.rehearsal):
+        layout.addLayout(form_layout(self.rig, self.preset, self.slit_rows, self.rate_hz, self.gain_db))
+        layout.addWidget(self.optics)
+        layout.addLayout(button_row(self.connect, self.parking))
+        layout.addLayout(button_row(self.open_file, self.save_file))
+        layout.addWidget(self.calibrate_simulated.native)
+        for part in (self.status, self.lag.native, self.rehearsal):
             layout.addWidget(part)
         layout.addStretch(1)
         self.connect.clicked.connect(self.toggle)
         self.parking.clicked.connect(self.park)
+        bind_keys(self, {"park": self.park})
         self.calibrate_simulated.clicked.connect(self.calibrate)
         self.lag.clicked.connect(self.measure_lag)
         self.open_file.clicked.connect(self._ask_for_file)

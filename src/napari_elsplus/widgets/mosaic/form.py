@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from magicgui.types import FileDialogMode
-from magicgui.widgets import CheckBox, ComboBox, Container, FileEdit, PushButton
-from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
+from magicgui.widgets import CheckBox, ComboBox, FileEdit, PushButton
 from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from napari_elsplus.io.settings import recall, remember
@@ -16,6 +15,8 @@ from napari_elsplus.processing.tracking.registry import tracking_methods
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.mosaic.sources import source_names
 from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
+from napari_elsplus.widgets.shared.panel import button_row, form_layout
+from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 if TYPE_CHECKING:
@@ -24,13 +25,6 @@ if TYPE_CHECKING:
     import napari.viewer
 
 SECTION: Final = "mosaic"
-KEYS: Final = {
-    "start": "Ctrl+Shift+M",
-    "live": "Ctrl+Shift+L",
-    "clear": "Ctrl+Shift+K",
-    "undo": "Ctrl+Shift+U",
-    "save": "Ctrl+Shift+E",
-}
 INSERTION_LABELS: Final = {
     Insertion.DEAD_LEAF.value: "newest on top",
     Insertion.FEATHERED.value: "feathered mean",
@@ -110,17 +104,17 @@ class MosaicForm:
         Parameters
         ----------
         slots : mapping of str to callable
-            By name of the shortcut.
+            By action, a name in the table of keys.
         plain : mapping of str to callable
             ``open`` and ``script``, which have no shortcut.
         """
         buttons = {
-            "start": self.start, "live": self.going_live, "clear": self.clearing, "undo": self.undoing,
-            "save": self.saving,
+            "mosaic": self.start, "live mosaic": self.going_live, "clear mosaic": self.clearing,
+            "undo segment": self.undoing, "save mosaic": self.saving,
         }  # fmt: skip
         for name, slot in slots.items():
             buttons[name].clicked.connect(slot)
-            QShortcut(QKeySequence(KEYS[name]), self._panel).activated.connect(slot)
+        bind_keys(self._panel, slots)
         self.opening.clicked.connect(plain["open"])
         self.script.clicked.connect(plain["script"])
 
@@ -141,38 +135,36 @@ class MosaicForm:
         self.going_live.text = "Cancel calibration" if calibrating else "Stop live" if live else "Live mosaic"
         self.going_live.enabled = calibrating or not (busy or requesting)
         self.going_live.tooltip = (
-            f"Stop inserting frames, after the last loop closures; the mosaic remains ({KEYS['live']})"
+            f"Stop inserting frames, after the last loop closures; the mosaic remains ({key_name('live mosaic')})"
             if live
-            else f"Insert the frames of the connected rig into mosaics of the selected modes ({KEYS['live']})"
+            else f"Insert frames of the connected rig into mosaics of the selected modes ({key_name('live mosaic')})"
         )
         self.start.text = "Stop" if busy else "Mosaic"
         self.start.enabled = busy or bool(self.recording.choices)
         self.start.tooltip = (
-            f"Make mosaics of the selected stack, or stop ({KEYS['start']})"
+            f"Make mosaics of the selected stack, or stop ({key_name('mosaic')})"
             if self.recording.choices
-            else "First open a recording, or a sample: File > Open Sample > ELS+ endomicroscopy"
+            else f"Make mosaics ({key_name('mosaic')}); first open a recording, or a sample: "
+            "File > Open Sample > ELS+ endomicroscopy"
         )
         why = "" if present else "; make a mosaic first"
-        self.clearing.enabled, self.clearing.tooltip = present, f"Remove the mosaics ({KEYS['clear']}){why}"
+        self.clearing.enabled, self.clearing.tooltip = present, f"Remove the mosaics ({key_name('clear mosaic')}){why}"
         self.undoing.enabled = self.saving.enabled = present and not busy
         why = "; wait until it is finished, or stop" if busy else why
-        self.undoing.tooltip = f"Remove the last segment of the track ({KEYS['undo']}){why}"
-        self.saving.tooltip = f"Save OME-TIFF, PNG with scale bar, and track ({KEYS['save']}){why}"
+        self.undoing.tooltip = f"Remove the last segment of the track ({key_name('undo segment')}){why}"
+        self.saving.tooltip = f"Save OME-TIFF, PNG with scale bar, and track ({key_name('save mosaic')}){why}"
 
     def _build_layout(self, work: QWidget) -> None:
         layout = QVBoxLayout(self._panel)
-        form = Container(widgets=[self.recording, self.calibration], labels=True)
-        choices = Container(widgets=[self.method, self.insertion], labels=True)
-        boxes = Container(widgets=list(self.modes.values()), layout="horizontal", labels=False)
-        for part in (form, boxes, choices):
-            layout.addWidget(part.native)
-        for buttons in (
+        layout.addLayout(form_layout(self.recording, self.calibration, self.method, self.insertion))
+        for row in (
+            list(self.modes.values()),
             [self.start, self.going_live],
             [self.clearing, self.undoing],
             [self.saving, self.script],
             [self.opening],
         ):
-            layout.addWidget(Container(widgets=list(buttons), layout="horizontal", labels=False).native)
+            layout.addLayout(button_row(*row))
         for widget in (work, self.speed, self.status):
             layout.addWidget(widget)
         layout.addStretch(1)

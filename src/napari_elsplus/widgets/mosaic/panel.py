@@ -23,12 +23,13 @@ from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
 from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
-from napari_elsplus.widgets.shared import window_close
 from napari_elsplus.widgets.shared.calibration_state import lag_advice
 from napari_elsplus.widgets.shared.choosing import chosen_image, refresh_choices
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.layer_list import LayerListModels
-from napari_elsplus.widgets.shared.panel import copy_as_script, notify_errors
+from napari_elsplus.widgets.shared.panel import copy_as_script
+from napari_elsplus.widgets.shared.problems import notify_errors
+from napari_elsplus.widgets.shared.window import closing
+from napari_elsplus.widgets.shared.window.layer_list import LayerListModels
 from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
@@ -69,11 +70,11 @@ class MosaicPanel(EnginePanel):
         self.form = MosaicForm(self, self.work, viewer)
         self.form.connect(
             {
-                "start": self.toggle,
-                "live": self.toggle_live,
-                "clear": self.clear,
-                "undo": self.undo,
-                "save": self._ask_where_to_save,
+                "mosaic": self.toggle,
+                "live mosaic": self.toggle_live,
+                "clear mosaic": self.clear,
+                "undo segment": self.undo,
+                "save mosaic": self._ask_where_to_save,
             },
             {"open": self._ask_for_file, "script": self.copy_script},
         )
@@ -96,7 +97,7 @@ class MosaicPanel(EnginePanel):
 
     def begin(self) -> None:
         """Make mosaics of the selected stack in a thread."""
-        with notify_errors():
+        with notify_errors(self):
             plan, chosen = self.form.plan, self._chosen()
             _ = plan.tracked
             calibration = self.form.calibration.value
@@ -132,7 +133,7 @@ class MosaicPanel(EnginePanel):
         """Insert the live stream into a mosaic, connecting and starting first if needed; or stop."""
         client = self.connection.client
         replaced = isinstance(self._shown, StackMosaics) and not self.live and self.unsaved()
-        if replaced and not window_close.confirm(self, f"The live mosaic replaces that of the recording. {replaced}"):
+        if replaced and not closing.confirm(self, f"The live mosaic replaces that of the recording. {replaced}"):
             return
         self._following_live = True
         if client is not None and client.status.progress is not None:
@@ -208,7 +209,7 @@ class MosaicPanel(EnginePanel):
         path : pathlib.Path
             ``NAME.ome.tif``. If it exists, it and the files saved with it are replaced.
         """
-        with notify_errors():
+        with notify_errors(self):
             if self._shown is None:
                 raise InputError("there is no mosaic to save", "make one first")
             shown = self._shown
@@ -225,7 +226,7 @@ class MosaicPanel(EnginePanel):
 
     def copy_script(self) -> None:
         """Copy a script that makes and saves these mosaics to the clipboard."""
-        with notify_errors():
+        with notify_errors(self):
             path = self.form.calibration.value
             given = path if isinstance(path, Path) and path.is_file() else None
             facts = self._chosen().metadata.get("elsplus", {})
@@ -265,7 +266,7 @@ class MosaicPanel(EnginePanel):
             self._track(client)
 
     def _track(self, client: EngineClient, then: Callable[[None], None] = lambda _: None) -> None:
-        with notify_errors():
+        with notify_errors(self):
             plan = self.form.plan
             self.form.remember()
             self.requests.follow(client.track(plan), then)

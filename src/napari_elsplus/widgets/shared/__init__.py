@@ -6,7 +6,8 @@ packages: see ``docs/extending-dock-widget.md``.
 
 from napari_elsplus.widgets.shared.connection import Connection
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, notify_errors, set_enabled
+from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, set_enabled
+from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.requests import PendingRequests
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "PendingRequests",
     "button_row",
     "copy_as_script",
+    "form_layout",
     "notify_errors",
     "set_enabled",
 ]

@@ -10,9 +10,10 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io.calibration_lookup import active_calibration_for_rig
 from napari_elsplus.widgets.shared.calibration_state import measured_lag
 from napari_elsplus.widgets.shared.connection import join
-from napari_elsplus.widgets.shared.panel import Panel, notify_errors
+from napari_elsplus.widgets.shared.panel import Panel
+from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.requests import PendingRequests
-from napari_elsplus.widgets.shared.window_close import WindowCloseFilter
+from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,7 +70,7 @@ class EnginePanel(Panel):
         """
         active, path = self.connection.calibration, self.connection.calibration_file
         if active is None:
-            with notify_errors():
+            with notify_errors(self):
                 active, path = active_calibration_for_rig(self.connection.rig)
         if active is None or client.calibration is not None:
             then()
@@ -78,7 +79,7 @@ class EnginePanel(Panel):
 
     def measure_lag(self) -> None:
         """Measure the scan lag of the active calibration on the connected rig, and activate the result."""
-        with notify_errors():
+        with notify_errors(self):
             client, active = self.connection.require(), self.connection.calibration
             if active is None:
                 raise InputError("there is no calibration to complete", "calibrate, or load a calibration")

@@ -1,25 +1,44 @@
-"""Base class of docked panels, and the helpers that they share: errors as notifications, buttons, scripts."""
+"""Base class of docked panels, one of a class in a window, and the helpers that they share: buttons, scripts."""
 
 from __future__ import annotations
 
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+from weakref import WeakSet
 
-from napari.utils.notifications import show_error, show_info
+from magicgui.widgets import PushButton
+from napari.utils.notifications import show_info
 from qtpy.QtCore import QEvent
-from qtpy.QtWidgets import QApplication, QHBoxLayout, QWidget
+from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QWidget
 
-from napari_elsplus.errors import ElsPlusError, error_message
+from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     import napari.viewer
-    from magicgui.widgets import PushButton, Widget
+    from magicgui.widgets import Widget
 
 
-class Panel(QWidget):
+P = TypeVar("P", bound="Panel")
+_present: WeakSet[Panel] = WeakSet()
+
+
+class _OnePerViewer(type(QWidget)):  # type: ignore[misc]
+    """Returns the panel of a class that a viewer has already, in place of a second one."""
+
+    def __call__(cls: type[P], viewer: napari.viewer.Viewer, *rest: Any, **options: Any) -> P:
+        present = find_panel(cls, viewer)
+        if present is None:
+            present = super().__call__(viewer, *rest, **options)  # type: ignore[misc]
+            _present.add(present)
+        return present
+
+
+class Panel(QWidget, metaclass=_OnePerViewer):
     """A docked panel that disconnects from the viewer when it is removed from the window.
+
+    A viewer has one panel of a class: to construct it again returns the same, to be docked elsewhere. So nothing is
+    displayed, measured or bound to a key twice.
 
     Parameters
     ----------
@@ -47,6 +66,8 @@ class Panel(QWidget):
 
     def cleanup(self) -> None:
         """Disconnect from the viewer; a panel that changed the viewer overrides this to restore it first."""
+        _present.discard(self)
+        problems.resolve(self)
         for emitter, slot in self._connections:
             emitter.disconnect(slot)
         self._connections.clear()
@@ -58,13 +79,29 @@ class Panel(QWidget):
         return bool(super().event(event))
 
 
-@contextmanager
-def notify_errors() -> Iterator[None]:
-    """Return a context that shows an expected error as one notification, with its remedy."""
-    try:
-        yield
-    except (ElsPlusError, OSError) as error:
-        show_error(error_message(error))
+def find_panel(kind: type[P], viewer: napari.viewer.Viewer) -> P | None:
+    """Return the panel of a class that a viewer has; None if there is none.
+
+    Parameters
+    ----------
+    kind : type
+        The class.
+    viewer : napari.Viewer
+        The viewer, or a proxy of it as napari gives it to plugins.
+    """
+    ours = _unwrapped(viewer)
+    return next((panel for panel in _present if type(panel) is kind and _unwrapped(panel.viewer) is ours), None)
+
+
+def panel_of(widget: QWidget | None) -> Panel | None:
+    """Return the panel that contains a widget, or the widget if it is one; None outside of panels."""
+    while widget is not None and not isinstance(widget, Panel):
+        widget = widget.parentWidget()
+    return widget
+
+
+def _unwrapped(viewer: napari.viewer.Viewer) -> object:
+    return getattr(viewer, "__wrapped__", viewer)
 
 
 def copy_as_script(text: str) -> None:
@@ -99,3 +136,24 @@ def button_row(*buttons: Widget) -> QHBoxLayout:
     for button in buttons:
         row.addWidget(button.native)
     return row
+
+
+def form_layout(*fields: Widget) -> QFormLayout:
+    """Return a layout of labelled fields, aligned; a label has the tooltip of its field.
+
+    Parameters
+    ----------
+    *fields : magicgui.widgets.Widget
+        From top to bottom; their labels contain the unit. A button fills its row.
+    """
+    layout = QFormLayout()
+    layout.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
+    layout.setVerticalSpacing(4)
+    for field in fields:
+        if isinstance(field, PushButton):
+            layout.addRow(field.native)
+        else:
+            label = QLabel(field.label)
+            label.setToolTip(field.tooltip or "")
+            layout.addRow(label, field.native)
+    return layout

@@ -5,13 +5,15 @@ from __future__ import annotations
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
-from napari.utils.notifications import show_error
 from qtpy.QtCore import QObject, QTimer
 
 from napari_elsplus.errors import ElsPlusError, error_message
+from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from qtpy.QtWidgets import QWidget
 
     T = TypeVar("T")
 
@@ -32,15 +34,15 @@ class PendingRequests(QObject):
 
     Parameters
     ----------
-    parent : QObject
+    parent : QWidget
         The panel that makes the requests.
     settled : callable
         Called after each result or error.
     """
 
-    def __init__(self, parent: QObject, settled: Callable[[], None]) -> None:
+    def __init__(self, parent: QWidget, settled: Callable[[], None]) -> None:
         super().__init__(parent)
-        self._settled = settled
+        self._panel, self._settled = parent, settled
         self._open: list[_Request] = []
         self._pool = ThreadPoolExecutor(1, "elsplus-requests")
         self._poll = QTimer(self)
@@ -95,11 +97,12 @@ class PendingRequests(QObject):
             self._open.remove(request)
             error = request.future.exception()
             if isinstance(error, (ElsPlusError, OSError)):
-                show_error(error_message(error))
+                problems.report(error_message(error), self._panel)
                 request.failed()
             elif error is not None:
                 raise error
             else:
+                problems.resolve(self._panel)
                 request.then(request.future.result())
             self._settled()
         if not self._open:

@@ -6,11 +6,12 @@ from threading import Event
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from napari.qt.threading import create_worker
-from napari.utils.notifications import show_error
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
 
 from napari_elsplus.errors import ElsPlusError, error_message
+from napari_elsplus.widgets.shared.panel import panel_of
+from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -135,7 +136,7 @@ class Work(QWidget):
     def _take(self, outcome: tuple[Any, Exception | None]) -> None:
         result, error = outcome
         if isinstance(error, (ElsPlusError, OSError)):
-            show_error(error_message(error))
+            problems.report(error_message(error), panel_of(self))
         elif error is None and not self._cancelled.is_set():
             self._finished(result)
 

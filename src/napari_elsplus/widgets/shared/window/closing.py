@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from qtpy.QtCore import QEvent, QObject, QTimer
+from qtpy.QtCore import QEvent, QObject
 from qtpy.QtWidgets import QMessageBox
+
+from napari_elsplus.widgets.shared.window.main_window import main_window, when_docked
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from qtpy.QtWidgets import QWidget
-
-SEARCH_INTERVAL_MS: Final = 20
-"""Interval of the search for the main window until the panel is docked, milliseconds; chosen."""
 
 
 class WindowCloseFilter(QObject):
@@ -32,37 +31,22 @@ class WindowCloseFilter(QObject):
     def __init__(self, panel: QWidget, closed: Callable[[], None], unsaved: Callable[[], str] = lambda: "") -> None:
         super().__init__(panel)
         self._panel, self._closed, self._unsaved = panel, closed, unsaved
-        self._search = QTimer(self)
-        self._search.setInterval(SEARCH_INTERVAL_MS)
-        self._search.timeout.connect(self._find)
-        self._search.start()
+        when_docked(panel, lambda window: window.installEventFilter(self))
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
         """Detect that the watched window closes, by the event that hides it; see :meth:`QObject.eventFilter`."""
         if event is not None and event.type() in (QEvent.Type.Hide, QEvent.Type.Close):
-            window = self._window()
-            if watched is window and event.type() == QEvent.Type.Close and window.isVisible():
-                question = self._unsaved()
-                if question and not confirm(window, question):
-                    event.ignore()
-                    return True
-            hides = event.type() == QEvent.Type.Hide and not event.spontaneous()
-            if watched is window and (hides or (event.type() == QEvent.Type.Close and not window.isVisible())):
-                self._closed()
+            window = main_window(self._panel)  # no reference is kept, so that the window can be deleted
+            if window is not None and watched is window:
+                closing = event.type() == QEvent.Type.Close
+                if closing and window.isVisible():
+                    question = self._unsaved()
+                    if question and not confirm(window, question):
+                        event.ignore()
+                        return True
+                if (closing and not window.isVisible()) or (not closing and not event.spontaneous()):
+                    self._closed()
         return bool(super().eventFilter(watched, event))
-
-    def _window(self) -> QWidget:
-        """Return the outermost widget; no reference is kept, so that the window can be deleted."""
-        widget = self._panel
-        while (parent := widget.parentWidget()) is not None:
-            widget = parent
-        return widget
-
-    def _find(self) -> None:
-        window = self._window()
-        if window is not self._panel:
-            self._search.stop()
-            window.installEventFilter(self)
 
 
 def confirm(parent: QWidget, question: str) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from qtpy.QtWidgets import QListView, QWidget
 
-from napari_elsplus.widgets.shared.layer_list import LayerListModels
+from napari_elsplus.widgets.shared.window.layer_list import LayerListModels
 
 
 def test_the_list_hears_nothing_of_new_pixels_and_of_everything_afterwards(make_napari_viewer_proxy):

@@ -1,0 +1,1 @@
+"""The ELS+ dock: all panels as tabs, with one status line."""

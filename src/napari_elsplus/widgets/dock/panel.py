@@ -1,0 +1,102 @@
+"""The ELS+ dock: every panel as a tab, and the status line that all have in common."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from qtpy.QtCore import Qt, QTimer
+from qtpy.QtWidgets import QSizePolicy, QTabWidget, QVBoxLayout
+
+from napari_elsplus.widgets.dock.status_line import StatusLine
+from napari_elsplus.widgets.dock.tab import PanelKind, Tab
+from napari_elsplus.widgets.shared.engine_panel import EnginePanel
+
+if TYPE_CHECKING:
+    import napari.viewer
+
+PANELS: Final = (
+    PanelKind("Rig", "napari_elsplus.widgets.live.rig:RigPanel"),
+    PanelKind("Calibration", "napari_elsplus.widgets.calibration.panel:CalibrationPanel"),
+    PanelKind("Live", "napari_elsplus.widgets.live.panel:LivePanel"),
+    PanelKind("Mosaic", "napari_elsplus.widgets.mosaic.panel:MosaicPanel"),
+    PanelKind("Compare", "napari_elsplus.widgets.analysis.compare:ComparePanel"),
+    PanelKind("Axial response", "napari_elsplus.widgets.analysis.axial:AxialResponsePanel"),
+    PanelKind("Quality", "napari_elsplus.widgets.analysis.quality:QualityPanel"),
+)
+"""From left to right, in the order of the work; the manifest declares each as a widget of its own, too."""
+FIRST: Final = "Compare"
+"""The tab in front at first: it needs no instrument."""
+STATUS_MS: Final = 200
+"""Interval of the status line, milliseconds; chosen, faster than it can be read."""
+
+
+class ElsPlusDock(EnginePanel):
+    """All panels in one dock.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        The viewer.
+
+    Notes
+    -----
+    The front tab is built first and the others one by one in the following turns of the event loop, so that the window
+    appears at once and every key acts from any tab.
+    """
+
+    def __init__(self, viewer: napari.viewer.Viewer) -> None:
+        super().__init__(viewer)
+        self.tabs = QTabWidget()
+        self.tabs.setDocumentMode(True)
+        self.tabs.setUsesScrollButtons(False)
+        self.tabs.setElideMode(Qt.TextElideMode.ElideNone)
+        self.by_title = {kind.title: Tab(kind, viewer) for kind in PANELS}
+        for title, tab in self.by_title.items():
+            self.tabs.addTab(tab, title)
+        self.status_line = StatusLine()
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(0)
+        layout.addWidget(self.tabs, 1)
+        layout.addWidget(self.status_line)
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
+        self.by_title[FIRST].build()
+        self.show_tab(FIRST)
+        self.tabs.currentChanged.connect(lambda _: self._build_current())
+        self._timer = QTimer(self)
+        self._timer.setInterval(STATUS_MS)
+        self._timer.timeout.connect(self.refresh)
+        self._timer.start()
+        self._idle = QTimer(self)
+        self._idle.timeout.connect(self._build_next)
+        self._idle.start()
+        self.refresh()
+
+    def show_tab(self, title: str) -> None:
+        """Bring the tab with a title to the front."""
+        self.tabs.setCurrentWidget(self.by_title[title])
+
+    def refresh(self) -> None:
+        """Update the status line."""
+        self.status_line.update_from(self.connection)
+
+    def cleanup(self) -> None:
+        """Release what the panels in the tabs use, then the engine and the viewer."""
+        if not self._closed:
+            self._timer.stop()
+            self._idle.stop()
+            for tab in self.by_title.values():
+                tab.cleanup()
+        super().cleanup()
+
+    def _build_current(self) -> None:
+        tab = self.tabs.currentWidget()
+        assert isinstance(tab, Tab)
+        tab.build()
+
+    def _build_next(self) -> None:
+        waiting = [tab for tab in self.by_title.values() if not tab.built]
+        if waiting:
+            waiting[0].build()
+        else:
+            self._idle.stop()

@@ -1,0 +1,108 @@
+"""The status line of the ELS+ dock: rig, stream, active calibration, and the error that is not resolved yet."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QGridLayout, QLabel, QToolButton, QWidget
+
+from napari_elsplus.widgets.shared.calibration_state import amber, calibration_lines
+from napari_elsplus.widgets.shared.problems import problems
+
+if TYPE_CHECKING:
+    from napari_elsplus.acquisition.engine.status import Status
+    from napari_elsplus.widgets.shared.connection import Connection
+
+WARNING: Final = "\N{WARNING SIGN}"
+
+
+class StatusLine(QWidget):
+    """State of the instrument, common to all panels; an error stays until it is resolved or dismissed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.state, self.problem = QLabel(), QLabel()
+        for label in (self.state, self.problem):
+            label.setWordWrap(True)
+            label.setTextFormat(Qt.TextFormat.RichText)
+        self.problem.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.dismiss = QToolButton()
+        self.dismiss.setText("\N{MULTIPLICATION SIGN}")
+        self.dismiss.setToolTip("Dismiss this message")
+        self.dismiss.clicked.connect(self._dismiss)
+        layout = QGridLayout(self)
+        layout.setContentsMargins(6, 2, 6, 4)
+        layout.setColumnStretch(0, 1)
+        layout.addWidget(self.state, 0, 0, 1, 2)
+        layout.addWidget(self.problem, 1, 0)
+        layout.addWidget(self.dismiss, 1, 1, Qt.AlignmentFlag.AlignTop)
+        self._problem, self._dismissed = "", False
+        self._show_problem()
+
+    def update_from(self, connection: Connection) -> None:
+        """Display the present state.
+
+        Parameters
+        ----------
+        connection : Connection
+            Shared by the panels.
+        """
+        client = connection.client
+        status = None if client is None else client.status
+        lines = [rig_line(connection.rig if client is not None else None, status)]
+        first, *lacking = calibration_lines(connection.calibration, connection.calibration_file)
+        lines.append("; ".join([first, *lacking]))
+        _set_text(self.state, "<br>".join(lines))
+        newest = str(connection.died or "") or _newest_fault(status) or problems.newest
+        if newest != self._problem:
+            self._problem, self._dismissed = newest, False
+            self._show_problem()
+
+    def _dismiss(self) -> None:
+        self._dismissed = True
+        problems.dismiss()
+        self._show_problem()
+
+    def _show_problem(self) -> None:
+        shown = bool(self._problem) and not self._dismissed
+        self.problem.setText(f"{amber(WARNING)} {escape(self._problem)}" if shown else "")
+        self.problem.setVisible(shown)
+        self.dismiss.setVisible(shown)
+
+
+def rig_line(rig: str | None, status: Status | None) -> str:
+    """Return rig and stream in one line of rich text.
+
+    Parameters
+    ----------
+    rig : str or None
+        Name of the connected rig.
+    status : Status or None
+        Of its engine; None without a rig.
+    """
+    if rig is None or status is None:
+        return "<b>no rig connected</b>"
+    if status.progress is not None:
+        doing = f"calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
+    elif status.live:
+        doing = f"live, camera {status.camera_hz:.0f} Hz"
+    else:
+        doing = "connected, not streaming"
+    recording = status.recording
+    if recording is not None and recording.running:
+        doing += f"; recording {Path(recording.path).name}"
+    if status.track is not None and status.track.running:
+        doing += "; live mosaic"
+    return f"<b>{rig}</b>: {doing}"
+
+
+def _newest_fault(status: Status | None) -> str:
+    return str(status.faults[-1]) if status is not None and status.faults else ""
+
+
+def _set_text(label: QLabel, text: str) -> None:
+    if label.text() != text:
+        label.setText(text)

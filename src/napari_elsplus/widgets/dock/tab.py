@@ -1,0 +1,150 @@
+"""A tab of the ELS+ dock: a panel in a scroll area, or a note where the panel has a dock of its own."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from qtpy.QtCore import QEvent, QObject, QSize, Qt
+from qtpy.QtWidgets import QDockWidget, QFrame, QLabel, QPushButton, QScrollArea, QVBoxLayout, QWidget
+
+from napari_elsplus.widgets.shared.panel import Panel, find_panel
+
+if TYPE_CHECKING:
+    import napari.viewer
+
+MIN_HEIGHT_PX: Final = 280
+"""Smallest height of a tab's content, pixels; chosen: with title, tabs and status line the dock needs about 400."""
+
+
+class PanelKind(NamedTuple):
+    """Title of a panel, and where its class is: ``module:Class``, imported when the panel is made."""
+
+    title: str
+    place: str
+
+    def load(self) -> type[Panel]:
+        """Import the class."""
+        module, _, name = self.place.partition(":")
+        kind: type[Panel] = getattr(import_module(module), name)
+        return kind
+
+
+class Tab(QWidget):
+    """Contains a panel, made when it is first needed.
+
+    Parameters
+    ----------
+    kind : PanelKind
+        The panel's title and class.
+    viewer : napari.Viewer
+        The viewer.
+    """
+
+    def __init__(self, kind: PanelKind, viewer: napari.viewer.Viewer) -> None:
+        super().__init__()
+        self.kind = kind
+        self._viewer = viewer
+        self._layout = QVBoxLayout(self)
+        self._layout.setContentsMargins(0, 0, 0, 0)
+        self._content: QWidget | None = None
+        self._panel: Panel | None = None
+
+    @property
+    def panel(self) -> Panel | None:
+        """The panel, while it is in this tab."""
+        return self._panel
+
+    @property
+    def built(self) -> bool:
+        """True once the tab displays the panel, or the note in its place."""
+        return self._content is not None
+
+    def build(self) -> None:
+        """Make the panel unless it exists; one that has a dock of its own stays there."""
+        if self._panel is not None:
+            return
+        present = find_panel(self.kind.load(), self._viewer)
+        if present is None:
+            self._hold(self.kind.load()(self._viewer))
+        elif self._content is None:
+            self._show(self._note())
+
+    def take_panel(self) -> None:
+        """Move the panel from its own dock into this tab, and remove the dock; make one if it was closed."""
+        panel = find_panel(self.kind.load(), self._viewer)
+        if panel is None:
+            self.build()
+            return
+        dock: QWidget | None = panel
+        while dock is not None and not isinstance(dock, QDockWidget):
+            dock = dock.parentWidget()
+        self._hold(panel)
+        if dock is not None:
+            self._viewer.window.remove_dock_widget(dock)
+
+    def cleanup(self) -> None:
+        """Release what the panel uses."""
+        if self._panel is not None:
+            self._panel.removeEventFilter(self)
+            self._panel.cleanup()
+
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
+        """Detect that napari docks the panel elsewhere; see :meth:`QObject.eventFilter`."""
+        if event is not None and event.type() == QEvent.Type.ParentChange and watched is self._panel:
+            assert self._panel is not None
+            if not self.isAncestorOf(self._panel):
+                self._panel.removeEventFilter(self)
+                self._panel = None
+                self._show(self._note())
+        return bool(super().eventFilter(watched, event))
+
+    def _hold(self, panel: Panel) -> None:
+        scroll = _PanelScrollArea(panel)
+        self._panel = panel
+        panel.installEventFilter(self)
+        self._show(scroll)
+        panel.show()
+
+    def _show(self, content: QWidget) -> None:
+        before, self._content = self._content, content
+        self._layout.addWidget(content)
+        if before is not None:
+            before.deleteLater()
+
+    def _note(self) -> QWidget:
+        note = QWidget()
+        layout = QVBoxLayout(note)
+        text = QLabel(f"{self.kind.title} has a dock of its own.")
+        text.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        back = QPushButton(f"Show {self.kind.title} here")
+        back.setToolTip("Move the panel into this tab; nothing is stopped or lost")
+        back.clicked.connect(self.take_panel)
+        layout.addStretch(1)
+        layout.addWidget(text)
+        layout.addWidget(back, 0, Qt.AlignmentFlag.AlignCenter)
+        layout.addStretch(1)
+        return note
+
+
+class _PanelScrollArea(QScrollArea):
+    """Scrolls a panel vertically, and is as wide as the panel needs."""
+
+    def __init__(self, panel: Panel) -> None:
+        super().__init__()
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        self.setWidgetResizable(True)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setWidget(panel)
+
+    def minimumSizeHint(self) -> QSize:
+        """Return the panel's smallest width with the scroll bar, and a height that fits small screens."""
+        panel, bar = self.widget(), self.verticalScrollBar()
+        width_px = (panel.minimumSizeHint().width() if panel else 0) + (bar.sizeHint().width() if bar else 0)
+        return QSize(width_px, MIN_HEIGHT_PX)
+
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
+        """Follow changes of the panel's smallest width; see :meth:`QObject.eventFilter`."""
+        if event is not None and event.type() == QEvent.Type.LayoutRequest:
+            self.updateGeometry()
+        return bool(super().eventFilter(watched, event))

@@ -1,0 +1,1 @@
+"""Main window of a docked panel: keys, paint events, layer list, and the question before it closes."""

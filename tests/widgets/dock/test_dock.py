@@ -1,0 +1,137 @@
+"""The ELS+ dock: every panel as a tab of one dock, with a common status line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from npe2 import PluginManifest
+from qtpy.QtWidgets import QScrollArea
+
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.errors import InputError
+from napari_elsplus.widgets.dock.panel import FIRST, PANELS
+from napari_elsplus.widgets.shared.panel import find_panel
+from napari_elsplus.widgets.shared.problems import notify_errors, problems
+
+PLUGIN = "napari-elsplus"
+LAPTOPS = ((1280, 800), (1366, 768))
+
+
+@pytest.fixture
+def viewer(small_engine, make_napari_viewer_proxy):
+    return make_napari_viewer_proxy()
+
+
+@pytest.fixture
+def dock(viewer, qtbot):
+    """The dock, once every tab is built."""
+    _, dock = viewer.window.add_plugin_dock_widget(PLUGIN, "ELS+")
+    qtbot.waitUntil(lambda: all(tab.built for tab in dock.by_title.values()), timeout=30_000)
+    return dock
+
+
+def panel(dock, title):
+    return dock.by_title[title].panel
+
+
+def test_its_tabs_are_the_manifests_other_widgets():
+    widgets = PluginManifest.from_distribution(PLUGIN).contributions.widgets or ()
+    commands = {c.id: c.python_name for c in PluginManifest.from_distribution(PLUGIN).contributions.commands or ()}
+    declared = [(widget.display_name, commands[widget.command]) for widget in widgets]
+    assert declared == [("ELS+", "napari_elsplus.widgets.dock.panel:ElsPlusDock"), *map(tuple, PANELS)]
+
+
+def test_every_tab_has_whole_words_and_a_panel_in_a_scroll_area(dock):
+    bar = dock.tabs.tabBar()
+    assert dock.tabs.tabText(dock.tabs.currentIndex()) == FIRST
+    assert [bar.tabText(index) for index in range(bar.count())] == [kind.title for kind in PANELS]
+    for index in range(bar.count()):
+        assert bar.tabRect(index).width() >= bar.fontMetrics().horizontalAdvance(bar.tabText(index))
+    for title, tab in dock.by_title.items():
+        assert isinstance(panel(dock, title).parentWidget().parentWidget(), QScrollArea), title
+        assert type(panel(dock, title)) is tab.kind.load()
+
+
+@pytest.mark.parametrize("size", LAPTOPS)
+def test_it_fits_the_window_of_a_laptop(viewer, dock, qtbot, size):
+    viewer.window.show()
+    viewer.window.resize(*size)
+    window = dock.window()
+    qtbot.waitUntil(lambda: (window.width(), window.height()) == size, timeout=10_000)
+    assert dock.minimumSizeHint().height() <= 400
+    assert dock.minimumSizeHint().width() < size[0] / 2
+    for title, tab in dock.by_title.items():
+        dock.show_tab(title)
+        scroll = tab.findChild(QScrollArea)
+        assert scroll.viewport().width() >= panel(dock, title).minimumSizeHint().width(), title
+
+
+def test_a_panel_of_the_menu_is_the_one_of_the_tab_and_comes_back_with_its_state(viewer, dock, qtbot):
+    live = panel(dock, "Live")
+    live.form.average.value = 7
+    _, from_menu = viewer.window.add_plugin_dock_widget(PLUGIN, "Live")
+    assert from_menu is live
+    assert panel(dock, "Live") is None
+    assert live.connection is dock.connection
+    dock.by_title["Live"].take_panel()
+    assert panel(dock, "Live") is live
+    assert live.form.average.value == 7
+    assert list(viewer.window.dock_widgets) == [f"ELS+ ({PLUGIN})"]
+
+
+def test_a_panel_whose_own_dock_was_closed_is_made_anew_in_its_tab(viewer, dock):
+    own, live = viewer.window.add_plugin_dock_widget(PLUGIN, "Live")
+    viewer.window.remove_dock_widget(own)
+    assert find_panel(type(live), viewer) is None
+    dock.show_tab("Live")
+    assert panel(dock, "Live") not in (None, live)
+
+
+def test_a_panel_that_was_there_first_stays_in_its_own_dock(viewer, qtbot):
+    _, live = viewer.window.add_plugin_dock_widget(PLUGIN, "Live")
+    _, dock = viewer.window.add_plugin_dock_widget(PLUGIN, "ELS+")
+    qtbot.waitUntil(lambda: all(tab.built for tab in dock.by_title.values()), timeout=30_000)
+    assert panel(dock, "Live") is None
+    assert find_panel(type(live), viewer) is live
+
+
+def test_all_panels_share_one_engine_that_ends_with_the_dock(viewer, dock, small_engine):
+    panel(dock, "Rig").connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
+    assert len(small_engine) == 1
+    assert {id(panel(dock, title).connection) for title in ("Rig", "Calibration", "Live", "Mosaic")} == {
+        id(dock.connection)
+    }
+    viewer.window.remove_dock_widget("all")  # the fixture waits until the process has ended
+    assert dock.connection.client is None
+
+
+def test_the_status_line_names_rig_stream_and_calibration(dock, qtbot):
+    state = dock.status_line.state
+    assert "no rig connected" in state.text()
+    assert "no calibration" in state.text()
+    dock.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
+    qtbot.waitUntil(lambda: "<b>simulated</b>: connected" in state.text(), timeout=10_000)
+
+
+def test_an_error_stays_with_its_remedy_until_the_panels_next_action_succeeds(dock, tmp_path):
+    shown = dock.status_line.problem
+    compare, rig = panel(dock, "Compare"), panel(dock, "Rig")
+    compare.copy_script()
+    dock.refresh()
+    assert "no recording with a calibration is open: open one" in shown.text()
+    assert not shown.isHidden()
+    rig.load(Path(tmp_path, "absent.json"))
+    dock.refresh()
+    assert "absent.json" in shown.text()
+    with notify_errors(rig):
+        pass
+    dock.refresh()
+    assert "no recording" in shown.text()
+    dock.status_line.dismiss.click()
+    assert shown.isHidden()
+    with notify_errors(compare):
+        raise InputError("a second problem", "do that")
+    dock.refresh()
+    assert "a second problem: do that" in shown.text()
+    problems.dismiss()
