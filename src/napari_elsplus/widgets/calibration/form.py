@@ -20,6 +20,7 @@ from qtpy.QtWidgets import (
 )
 
 from napari_elsplus.acquisition.calibrating.live import SWEEP_VOLTAGES
+from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.calibration.step import Capture, StepState
@@ -28,7 +29,8 @@ from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.window.keys import key_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
 
     from napari_elsplus.instrument.calibration import OpticsSection
     from napari_elsplus.processing.calibration.step import CalibrationStep
@@ -99,6 +101,56 @@ class Form:
     def target_um(self) -> float:
         """Target slit offset in micrometres."""
         return float(self.target.value())
+
+    def connect(
+        self,
+        buttons: Mapping[QPushButton, Callable[[], Any]],
+        *,
+        step: Callable[[str], Any],
+        bundle: Callable[[float | None], Any],
+        timing: Callable[..., Any],
+    ) -> None:
+        """Connect buttons and fields.
+
+        Parameters
+        ----------
+        buttons : mapping of QPushButton to callable
+            What each does.
+        step : callable
+            Called with the key of a step whose button is pressed.
+        bundle : callable
+            Called with the bundle's diameter in micrometres when it is typed; None is unknown.
+        timing : callable
+            Called with ``line_period_s`` or ``line_periods_per_frame``.
+        """
+        for button, slot in buttons.items():
+            button.clicked.connect(slot)
+        for key, choice in self.steps.items():
+            choice.clicked.connect(lambda _, key=key: step(key))
+        self.bundle_um.valueChanged.connect(lambda um: bundle(um or None))
+        self.line_period_us.valueChanged.connect(lambda us: timing(line_period_s=1e-6 * us or None))
+        self.periods_per_frame.valueChanged.connect(lambda periods: timing(line_periods_per_frame=periods or None))
+
+    def save_plots_to(self, path: Path, title: str) -> None:
+        """Save the plots: pictures to NAME.png, numbers to NAME.csv; a second plot to NAME-2.
+
+        Parameters
+        ----------
+        path : pathlib.Path
+            Of the first.
+        title : str
+            The step's, for the message.
+
+        Raises
+        ------
+        InputError
+            If nothing is plotted.
+        """
+        shown = [plot for plot in self.plots if plot.curves]
+        if not shown:
+            raise InputError(f"nothing is plotted of the {title}", "measure it first")
+        for number, plot in enumerate(shown, 1):
+            plot.save(path if number == 1 else path.with_stem(f"{path.stem}-{number}"))
 
     def show_optics(self, bundle_um: float | None, optics: OpticsSection | None) -> None:
         """Display the diameter of the bundle (micrometres) and the timing of the optics; unknown where absent."""

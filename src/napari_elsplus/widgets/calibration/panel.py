@@ -203,12 +203,7 @@ class CalibrationPanel(Panel):
     def save_plots(self, path: str | Path) -> None:
         """Save the step's plots to a path: pictures to NAME.png, numbers to NAME.csv; a second plot to NAME-2."""
         with notify_errors(self):
-            path = Path(path)
-            shown = [plot for plot in self.form.plots if plot.curves]
-            if not shown:
-                raise InputError(f"nothing is plotted of the {self.step.title}", "measure it first")
-            for number, plot in enumerate(shown, 1):
-                plot.save(path if number == 1 else path.with_stem(f"{path.stem}-{number}"))
+            self.form.save_plots_to(Path(path), self.step.title)
 
     def copy_script(self) -> None:
         """Copy Python that makes this calibration again to the clipboard."""
@@ -239,27 +234,25 @@ class CalibrationPanel(Panel):
         form = self.form
         remembered = recall(SECTION)
         form.restore(remembered.get("rig", SIMULATED), remembered.get("preset", "240hz"))
-        form.connect_button.clicked.connect(self.connect_rig)
-        form.measure.clicked.connect(self.measure)
-        form.bundle_um.valueChanged.connect(lambda um: self._change(self.draft.with_bundle_um(um or None)))
-        form.line_period_us.valueChanged.connect(
-            lambda us: self._change(self.draft.with_timing(line_period_s=1e-6 * us or None))
+        form.connect(
+            {
+                form.connect_button: self.connect_rig,
+                form.measure: self.measure,
+                form.follow_button: self.follow_offset,
+                form.from_file: self._choose_recording,
+                form.accept: self.accept,
+                form.discard: self.discard,
+                form.undo: self.undo,
+                form.next_step: self.next_step,
+                form.load: self._choose_file_to_load,
+                form.save: self._choose_file_to_save,
+                form.save_plots: self._choose_file_for_plots,
+                form.script: self.copy_script,
+            },
+            step=self.choose,
+            bundle=lambda um: self._change(self.draft.with_bundle_um(um)),
+            timing=lambda **given: self._change(self.draft.with_timing(**given)),
         )
-        form.periods_per_frame.valueChanged.connect(
-            lambda periods: self._change(self.draft.with_timing(line_periods_per_frame=periods or None))
-        )
-        form.follow_button.clicked.connect(self.follow_offset)
-        form.accept.clicked.connect(self.accept)
-        form.discard.clicked.connect(self.discard)
-        form.undo.clicked.connect(self.undo)
-        form.next_step.clicked.connect(self.next_step)
-        form.from_file.clicked.connect(self._choose_recording)
-        for button in form.steps.values():
-            button.clicked.connect(self._step_clicked)
-        form.load.clicked.connect(self._choose_file_to_load)
-        form.save.clicked.connect(self._choose_file_to_save)
-        form.save_plots.clicked.connect(self._choose_file_for_plots)
-        form.script.clicked.connect(self.copy_script)
         bind_keys(self, {"next step": self.next_step})
         self.connect_signal(self.viewer.events.theme, self._theme_changed)
 
@@ -276,9 +269,6 @@ class CalibrationPanel(Panel):
             preset=form.preset.currentText(),
             voltages=form.voltages.value(),
         )
-
-    def _step_clicked(self) -> None:
-        self.choose(next(key for key, button in self.form.steps.items() if button is self.sender()))
 
     def _suppressing_cancellation(self, work: Callable[[], T]) -> Callable[[], T]:
         """Return work for the thread whose error is not displayed if the user has cancelled it or closed the panel."""
