@@ -15,6 +15,7 @@ from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 from napari_elsplus.io.user_folders import config_folder
+from napari_elsplus.simulation.model.bundle import Bundle
 from napari_elsplus.simulation.model.imperfections import Imperfections
 
 if TYPE_CHECKING:
@@ -116,6 +117,7 @@ class SimulationTable(_Table):
     """A simulated instrument in the place of devices."""
 
     imperfections: dict[str, float] = {}
+    bundle_seed: Annotated[int, Field(ge=0)] = Bundle().seed
 
     @field_validator("imperfections")
     @classmethod
@@ -253,8 +255,9 @@ def rig_settings(name: str) -> RigSettings | SimulatedRigSettings:
         return read_rig(name)
     if colon and not (seed.isascii() and seed.isdigit()):
         raise InputError(f"{seed!r:.40} is no seed of the rig {SIMULATED_REAL}", "give a whole number, 0 or more")
-    drawn = Imperfections.drawn(int(seed or 0)).changed
-    return SimulatedRigSettings(simulation=SimulationTable(imperfections=drawn))
+    number = int(seed or 0)
+    drawn = SimulationTable(imperfections=Imperfections.drawn(number).changed, bundle_seed=number)
+    return SimulatedRigSettings(simulation=drawn)
 
 
 def is_simulated(name: str | None) -> bool:

@@ -70,10 +70,14 @@ def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig
 def _simulated_rig(name: str, settings: SimulatedRigSettings, simulation: Simulation | None, held: ExitStack) -> Rig:
     from napari_elsplus.hardware.virtual.bench import Simulation
     from napari_elsplus.hardware.virtual.simulated_rig import simulated_rig
+    from napari_elsplus.simulation.model.bundle import Bundle
 
     simulation = simulation or Simulation()
     if name != SIMULATED:
-        simulation = replace(simulation, limits=settings.limits(), imperfections=settings.imperfections)
+        fields = {"bundle": Bundle(seed=settings.simulation.bundle_seed), **simulation.instrument}
+        simulation = replace(
+            simulation, limits=settings.limits(), imperfections=settings.imperfections, instrument=fields
+        )
     return simulated_rig(name, simulation, held)
 
 

@@ -15,6 +15,7 @@ from napari_elsplus.instrument.calibration import (
     OffsetSection,
     OpticsSection,
 )
+from napari_elsplus.simulation.rendering.views import views
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,9 +28,19 @@ PARK_CLEARANCE_UM = 100.0
 
 
 def residual_to_confocal(instrument: Instrument) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return an instrument's affine map from (row, col, 1) in the residual view to (row, col) in the confocal view."""
-    back = np.linalg.inv(instrument.residual_view.matrix)
-    shift = np.array(instrument.confocal_centre) - back @ instrument.residual_centre
+    """Return an instrument's affine map from (row, col, 1) in the residual view to (row, col) in the confocal view.
+
+    Where a view is distorted, it is the map of least squares over all cores.
+    """
+    if instrument.imperfections.distorts:
+        _, left, right = views(instrument)
+        from_right = np.stack([right.rows_px, right.cols_px, np.ones(len(right.rows_px))], axis=1)
+        to_left = np.stack([left.rows_px, left.cols_px], axis=1)
+        fitted = np.linalg.lstsq(from_right, to_left, rcond=None)[0].T
+        back, shift = fitted[:, :2], fitted[:, 2]
+    else:
+        back = np.linalg.inv(instrument.residual_view.matrix)
+        shift = np.array(instrument.confocal_centre) - back @ instrument.residual_centre
     first, second = ((float(a), float(b), float(c)) for (a, b), c in zip(back, shift, strict=True))
     return first, second
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -15,8 +18,17 @@ def test_every_number_has_a_plausible_range_within_its_limits_and_an_effect() ->
         low, high = parameter.plausible
         assert parameter.low <= low < high <= parameter.high, name
         assert parameter.effect, name
+    assert len(PARAMETERS) == len(fields(Imperfections))
     assert IDEAL.changed == {}
     assert not IDEAL.moves_galvo
+
+
+@pytest.mark.checkout
+def test_the_documentation_lists_them_all() -> None:
+    page = (Path(__file__).resolve().parents[3] / "docs" / "simulation.md").read_text(encoding="utf-8")
+    for name, (unit, low, high, plausible, effect) in PARAMETERS.items():
+        ranges = f"{low:g} to {high:g} | {plausible[0]:g} to {plausible[1]:g}"
+        assert f"| `{name}` | {unit or 'ratio'} | {ranges} | {effect} |" in page
 
 
 @pytest.mark.parametrize("seed", range(20))

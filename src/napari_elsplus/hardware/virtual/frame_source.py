@@ -68,7 +68,8 @@ class FrameSource:
     def __init__(self, instrument: Instrument, scene: Scene, trajectory: Trajectory, seed: int, *, ahead: bool) -> None:
         self._made_for = (instrument, scene, trajectory)
         self._renderer = Renderer(instrument, scene, trajectory, seed=seed)
-        rounds = _frames_per_round(trajectory, instrument.optics.frame_rate_hz) if ahead else 0
+        recurs = ahead and not instrument.imperfections.bleaching_percent
+        rounds = _frames_per_round(trajectory, instrument.optics.frame_rate_hz) if recurs else 0
         self._kept = np.empty((rounds, *instrument.frame_shape), np.uint8)
         self._is_kept = np.zeros(rounds, bool)
         self._rows = np.arange(instrument.frame_shape[0], dtype=np.float64)

@@ -69,8 +69,56 @@ class Imperfections:
     galvo_s_curve_rows: float = _imperfection(
         "rows", -20, 20, (-2, 2), "largest deviation of the line from a linear galvo map over the bundle, cubic"
     )
+    line_bow_rows: float = _imperfection(
+        "rows", -20, 20, (-3, 3), "rows by which the line's ends at the bundle's rim lie below its middle"
+    )
+    line_jitter_rows: float = _imperfection(
+        "rows", 0, 10, (0, 0.5), "standard deviation of the line's row from frame to frame"
+    )
+    line_fall_off_percent: float = _imperfection(
+        "%", 0, 80, (0, 30), "power that the line lacks at the bundle's rim relative to its middle"
+    )
+    line_slant_percent: float = _imperfection(
+        "%", -80, 80, (-10, 10), "power that the line has in excess at its right end, and lacks at its left end"
+    )
+    power_noise_percent: float = _imperfection(
+        "%", 0, 50, (0, 3), "standard deviation of the laser's power from row to row, averaged over the exposure"
+    )
+    power_ripple_percent: float = _imperfection("%", 0, 50, (0, 5), "amplitude of a ripple of the laser's power")
+    ripple_frequency_hz: float = _imperfection("Hz", 0.01, 20_000, (100, 5000), "frequency of that ripple", 2300.0)
+    left_distortion_percent: float = _imperfection(
+        "%", -5, 5, (-0.5, 0.5), "radial distortion of the left view, at its rim; positive: outwards"
+    )
+    right_distortion_percent: float = _imperfection(
+        "%", -5, 5, (-0.5, 0.5), "radial distortion of the right view, at its rim; positive: outwards"
+    )
+    lens_distortion_percent: float = _imperfection(
+        "%", -5, 5, (-0.5, 0.5), "radial distortion about the sensor's centre, half its width away; positive: outwards"
+    )
+    right_core_gain_percent: float = _imperfection(
+        "%", 0, 30, (0, 10), "standard deviation of the right view's gain from core to core"
+    )
+    right_vignette_percent: float = _imperfection(
+        "%", -50, 50, (-10, 10), "gain of the right view in excess in its middle, and lacking at its rim"
+    )
+    lamp_gain_percent: float = _imperfection(
+        "%", -20, 20, (-3, 3), "gain of the right view for a lamp in excess of that for fluorescence: spectrum"
+    )
     row_noise_dn: float = _imperfection(
         "grey levels", 0, 20, (0, 2), "standard deviation of the black level from row to row and frame to frame"
+    )
+    prnu_percent: float = _imperfection("%", 0, 20, (0, 1.5), "standard deviation of the gain from pixel to pixel")
+    hot_pixels_percent: float = _imperfection(
+        "%", 0, 5, (0, 0.1), "share of pixels with a dark signal of 20 to 200 grey levels"
+    )
+    halo_in_collection_percent: float = _imperfection(
+        "%", 0, 100, (0, 50), "share of the bundle's cross-talk that arises on the way back to the camera"
+    )
+    bundle_bending_percent: float = _imperfection(
+        "%", 0, 30, (0, 5), "change of the cores' transmission where the probe has moved by much more than 0.5 mm"
+    )
+    bleaching_percent: float = _imperfection(
+        "%", 0, 90, (0, 10), "share of the specimen's fluorescence lost in 100 frames"
     )
 
     def __post_init__(self) -> None:
@@ -138,6 +186,25 @@ class Imperfections:
         """Values that differ from the ideal instrument's, by name."""
         mine = ((name, getattr(self, _FIELDS[name])) for name in PARAMETERS)
         return {name: value for name, value in mine if value != _DEFAULTS[name]}
+
+    @property
+    def of_left_geometry(self) -> Imperfections:
+        """Those alone that determine where the left view shows a core."""
+        return self._only("left_distortion_percent", "lens_distortion_percent")
+
+    @property
+    def of_views(self) -> Imperfections:
+        """Those alone that determine where, and with which gain, the views show the cores."""
+        gains = "right_core_gain_percent", "right_vignette_percent", "lamp_gain_percent"
+        return self._only("left_distortion_percent", "right_distortion_percent", "lens_distortion_percent", *gains)
+
+    def _only(self, *names: str) -> Imperfections:
+        return Imperfections(**{name: getattr(self, name) for name in names})
+
+    @property
+    def distorts(self) -> bool:
+        """True if a view is distorted."""
+        return any(name.endswith("-distortion") for name in self.changed)
 
     @property
     def moves_galvo(self) -> bool:

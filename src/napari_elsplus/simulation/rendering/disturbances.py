@@ -1,57 +1,162 @@
-"""What disturbs an imperfect instrument's frames from row to row and from frame to frame."""
+"""What disturbs an imperfect instrument's frames from row to row, from pixel to pixel and from frame to frame."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.simulation.model.bundle import Cores
     from napari_elsplus.simulation.model.imperfections import Imperfections
     from napari_elsplus.simulation.model.instrument import Instrument
 
     Values = NDArray[np.float32]
+    Rows = NDArray[np.float64]
 
-_ROW_NOISE = 1
-"""First word of the seeds, so that no two disturbances share their random numbers."""
+_ROW_NOISE, _POWER, _JITTER, _PRNU, _HOT, _BENDING = range(1, 7)
+"""First words of the seeds, so that no two disturbances share their random numbers."""
+HOT_DN: Final = (20.0, 200.0)
+"""Dark signal of a hot pixel, grey levels; chosen: visible beside, and as bright as, a lit core."""
+BENT_AT_UM: Final = 500.0
+"""Displacement of the probe, um, at which the bundle is bent by 76 % of what it can be; chosen: its diameter."""
+_WAVES: Final = 12
+"""Plane waves of which the smooth part of the bending's pattern consists; chosen."""
 
 
 class Readout(NamedTuple):
-    """Deviations of one frame's readout.
+    """Deviations of one frame's readout: arguments of :func:`napari_elsplus.simulation.rendering.sensor.expose`.
 
-    ``row_black_dn`` is (rows,) float32: grey levels added to each row.
+    ``row_power`` and ``row_black_dn`` are (rows,), ``pixel_gain`` and ``pixel_dark_dn`` (rows, cols), float32; all are
+    None where there are none.
     """
 
-    row_black_dn: Values
+    row_power: Values | None = None
+    row_black_dn: Values | None = None
+    pixel_gain: Values | None = None
+    pixel_dark_dn: Values | None = None
+
+
+UNDISTURBED: Final = Readout()
 
 
 class Disturbances:
     """Disturbances of the frames of one imperfect instrument; the same seed and frame give the same ones.
 
+    Patterns of sensor and bundle belong to the instrument: their seed is the bundle's.
+
     Parameters
     ----------
     instrument : Instrument
         The instrument, with its imperfections.
+    cores : Cores
+        The bundle's cores.
     seed : int
         Seed of the camera's noise.
+    laser : bool
+        The scene is lit by the laser; otherwise by a lamp, whose power is steady.
+    of_camera : bool
+        False without those of rows and pixels.
     """
 
-    def __init__(self, instrument: Instrument, seed: int) -> None:
-        self._instrument, self._seed = instrument, seed
+    def __init__(self, instrument: Instrument, cores: Cores, seed: int, *, laser: bool, of_camera: bool) -> None:
+        self._instrument, self._cores, self._seed, self._laser = instrument, cores, seed, laser
+        given = instrument.imperfections
+        self._has_power = laser and bool(given.power_noise_percent or given.power_ripple_percent)
+        self._of_camera = of_camera and bool(
+            self._has_power or given.row_noise_dn or given.prnu_percent or given.hot_pixels_percent
+        )
 
     @property
     def _imperfections(self) -> Imperfections:
         return self._instrument.imperfections
 
-    def readout(self, frame_index: int) -> Readout | None:
-        """Return the deviations of a frame's readout, by the frame's index; None if it has none."""
-        if not self._imperfections.row_noise_dn:
-            return None
-        rows = self._instrument.frame_shape[0]
-        noise = self._rng(_ROW_NOISE, frame_index).normal(0, self._imperfections.row_noise_dn, rows)
-        return Readout(noise.astype(np.float32))
+    def readout(self, frame_index: int) -> Readout:
+        """Return the deviations of a frame's readout, by the frame's index."""
+        given, rows = self._imperfections, self._instrument.frame_shape[0]
+        if not self._of_camera:
+            return UNDISTURBED
+        black = self._rng(_ROW_NOISE, frame_index).normal(0, given.row_noise_dn, rows)
+        return Readout(self._power(frame_index), black.astype(np.float32), *self._pixels)
+
+    def jittered(self, line_rows: Rows | None, frame_index: int) -> Rows | None:
+        """Return a frame's line positions with the line's jitter.
+
+        Parameters
+        ----------
+        line_rows : numpy.ndarray or None
+            (rows,) line positions; None is the ideal scan.
+        frame_index : int
+            Index of the frame.
+        """
+        if not (self._laser and self._imperfections.line_jitter_rows):
+            return line_rows
+        ideal = np.arange(self._instrument.frame_shape[0], dtype=np.float64) if line_rows is None else line_rows
+        return ideal + self._rng(_JITTER, frame_index).normal(0, self._imperfections.line_jitter_rows)
+
+    def fade(self, values: Values, of_bundle: Values, frame_index: int, positions_um: Rows) -> None:
+        """Apply bleaching and the bending of the bundle to the grey levels of one view's cores, in place.
+
+        Parameters
+        ----------
+        values : numpy.ndarray
+            (cores,) grey levels.
+        of_bundle : numpy.ndarray
+            (cores,) their part that is the bundle's own light, which does not bleach here.
+        frame_index : int
+            Index of the frame.
+        positions_um : numpy.ndarray
+            (rows, 2) position of the probe while each row is read.
+        """
+        lost = self._imperfections.bleaching_percent / 100
+        if lost and self._laser:
+            values -= of_bundle
+            values *= np.float32((1 - lost) ** (frame_index / 100))
+            values += of_bundle
+        if self._imperfections.bundle_bending_percent:
+            moved_um = np.hypot(*positions_um[len(positions_um) // 2])
+            values *= (1 + np.tanh(moved_um / BENT_AT_UM) * self._bending).astype(np.float32)
+
+    def _power(self, frame_index: int) -> Values:
+        """Mean power of the laser over each row's exposure, relative to its mean."""
+        given, optics, rows = self._imperfections, self._instrument.optics, self._instrument.frame_shape[0]
+        if not self._has_power:
+            return np.ones(rows, np.float32)
+        exposed_lines = max(1, round(self._instrument.slit_rows))
+        by_line = self._rng(_POWER, frame_index).normal(0, 1, rows + exposed_lines - 1)
+        noise = np.convolve(by_line, np.full(exposed_lines, exposed_lines**-0.5), "valid")
+        exposure_s = exposed_lines * optics.line_period_s
+        middles_s = frame_index * optics.frame_period_s + np.arange(rows) * optics.line_period_s - exposure_s / 2
+        ripple = np.sin(2 * np.pi * given.ripple_frequency_hz * middles_s) * np.sinc(
+            given.ripple_frequency_hz * exposure_s
+        )
+        power = 1 + (given.power_noise_percent * noise + given.power_ripple_percent * ripple) / 100
+        return np.asarray(np.maximum(power, 0.0), np.float32)
+
+    @cached_property
+    def _pixels(self) -> tuple[Values, Values]:
+        """Gain and dark signal of each pixel."""
+        given, shape = self._imperfections, self._instrument.frame_shape
+        gain = self._pattern_rng(_PRNU).normal(1, given.prnu_percent / 100, shape).astype(np.float32)
+        rng = self._pattern_rng(_HOT)
+        hot = rng.random(shape, np.float32) < given.hot_pixels_percent / 100
+        return np.maximum(gain, 0), np.where(hot, rng.uniform(*HOT_DN, shape), 0).astype(np.float32)
+
+    @cached_property
+    def _bending(self) -> Rows:
+        """Relative change of each core's transmission by a bent bundle: one half from core to core, one half smooth."""
+        cores, rng = self._cores, self._pattern_rng(_BENDING)
+        places = np.stack([cores.rows_um, cores.cols_um]) / self._instrument.bundle.radius_um
+        waves = np.cos(rng.uniform(-3, 3, (_WAVES, 2)) @ places + rng.uniform(0, 2 * np.pi, (_WAVES, 1))).sum(0)
+        alone = rng.normal(size=len(waves))
+        mixed = (waves - waves.mean()) / waves.std() + alone
+        return np.asarray(np.clip(self._imperfections.bundle_bending_percent / 100 * mixed / np.sqrt(2), -0.9, None))
 
     def _rng(self, kind: int, frame_index: int) -> np.random.Generator:
         return np.random.default_rng((kind, self._seed, frame_index))
+
+    def _pattern_rng(self, kind: int) -> np.random.Generator:
+        return np.random.default_rng((kind, self._instrument.bundle.seed))

@@ -15,7 +15,7 @@ import numpy as np
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.compiled import kernel
 from napari_elsplus.simulation.model.imperfections import IDEAL
-from napari_elsplus.simulation.rendering.disturbances import Disturbances
+from napari_elsplus.simulation.rendering.disturbances import UNDISTURBED, Disturbances
 from napari_elsplus.simulation.rendering.scan import CoreLight, Scan
 from napari_elsplus.simulation.rendering.sensor import expose
 from napari_elsplus.simulation.rendering.views import views
@@ -78,8 +78,12 @@ class Renderer:
         self.trajectory = Still() if trajectory is None else trajectory
         self.frame_shape = instrument.frame_shape
         self._seed = seed
-        self._disturbances = Disturbances(instrument, seed) if noise and instrument.imperfections != IDEAL else None
         self._cores, *self._views = views(instrument)
+        self._disturbances: Disturbances | None = None
+        if instrument.imperfections != IDEAL:
+            self._disturbances = Disturbances(
+                instrument, self._cores, seed, laser=not scene.transmission, of_camera=noise
+            )
         self._scan = Scan(instrument, scene, self._cores)
         reach_um = instrument.bundle.radius_um + abs(instrument.offset_um) / 2
         self._layers = [Layer(term.plane.texture, term.blur, reach_um) for term in self._scan.terms]
@@ -120,13 +124,13 @@ class Renderer:
             raise InputError(f"a frame buffer {out.shape} {out.dtype}", f"give {self.frame_shape} uint8")
         core_dn = self.core_values(frame_index, line_rows=line_rows)
         camera = self.instrument
-        readout = None if self._disturbances is None else self._disturbances.readout(frame_index)
+        readout = self._disturbances.readout(frame_index) if self._disturbances else UNDISTURBED
         left, right = (view.spots for view in self._views)
         expose(
             out,
             left.first, left.column, left.cores, left.weights, core_dn[0] * np.float32(left.scale),
             right.first, right.column, right.cores, right.weights, core_dn[1] * np.float32(right.scale),
-            self._row_signal, None if readout is None else readout.row_black_dn,
+            self._row_signal, *readout,
             camera.black_dn, camera.electrons_per_dn, camera.read_noise_e, _noise_key(self._seed, frame_index),
         )  # fmt: skip
         return out
@@ -145,6 +149,8 @@ class Renderer:
             (2, cores) mean grey levels, cores in the order of ``instrument.bundle.cores()``; overwritten by the next
             call.
         """
+        if self._disturbances is not None:
+            line_rows = self._disturbances.jittered(line_rows, frame_index)
         self._follow_line(line_rows)
         positions_um = self.row_positions_um(frame_index)
         turn = self.row_turns(frame_index)
@@ -158,6 +164,8 @@ class Renderer:
                 place_cores(places, down, camera_rows, rows_um, cols_um, positions_um, turn)
             for layer, scale, shift_um in zip(self._layers, light.scale, light.shift_um, strict=True):
                 gather(values, layer.window, 1 / layer.step_um, places, down, shift_um, scale)
+            if self._disturbances is not None:
+                self._disturbances.fade(values, light.of_bundle, frame_index, positions_um)
         return self._values
 
     def row_positions_um(self, frame_index: int) -> NDArray[np.float64]:
@@ -181,7 +189,8 @@ class Renderer:
 
         Its confocal view is the result of perfect sectioning, times the fraction of the signal that is kept.
         """
-        bare = replace(self.instrument, autofluorescence=0.0, black_dn=0.0)
+        geometry = self.instrument.imperfections.of_left_geometry
+        bare = replace(self.instrument, autofluorescence=0.0, black_dn=0.0, imperfections=geometry)
         return Renderer(bare, self.scene.in_focus(), self.trajectory, noise=False)
 
     def refuse_path(self, frames: int) -> None:

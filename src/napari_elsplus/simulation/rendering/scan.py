@@ -22,6 +22,7 @@ from napari_elsplus.simulation.specimen.textures import Uniform
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.simulation.model.axial_response import LineModel
     from napari_elsplus.simulation.model.bundle import Cores
     from napari_elsplus.simulation.model.instrument import Instrument
     from napari_elsplus.simulation.rendering.views import BundleView
@@ -41,19 +42,57 @@ class Term:
 
     plane: Plane
     parts: tuple[int, ...]
-    """0: core of the line, 1: its halo; both, where they see the same."""
+    """Indices of `Scan.channels`; several, where they see the same."""
     blur: Blur
 
 
 class CoreLight(NamedTuple):
     """Light on the cores of one view: a steady part, and for each term a scale and a row shift.
 
-    ``steady`` (cores,), ``scale`` and ``shift_um`` (terms, cores): grey levels, and micrometres along the rows.
+    ``of_bundle`` and ``steady`` (cores,), the former being the bundle's own share of the latter; ``scale`` and
+    ``shift_um`` (terms, cores): grey levels, and micrometres along the rows.
     """
 
+    of_bundle: NDArray[np.float32]
     steady: NDArray[np.float32]
     scale: NDArray[np.float32]
     shift_um: NDArray[np.float32]
+
+
+class Channel(NamedTuple):
+    """Share of the light that is excited by one part of the line and collected with one part of the cross-talk.
+
+    ``part`` is 0 for the core of the line, 1 for its halo; ``collected_um`` is the standard deviation of the cross-talk
+    on the way back, 0 for light that returns through the core it entered.
+    """
+
+    share: float
+    part: int
+    collected_um: float
+
+
+def channels(line: LineModel, halo_in_collection: float) -> tuple[Channel, ...]:
+    """Return the ways of the light through the bundle: excitation and collection, each with or without cross-talk.
+
+    Light that suffers no cross-talk at all keeps its share; of the rest, a part arises on the way back.
+
+    Parameters
+    ----------
+    line : LineModel
+        The laser line; its halo is the cross-talk of the whole way.
+    halo_in_collection : float
+        Share of the cross-talk that arises on the way back, 0 to 1.
+    """
+    if not halo_in_collection:
+        return tuple(Channel(share, part, 0.0) for part, (share, _) in enumerate(line.parts))
+    alone = 1 - line.halo_share
+    out, back = alone ** (1 - halo_in_collection), alone**halo_in_collection
+    cross_talk_um = float(np.sqrt(line.halo_um**2 - line.core_um**2))
+    return tuple(
+        Channel(there * here, part, collected_um)
+        for here, collected_um in ((back, 0.0), (1 - back, cross_talk_um))
+        for part, there in enumerate((out, 1 - out))
+    )
 
 
 class _Product(NamedTuple):
@@ -80,6 +119,8 @@ class Scan:
         self._instrument, self._scene, self._cores = instrument, scene, cores
         self._edge = edge(instrument.bundle.radius_um, instrument.line, instrument.slit_um)
         self._smear_um = instrument.slit_um / np.sqrt(12)
+        self.channels = channels(instrument.line, instrument.imperfections.halo_in_collection_percent / 100)
+        self._along_line = _power_along_line(instrument, cores)
         self._place_on_grid()
         self.terms = tuple(term for plane in scene.planes for term in self._terms_of(plane))
 
@@ -101,13 +142,16 @@ class Scan:
             instrument.light_dn * instrument.slit_rows / REFERENCE_SLIT_ROWS * view.gain * self._cores.transmission
         )
         if self._scene.transmission:
+            strength = strength * view.lamp_factor
             for plane in self._scene.planes:
                 if isinstance(plane.texture, Uniform):
                     steady += plane.brightness * strength
             for t, term in enumerate(self.terms):
                 scale[t] = term.plane.brightness * strength
-            return CoreLight(steady.astype(np.float32), scale, shift_um)
+            return CoreLight(np.zeros(cores, np.float32), steady.astype(np.float32), scale, shift_um)
 
+        if self._along_line is not None:
+            strength = strength * self._along_line
         offset_um, smear_um, grid_offset_um = self._offsets(view, line_rows)
         cache: dict[float, NDArray[np.float64]] = {}
 
@@ -117,6 +161,7 @@ class Scan:
             return cache[depth_um]
 
         steady += instrument.autofluorescence * parts(0.0).sum(0)
+        of_bundle = steady.astype(np.float32)
         for plane in self._scene.planes:
             if isinstance(plane.texture, Uniform):
                 steady += plane.brightness * parts(plane.depth_um).sum(0)
@@ -127,30 +172,39 @@ class Scan:
             pulls = [self._product(part, term.plane.depth_um).pull for part in term.parts]
             lit = total > _NEGLIGIBLE * instrument.light_dn
             shift_um[t] = np.where(lit, offset_um * (pulls @ received) / np.where(lit, total, 1), 0)
-        return CoreLight(steady.astype(np.float32), scale, shift_um)
+        return CoreLight(of_bundle, steady.astype(np.float32), scale, shift_um)
 
     def _terms_of(self, plane: Plane) -> list[Term]:
         if isinstance(plane.texture, Uniform):
             return []
         mode_um = self._instrument.bundle.core_sigma * self._instrument.bundle.core_pitch_um
-        if plane.depth_um == 0 or self._scene.transmission:
+        if self._scene.transmission:
             return [Term(plane, (0, 1), Blur(mode_um, mode_um))]
-        across = float(np.hypot(self._instrument.line.spread * plane.depth_um / np.sqrt(2), mode_um))
-        core, halo = (self._product(part, plane.depth_um) for part in (0, 1))
-        apart_um = abs(core.pull - halo.pull) * abs(self._instrument.offset_um)
-        if apart_um < _ALIKE * core.sigma_um and abs(halo.sigma_um - core.sigma_um) < _ALIKE * core.sigma_um:
-            blur = Blur(float(np.hypot((core.sigma_um + halo.sigma_um) / 2, mode_um)), across)
-            return [Term(plane, (0, 1), blur)]
-        return [
-            Term(plane, (part,), Blur(float(np.hypot(product.sigma_um, mode_um)), across))
-            for part, product in enumerate((core, halo))
-        ]
+        terms = []
+        for first in range(0, len(self.channels), 2):
+            pair, collected_um = (first, first + 1), self.channels[first].collected_um
+            if plane.depth_um == collected_um == 0:
+                terms.append(Term(plane, pair, Blur(mode_um, mode_um)))
+                continue
+            spread_um = self._instrument.line.spread * plane.depth_um / np.sqrt(2)
+            across = float(np.hypot(np.hypot(spread_um, collected_um), mode_um))
+            core, halo = (self._product(channel, plane.depth_um) for channel in pair)
+            apart_um = abs(core.pull - halo.pull) * abs(self._instrument.offset_um)
+            if apart_um < _ALIKE * core.sigma_um and abs(halo.sigma_um - core.sigma_um) < _ALIKE * core.sigma_um:
+                blur = Blur(float(np.hypot((core.sigma_um + halo.sigma_um) / 2, mode_um)), across)
+                terms.append(Term(plane, pair, blur))
+                continue
+            for channel, product in zip(pair, (core, halo), strict=True):
+                terms.append(Term(plane, (channel,), Blur(float(np.hypot(product.sigma_um, mode_um)), across)))
+        return terms
 
-    def _product(self, part: int, depth_um: float) -> _Product:
+    def _product(self, index: int, depth_um: float) -> _Product:
         """Spread line times collection, both Gaussians."""
+        _, part, collected_um = self.channels[index]
         _, sigma_um = self._instrument.line.parts[part]
-        collected = (self._instrument.line.spread * depth_um) ** 2 / 2
-        excited = sigma_um**2 + self._smear_um**2 + collected
+        spread = (self._instrument.line.spread * depth_um) ** 2 / 2
+        collected = spread + collected_um**2
+        excited = sigma_um**2 + self._smear_um**2 + spread
         pull = collected / (collected + excited)
         return _Product(pull, float(np.sqrt(pull * excited)))
 
@@ -161,15 +215,20 @@ class Scan:
         smear_um: NDArray[np.float64],
         grid_offset_um: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return the light of a uniform plane of brightness 1 by core and halo of the line, (2, cores)."""
+        """Return the light of a uniform plane of brightness 1 by each channel, (channels, cores)."""
         line, optics = self._instrument.line, self._instrument.optics
         reference = float(line_response(0.0, 0.0, optics.um(REFERENCE_SLIT_ROWS), line))
-        vignette = self._edge.vignette(grid_offset_um, depth_um).reshape(2, -1)
-        received = np.empty((2, len(offset_um)))
-        for part, (share, sigma_um) in enumerate(line.parts):
-            width_um = np.hypot(sigma_um, line.spread * depth_um)
-            unclipped = gaussian_over_slit(offset_um, smear_um, width_um) * (share / reference)
-            received[part] = unclipped * (vignette[part][self._grid_index] * self._grid_weight).sum(0)
+        received = np.empty((len(self.channels), len(offset_um)))
+        for collected_um in sorted({channel.collected_um for channel in self.channels}):
+            # Cross-talk on the way back spreads light over the face of the bundle as a greater depth would.
+            as_deep_um = float(np.hypot(depth_um, collected_um / line.spread)) if collected_um else depth_um
+            vignette = self._edge.vignette(grid_offset_um, as_deep_um).reshape(2, -1)
+            for index, channel in enumerate(self.channels):
+                if channel.collected_um == collected_um:
+                    width_um = np.hypot(line.parts[channel.part][1], line.spread * as_deep_um)
+                    unclipped = gaussian_over_slit(offset_um, smear_um, width_um) * (channel.share / reference)
+                    clipped = (vignette[channel.part][self._grid_index] * self._grid_weight).sum(0)
+                    received[index] = unclipped * clipped
         return received
 
     def _offsets(
@@ -189,8 +248,9 @@ class Scan:
 
         grid = self._edge.grid_um
         tilt_um = np.tan(np.deg2rad(instrument.line_tilt_deg)) * self._cores.cols_um
+        bow_um = um * instrument.imperfections.line_bow_rows * (self._cores.cols_um / instrument.bundle.radius_um) ** 2
         return (
-            off(view.rows_px, self._cores.rows_um) + tilt_um,
+            off(view.rows_px, self._cores.rows_um) + tilt_um + bow_um,
             instrument.slit_um * np.interp(view.rows_px, rows, speed),
             off(view.centre_row + grid / um, grid),
         )
@@ -204,3 +264,13 @@ class Scan:
         fy, fx = y - i, x - j
         self._grid_index = np.stack([i, i, i + 1, i + 1]) * points + np.stack([j, j + 1, j, j + 1])
         self._grid_weight = np.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx])
+
+
+def _power_along_line(instrument: Instrument, cores: Cores) -> NDArray[np.float64] | None:
+    """Return the line's power at each core relative to that at its middle; None of an even line."""
+    given = instrument.imperfections
+    if not (given.line_fall_off_percent or given.line_slant_percent):
+        return None
+    place = cores.cols_um / instrument.bundle.radius_um
+    fall_off = (1 - given.line_fall_off_percent / 100) ** (place**2)
+    return np.asarray(fall_off * (1 + given.line_slant_percent / 100 * place))

@@ -93,7 +93,10 @@ def expose(
     right_weights: NDArray[np.uint8],
     right_values: NDArray[np.float32],
     row_signal: NDArray[np.float32],
+    row_power: NDArray[np.float32] | None,
     row_black_dn: NDArray[np.float32] | None,
+    pixel_gain: NDArray[np.float32] | None,
+    pixel_dark_dn: NDArray[np.float32] | None,
     black_dn: float,
     electrons_per_dn: float,
     read_noise_e: float,
@@ -116,8 +119,11 @@ def expose(
         The same of the residual view.
     row_signal : numpy.ndarray
         (cols,) scratch.
-    row_black_dn : numpy.ndarray or None
-        (rows,) grey levels added to each row; None adds none.
+    row_power, row_black_dn : numpy.ndarray or None
+        (rows,) factor on the light while each row is exposed, and grey levels added to the row; None of the ideal
+        instrument, as the next two.
+    pixel_gain, pixel_dark_dn : numpy.ndarray or None
+        (rows, cols) factor on each pixel's signal, and its dark signal in grey levels.
     black_dn, electrons_per_dn, read_noise_e : float
         Black level, grey levels; gain, electrons per grey level; read noise, electrons.
     key : int
@@ -144,6 +150,8 @@ def expose(
             row_black += row_black_dn[r]
         for c in range(cols):
             signal = row_signal[c]
+            if row_power is not None and pixel_gain is not None and pixel_dark_dn is not None:
+                signal = signal * row_power[r] * pixel_gain[r, c] + pixel_dark_dn[r, c]
             if noisy:
                 word = np.uint32((base + np.uint32(c)) ^ key_a)
                 word = np.uint32(word * np.uint32(0x7FEB352D))
