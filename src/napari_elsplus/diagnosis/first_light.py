@@ -14,7 +14,6 @@ import click
 import numpy as np
 
 from napari_elsplus.errors import ElsPlusError, InputError
-from napari_elsplus.hardware.daq.output import Output
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.protocols import Region
 from napari_elsplus.hardware.rigs import open_rig
@@ -205,18 +204,12 @@ def parking(rig: Rig) -> Iterator[str]:
     measured_v = scanner.park_state.read_back_v
     confirmed = "the card cannot measure its output: use a multimeter"
     yield f"parked at {scanner.park_v:.3f} V; {confirmed if measured_v is None else f'read back {measured_v:.3f} V'}"
-    output = Output(scanner.card, scanner.limits)
-    try:
-        begin_s = time.perf_counter()
-        output.reset()
-        took_s, after_v = time.perf_counter() - begin_s, output.read_back()
-        output.put(scanner.park_v)
-        back_s = time.perf_counter() - begin_s
-    finally:
-        output.release()
-    scanner.park()
-    where = "an unknown voltage" if after_v is None else f"{after_v:.3f} V"
-    yield f"a reset took {took_s * 1e3:.0f} ms and left the output at {where}; parked after {back_s * 1e3:.0f} ms"
+    reset = scanner.try_reset()
+    where = "an unknown voltage" if reset.volts is None else f"{reset.volts:.3f} V"
+    yield (
+        f"a reset took {reset.reset_s * 1e3:.0f} ms and left the output at {where}; "
+        f"parked after {reset.parked_s * 1e3:.0f} ms"
+    )
     yield f"laser line: {scanner.card.laser_line or 'none; a shutter or laser enable on a digital line is recommended'}"
 
 

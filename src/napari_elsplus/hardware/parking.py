@@ -173,6 +173,11 @@ class Parking:
         if self._state.stage is ParkStage.PARKING:
             self._enter(replace(self._state, stage=ParkStage.NOT_PARKED, problem=problem))
 
+    def revoke(self, problem: str) -> None:
+        """Enter ``NOT_PARKED`` with a problem found while it was ``PARKED``."""
+        if self._state.parked:
+            self._enter(ParkState(ParkStage.NOT_PARKED, problem))
+
     def wait(self, timeout_s: float) -> bool:
         """Wait until the galvo is parked; return False if it is not within `timeout_s`."""
         with self._changed:

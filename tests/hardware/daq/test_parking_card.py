@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
 
 import pytest
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.daq.scanner import DaqScanner
+from napari_elsplus.hardware.daq.scanner import COMPARE_EVERY_S, DaqScanner
 from napari_elsplus.hardware.parking import LASER_OFF, ParkStage
 from napari_elsplus.hardware.scan.timing import ScanTiming
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform, els_waveform
@@ -204,15 +205,73 @@ def test_parking_goes_around_an_attempt_that_does_not_return(cards) -> None:
         assert parked_s(bench.card) - begun_s < 3
 
 
-def test_a_card_that_hangs_while_it_is_watched_is_a_fault(cards, ramp, wait_for, monkeypatch) -> None:
-    monkeypatch.setattr("napari_elsplus.hardware.daq.scanner.STUCK_AFTER_S", 0.5)
+def test_a_card_that_hangs_while_it_is_watched_is_parked_by_itself(cards, ramp, wait_for) -> None:
+    """Before: only a call of `check` found it, after 2.5 s."""
     bench = cards()
     with DaqScanner(bench.settings, bench.limits) as scanner:
         sweep(scanner, bench, ramp, wait_for)
         bench.card.inject(hangs=True)
-        wait_for(lambda: "has not answered" in fault_of(scanner))
-        scanner.park()
+        wait_for(lambda: scanner.park_state.parked)
         assert bench.card.last_volts == PARK_V
+        assert "did not return" in fault_of(scanner)
+
+
+@pytest.mark.parametrize("drive", ["hold", "scan"])
+def test_a_command_to_a_card_that_hangs_fails_within_two_seconds(cards, ramp, wait_for, drive) -> None:
+    """Before: it never returned."""
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        bench.card.inject(hangs=True)
+        begun_s = time.perf_counter()
+        with pytest.raises(DeviceError):
+            scanner.hold(0.3) if drive == "hold" else scanner.scan(ramp)
+        assert time.perf_counter() - begun_s < 2.0
+        wait_for(lambda: scanner.park_state.parked)
+        scanner.hold(0.2)  # and it can go on
+        scanner.check()
+
+
+def test_a_card_that_hangs_while_it_is_opened_is_refused_or_parked_within_two_seconds(cards) -> None:
+    bench = cards()
+    bench.card.inject(hangs=True)
+    begun_s = time.perf_counter()
+    with suppress(DeviceError):
+        DaqScanner(bench.settings, bench.limits).close()
+    assert time.perf_counter() - begun_s < 3.0
+    assert bench.card.last_volts == PARK_V
+
+
+@pytest.mark.parametrize("reads_back", [True, False])
+def test_a_parked_galvo_that_is_reset_from_elsewhere_is_parked_again_and_that_is_a_fault(
+    cards, wait_for, reads_back
+) -> None:
+    """Before: the line stood on the bundle at 0 V, reported parked."""
+    bench = cards()
+    bench.card.inject(reads_back=reads_back)
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        states = []
+        scanner.on_park_state(lambda state: states.append(state.message))
+        begun_s = bench.card.clock.now_s()
+        bench.card.reset("Dev1")
+        wait_for(lambda: bench.card.last_volts == PARK_V)
+        assert parked_s(bench.card) - begun_s < SOON_S
+        wait_for(lambda: scanner.park_state.parked)
+        assert "moved from elsewhere" in fault_of(scanner)
+        assert any(message.startswith(LASER_OFF) for message in states)
+
+
+def test_a_parked_galvo_is_left_alone_while_another_program_uses_the_input_that_reads_it_back(cards) -> None:
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        other = bench.card.create_task("other")
+        bench.card.add_input(other, "Dev1/_ao0_vs_aognd")
+        bench.card.start_task(other)
+        version = bench.card.version
+        time.sleep(3 * COMPARE_EVERY_S)
+        assert scanner.park_state.parked
+        assert bench.card.version == version
+        assert fault_of(scanner) == ""
+        bench.card.clear_task(other)
 
 
 def test_parking_from_any_thread_ends_a_slow_move_at_once(cards) -> None:

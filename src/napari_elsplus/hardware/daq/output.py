@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.daq.errors import NO_SUCH_CHANNEL, translate_daq_errors
+from napari_elsplus.hardware.daq.calls import Calls
+from napari_elsplus.hardware.daq.errors import IN_USE, NO_SUCH_CHANNEL
 from napari_elsplus.hardware.daq.session import open_session
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from nidaqmx import Task
 
     from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
@@ -94,15 +92,15 @@ class Output:
         self._still: Task | None = None
         self._laser: Task | None = None
         self._reads_back = True
-        self.returned_s = time.perf_counter()
-        """When the last call to the card returned."""
+        self.calls = Calls(card.device)
+        """The calls that are made to the card; by one thread."""
 
     def put(self, volts: float) -> None:
         """Put a voltage out, in volts, now."""
         from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
         try:
-            with self._calls():
+            with self.calls():
                 if self._still is None:
                     self.clear()
                     self._still, _ = self._voltage_task()
@@ -125,19 +123,41 @@ class Output:
         DeviceError
             If the write was not completed, or the output is at another voltage.
         """
-        with self._calls():
+        with self.calls():
             if self._still is None:
                 raise DeviceError(f"card {self.card.device}: nothing holds the output", "park again")
             self._still.stop()  # a write that has not been completed is completed, or raises
             if not self._still.is_task_done():
                 raise DeviceError(f"card {self.card.device}: {self.card.output} was not written", "park again")
         measured = self.read_back()
-        if measured is not None and not abs(measured - volts) <= READ_BACK_TOLERANCE_V:
-            raise DeviceError(
-                f"card {self.card.device}: {self.card.output} is at {measured:.3g} V instead of {volts:.3g} V",
-                "check what is wired to the output",
-            )
+        self._refuse_elsewhere(measured, volts)
         return measured
+
+    def check_still(self, volts: float) -> None:
+        """Raise if the output does not stand any more where it was confirmed to.
+
+        An input that another program uses at this time is left to it; the task of the output is checked all the same.
+
+        Parameters
+        ----------
+        volts : float
+            Voltage of the last `confirm`.
+
+        Raises
+        ------
+        DeviceError
+            If the card was reset, is gone, or another program has put out another voltage.
+        """
+        with self.calls():
+            if self._still is None or not self._still.is_task_done():
+                raise DeviceError(f"card {self.card.device}: nothing holds the output", "park again")
+        try:
+            measured = self.read_back()
+        except DeviceError as error:
+            if getattr(error.__cause__, "error_code", 0) != IN_USE:
+                raise
+        else:
+            self._refuse_elsewhere(measured, volts)
 
     def repeat(self, waveform: Waveform) -> None:
         """Put a burst of the waveform out after each strobe, from the card's memory."""
@@ -146,7 +166,7 @@ class Output:
 
         card, rate = self.card, waveform.sample_rate_hz
         edge = Edge.FALLING if card.falling else Edge.RISING
-        with self._calls():
+        with self.calls():
             self.clear()
             clock = self._task()
             clock.co_channels.add_co_pulse_chan_freq(f"{card.device}/{card.counter}", freq=rate)
@@ -160,13 +180,14 @@ class Output:
                 rate, source, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=len(waveform.volts)
             )
             ramp.out_stream.regen_mode = RegenerationMode.ALLOW_REGENERATION
-            AnalogSingleChannelWriter(ramp.out_stream, auto_start=False).write_many_sample(waveform.volts)
+            with self.calls():
+                AnalogSingleChannelWriter(ramp.out_stream, auto_start=False).write_many_sample(waveform.volts)
             ramp.start()
             clock.start()
 
     def samples_done(self) -> int:
         """Count the samples put out since `repeat`; raise the error that stopped the output, if any."""
-        with self._calls():
+        with self.calls():
             for task in self._tasks:
                 task.is_task_done()
             return int(self._tasks[-1].out_stream.total_samp_per_chan_generated)
@@ -177,7 +198,7 @@ class Output:
             return
         from nidaqmx.stream_writers import DigitalSingleChannelWriter
 
-        with self._calls():
+        with self.calls():
             if self._laser is None:
                 self._laser = self._session.task()
                 self._laser.do_channels.add_do_chan(f"{self.card.device}/{self.card.laser_line}")
@@ -197,7 +218,7 @@ class Output:
         """Reset the card, which aborts its tasks; its outputs may go to their power-up voltage (0 V, or the last)."""
         tasks, self._tasks, self._still = [*self._tasks, self._laser], [], None
         self._laser = None
-        with self._calls():
+        with self.calls():
             self._session.system().devices[self.card.device].reset_device()
         for task in tasks:
             self._forget(task)
@@ -205,7 +226,7 @@ class Output:
     def clear(self) -> None:
         """Delete every task of the output, whatever errors others raise; the card keeps the last voltage."""
         tasks, self._tasks, self._still = self._tasks, [], None
-        with self._calls(), contextlib.ExitStack() as each:
+        with self.calls(), contextlib.ExitStack() as each:
             for task in tasks:
                 each.callback(task.close)  # the last one first
 
@@ -231,7 +252,7 @@ class Output:
         from nidaqmx.stream_readers import AnalogSingleChannelReader
 
         task = None
-        with self._calls():
+        with self.calls():
             try:
                 task = self._session.task()
                 channel = f"{self.card.device}/_{self.card.output}_vs_aognd"
@@ -245,28 +266,28 @@ class Output:
             finally:
                 self._forget(task)
 
-    @contextlib.contextmanager
-    def _calls(self) -> Iterator[None]:
-        """Translate the errors of calls to the card, and note when they return."""
-        try:
-            with translate_daq_errors(self.card.device):
-                yield
-        finally:
-            self.returned_s = time.perf_counter()
+    def _refuse_elsewhere(self, measured: float | None, volts: float) -> None:
+        if measured is not None and not abs(measured - volts) <= READ_BACK_TOLERANCE_V:
+            raise DeviceError(
+                f"card {self.card.device}: {self.card.output} is at {measured:.3g} V instead of {volts:.3g} V",
+                "check what is wired to the output",
+            )
 
     def _forget(self, task: Task | None) -> None:
         """Delete a task whose errors do not matter any more."""
         if task is not None:
-            with contextlib.suppress(DeviceError), self._calls():
+            with contextlib.suppress(DeviceError), self.calls():
                 task.close()
 
     def _task(self) -> Task:
-        task = self._session.task()
+        with self.calls():
+            task = self._session.task()
         self._tasks.append(task)
         return task
 
     def _voltage_task(self) -> tuple[Task, Any]:
         task = self._task()
         name = f"{self.card.device}/{self.card.output}"
-        channel = task.ao_channels.add_ao_voltage_chan(name, min_val=self.limits.min_v, max_val=self.limits.max_v)
+        with self.calls():
+            channel = task.ao_channels.add_ao_voltage_chan(name, min_val=self.limits.min_v, max_val=self.limits.max_v)
         return task, channel

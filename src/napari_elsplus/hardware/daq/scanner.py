@@ -1,8 +1,9 @@
 """The galvo on a National Instruments card, through nidaqmx: hold, scan on the camera's strobe, park.
 
 A retriggerable counter, started by the strobe, gives one burst of sample clocks per frame; the analog output repeats
-the waveform from the card's own memory, so no buffer can run dry. A thread checks the interlocks and parks: after a
-fault, on command, and again until the card has confirmed it.
+the waveform from the card's own memory, so no buffer can run dry. The card's thread makes all calls: commands, and
+between them it checks the interlocks, compares the parked output with the parking voltage, and parks: after a fault,
+on command, and again until the card has confirmed it.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ import contextlib
 import math
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self, TypeVar
 
 from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.daq.calls import CardThread
 from napari_elsplus.hardware.daq.interlock import Interlock
 from napari_elsplus.hardware.daq.output import CardSettings, Output
 from napari_elsplus.hardware.parking import Parking, ParkStage, ParkState
@@ -24,14 +26,28 @@ if TYPE_CHECKING:
 
     from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
 
+Result = TypeVar("Result")
+
 WATCH_EVERY_S: Final = 0.02
 """Seconds between two checks of the card; chosen: a small part of the 0.5 s in which the galvo has to park."""
+COMPARE_EVERY_S: Final = 0.2
+"""Seconds between two checks of the parked output; chosen: parked again within 0.5 s, at a hundredth of the card's
+time (a check takes some calls, 1 to 2 ms)."""
 PARK_TIMEOUT_S: Final = 1.5
 """Seconds that `DaqScanner.park` waits for the card; chosen: no call takes longer than 2 s."""
-BYPASS_AFTER_S: Final = 0.5
-"""Seconds without a call returning after which parking goes around it; chosen: far above a call's time."""
-STUCK_AFTER_S: Final = 2.5
-"""Seconds without a check of the card after which `check` is a fault; chosen: above the time limit of a call."""
+CLOSE_TIMEOUT_S: Final = 1.9
+"""Seconds that `DaqScanner.close` waits for the end of its threads; chosen: no call takes longer than 2 s."""
+
+
+class ResetResult(NamedTuple):
+    """What a reset of the card did to its output."""
+
+    reset_s: float
+    """Seconds that the reset took."""
+    volts: float | None
+    """Voltage read back after it; None where the card cannot."""
+    parked_s: float
+    """Seconds from the beginning of the reset to the write of the parking voltage."""
 
 
 class DaqScanner:
@@ -60,8 +76,6 @@ class DaqScanner:
         limits.check(card.park_v, "the parking position")
         self.card, self.limits = card, limits
         self._output, self._now_s = Output(card, limits), now_s
-        self._lock = threading.RLock()
-        """Held for calls to the card; `park` waits for it in no thread but the scanner's own."""
         self._parking = Parking(self._output, card.park_v)
         self._interlock = Interlock(card)
         self.hold_limit_s = card.hold_limit_s
@@ -72,22 +86,26 @@ class DaqScanner:
         self._volts = card.park_v
         self._parks = threading.Event()
         """Set from the command to park until the card has confirmed it; hold and scan give way to it."""
+        self._parkings = 0
+        """Number of commands to park; a hold or scan that was given before one of them does not move the galvo."""
         self._tasks_lost = threading.Event()
-        self._wake = threading.Event()
         self._closing = False
-        self._alive_s = time.perf_counter()
-        self._first_attempt()
-        self._watch = threading.Thread(target=self._run, name="galvo watch", daemon=True)
-        self._watch.start()
+        self._compare_s = 0.0
+        self._card = CardThread(self._output.calls, self._turn, self._output.release, self._go_around)
+        self._card.start()
+        try:
+            self._card.execute(self._first_attempt)
+        except BaseException:
+            self._closing = True
+            self._card.wake()
+            self._card.join(CLOSE_TIMEOUT_S)
+            raise
         atexit.register(self.close)
 
     @property
     def ramps_begun(self) -> int:
         """Ramps that the card began since `scan`: one for every strobe that it detected."""
-        with self._lock:
-            if self._waveform is None:
-                return 0
-            return -(-self._output.samples_done() // self._waveform.samples_per_ramp)
+        return self._card.execute(self._count_ramps)
 
     @property
     def park_v(self) -> float:
@@ -118,28 +136,16 @@ class DaqScanner:
     def hold(self, volts: float) -> None:
         """Hold the line at a voltage; see :meth:`napari_elsplus.hardware.protocols.Scanner.hold`."""
         self.limits.check(volts)
-        with self._driving():
-            self._go_to(volts)
-            self._output.laser(True)
-            self._interlock.hold(self._now_s())
+        self._drive(lambda: self._hold(volts))
 
     def scan(self, waveform: Waveform) -> None:
         """Put the waveform out, one ramp after each strobe."""
         self.limits.check(waveform.volts, "the scan")
         self._refuse_parking_on_the_bundle(waveform)
-        with self._driving():
-            self._go_to(float(waveform.volts[0]))
-            self._output.repeat(waveform)
-            self._output.laser(True)
-            self._waveform = waveform
-            self._interlock.scan(waveform, self._now_s(), self._count_frames())
+        self._drive(lambda: self._scan(waveform))
 
     def check(self) -> None:
         """Raise what has gone wrong since the last `hold` or `scan`."""
-        silent_s = time.perf_counter() - self._alive_s
-        if self._fault is None and silent_s > STUCK_AFTER_S and not self._closing:
-            self.interrupt(DeviceError(f"the card has not answered for {silent_s:.1f} s", "check its cable"))
-            self._parking.alarm("the card does not answer")
         fault = self._fault
         if fault is not None:
             raise fault
@@ -147,17 +153,21 @@ class DaqScanner:
     def park(self) -> None:
         """Stop the scan and take the line off the bundle; returns once the card has confirmed it."""
         self._command_parking()
-        begun_s = time.perf_counter()
-        bypassed = False
-        while not self._parking.wait(WATCH_EVERY_S):
-            now_s = time.perf_counter()
-            if now_s - begun_s > PARK_TIMEOUT_S:
-                self._parking.alarm("the card has not confirmed it")
-                raise DeviceError(self._parking.state.message, "free the card, and check its cable")
-            if not bypassed and now_s - max(begun_s, self._alive_s, self._output.returned_s) > BYPASS_AFTER_S:
-                bypassed = True
-                with contextlib.suppress(RuntimeError):  # no thread starts while the interpreter ends
-                    threading.Thread(target=self._bypass, name="galvo parking", daemon=True).start()
+        if not self._parking.wait(PARK_TIMEOUT_S):
+            self._parking.alarm("the card has not confirmed it")
+            raise DeviceError(self._parking.state.message, "free the card, and check its cable")
+
+    def try_reset(self) -> ResetResult:
+        """Reset the card, and park; return what the reset did to the output. The laser has to be off.
+
+        Raises
+        ------
+        DeviceError
+            If the card fails, or does not confirm.
+        """
+        result = self._drive(self._reset)
+        self.park()
+        return result
 
     def interrupt(self, fault: DeviceError) -> None:
         """Park because of a fault that was found elsewhere; `check` raises it. Returns at once."""
@@ -168,12 +178,13 @@ class DaqScanner:
         """Park, and release the card once it is parked; does nothing the second time."""
         if self._closing:
             return
+        begun_s = time.perf_counter()
         self._command_parking()
         self._closing = True
         with contextlib.suppress(DeviceError):  # see park_state; parking goes on
             self.park()
-        if self._parking.state.parked and threading.current_thread() is not self._watch:
-            self._watch.join()
+        if self._parking.state.parked:
+            self._card.join(max(0.0, begun_s + CLOSE_TIMEOUT_S - time.perf_counter()))
         atexit.unregister(self.close)
 
     def __enter__(self) -> Self:
@@ -182,27 +193,58 @@ class DaqScanner:
     def __exit__(self, *reason: object) -> Any:
         self.close()
 
-    # what drives the galvo
+    # what drives the galvo, in the card's thread
+
+    def _drive(self, move: Callable[[], Result]) -> Result:
+        """Move the galvo, unless parking is commanded before or meanwhile; whatever goes wrong parks it."""
+        self._refuse_while_parking()
+        commanded = self._parkings
+
+        def in_turn() -> Result:
+            self._refuse_while_parking(commanded)
+            with self._driving():
+                return move()
+
+        return self._card.execute(in_turn)
+
+    def _hold(self, volts: float) -> None:
+        self._go_to(volts)
+        self._output.laser(True)
+        self._interlock.hold(self._now_s())
+
+    def _scan(self, waveform: Waveform) -> None:
+        self._go_to(float(waveform.volts[0]))
+        self._output.repeat(waveform)
+        self._output.laser(True)
+        self._waveform = waveform
+        self._interlock.scan(waveform, self._now_s(), self._count_frames())
+
+    def _reset(self) -> ResetResult:
+        self._output.laser_off()
+        begun_s = time.perf_counter()
+        self._output.reset()
+        reset_s = time.perf_counter() - begun_s
+        volts = self._output.read_back()
+        self._output.put(self.park_v)
+        return ResetResult(reset_s, volts, time.perf_counter() - begun_s)
 
     @contextlib.contextmanager
     def _driving(self) -> Iterator[None]:
-        """Hold the lock while the galvo is moved; whatever goes wrong parks it."""
-        with self._lock:
+        self._drop_lost_tasks()
+        self._waveform, self._fault = None, None
+        self._parking.begin(ParkStage.DRIVEN)
+        try:
+            yield
             self._refuse_while_parking()
-            self._drop_lost_tasks()
-            self._waveform, self._fault = None, None
-            self._parking.begin(ParkStage.DRIVEN)
-            try:
-                yield
-                self._refuse_while_parking()
-            except BaseException:
-                self._command_parking()
-                raise
+        except BaseException:
+            self._command_parking()
+            raise
 
-    def _refuse_while_parking(self) -> None:
+    def _refuse_while_parking(self, commanded: int | None = None) -> None:
+        """Raise while parking is commanded, or was since a number of parkings had been `commanded`."""
         if self._closing:
             raise DeviceError("the galvo was closed", "open the rig again")
-        if self._parks.is_set():
+        if self._parks.is_set() or commanded not in (None, self._parkings):
             state = self._parking.state
             raise DeviceError(state.message or "the galvo is being parked", "start again when it is parked")
 
@@ -225,42 +267,38 @@ class DaqScanner:
         self._output.put(volts)
         self._volts = volts
 
-    # the scanner's own thread
+    # parking, and what commands it
 
     def _command_parking(self) -> None:
+        self._parkings += 1
         self._parks.set()
         self._parking.begin(ParkStage.PARKING)
-        self._wake.set()
+        self._card.wake()
 
-    def _run(self) -> None:
-        while True:
-            self._wake.wait(self._parking.state.retry_s if self._parks.is_set() else WATCH_EVERY_S)
-            self._wake.clear()
-            self._alive_s = time.perf_counter()
-            if self._closing and not self._parks.is_set():
-                break
-            try:
-                with self._lock:
-                    self._check_or_park()
-            except Exception as error:  # noqa: BLE001 - this thread must not end
-                self._fault = _as_fault(error)
-                self._parks.set()
-        with self._lock:
-            self._output.release()
-
-    def _check_or_park(self) -> None:
-        if not self._parks.is_set():
-            self._fault = self._fault or self._fault_now()
-        if self._parks.is_set():
-            self._attempt()
+    def _turn(self) -> float | None:
+        """Check or park, between commands; return the seconds until the next turn, None at the end."""
+        if self._closing and not self._parks.is_set():
+            return None
+        try:
+            if not self._parks.is_set():
+                fault = self._fault_now()  # after a fault, too: it is parked then, and has to stay so
+                self._fault = self._fault or fault
+            if self._parks.is_set():
+                self._attempt()
+        except Exception as error:  # noqa: BLE001 - the card's thread must not end
+            self._fault = _as_fault(error)
+            self._parks.set()
+        return self._parking.state.retry_s if self._parks.is_set() else WATCH_EVERY_S
 
     def _attempt(self) -> None:
         self._waveform = None
         self._drop_lost_tasks()
+        self._parks.clear()  # before: it may be commanded again meanwhile
         if self._parking.attempt().parked:
             self._volts = self._parking.volts
             self._interlock.rest()
-            self._parks.clear()
+        else:
+            self._parks.set()
 
     def _drop_lost_tasks(self) -> None:
         if self._tasks_lost.is_set():
@@ -270,6 +308,7 @@ class DaqScanner:
 
     def _fault_now(self) -> DeviceError | None:
         try:
+            self._compare_parked()
             samples = self._output.samples_done() if self._waveform is not None else 0
         except DeviceError as error:
             fault: DeviceError | None = error
@@ -279,34 +318,58 @@ class DaqScanner:
             self._command_parking()
         return fault
 
+    def _compare_parked(self) -> None:
+        """Raise if the parked output is not at the parking voltage any more: not parked, until it is parked again."""
+        now_s = time.perf_counter()
+        if not self._parking.state.parked or now_s < self._compare_s:
+            return
+        self._compare_s = now_s + COMPARE_EVERY_S
+        try:
+            self._output.check_still(self._volts)
+        except DeviceError as error:
+            self._parking.revoke(error.problem)
+            with contextlib.suppress(DeviceError):  # its tasks may be gone
+                self._output.clear()
+            raise DeviceError(
+                f"the parked galvo was moved from elsewhere ({error.problem}), so it was parked again",
+                "end other programs that use the card, and check its cable",
+            ) from error
+
     def _count_frames(self) -> int | None:
         return None if self._frames is None else self._frames()
 
+    def _count_ramps(self) -> int:
+        if self._waveform is None:
+            return 0
+        return -(-self._output.samples_done() // self._waveform.samples_per_ramp)
+
     def _first_attempt(self) -> None:
         """Park, once; a card that cannot be driven at all is refused."""
-        try:
-            self._output.put(self.park_v)
-        except DeviceError:
-            self._output.release()
-            raise
+        self._output.put(self.park_v)
         if not self._parking.attempt().parked:
             self._parks.set()
 
-    def _bypass(self) -> None:
-        """Reset the card and park it by tasks of its own while another thread is stuck in a call."""
-        if self._parking.state.parked:  # the call has returned meanwhile
-            return
-        problem = "a call to the card did not return, so the card was reset and the galvo parked"
-        self._fault = self._fault or DeviceError(problem, "check its cable, then start again")
-        self._tasks_lost.set()
-        output = Output(self.card, self.limits)
-        with contextlib.suppress(DeviceError):
-            output.reset()
-            output.put(self.park_v)
-            output.confirm(self.park_v)
-        output.release()
-        self._parks.set()  # by the scanner's own tasks once more, those before the reset are gone
-        self._wake.set()
+    def _go_around(self, call: int) -> bool:
+        """Reset the card and park it by tasks of its own while a call does not return; return True if it is parked."""
+        with self._output.calls.resetting_around(call) as stuck:
+            if not stuck:
+                return False
+            self._tasks_lost.set()
+            problem = "a call to the card did not return, so the card was reset and the galvo parked"
+            self._fault = self._fault or DeviceError(problem, "check its cable, then start again")
+            self._command_parking()
+            self._parking.alarm("a call to the card does not return")
+            output = Output(self.card, self.limits)
+            try:
+                output.reset()
+                output.put(self.park_v)
+                output.laser_off()
+                output.confirm(self.park_v)
+            except DeviceError:
+                return False
+            finally:
+                output.release()
+            return True
 
 
 def _as_fault(error: Exception) -> DeviceError:
