@@ -17,7 +17,7 @@ import pytest
 
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.daq.takeover import ParkOrder
-from napari_elsplus.hardware.guardian import Guardian, guard
+from napari_elsplus.hardware.guardian import SILENT_S, Guardian, guard
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
@@ -94,6 +94,16 @@ def test_a_dismissed_guardian_leaves_the_mirror_alone() -> None:
         assert not guardian._process.alive
 
 
+def test_a_guardian_to_whom_a_process_that_ends_hands_over_parks_at_once() -> None:
+    card = VirtualCard()
+    with CardServer(card) as server:
+        guardian = Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
+        guardian.hand_over()
+        seconds_until(lambda: card.last_volts == -0.7)
+        seconds_until(lambda: not guardian.on_guard)
+        guardian.dismiss()
+
+
 @pytest.mark.parametrize(("end", "volts"), [("", -0.7), ("farewell\n", 0.0)])
 def test_orders_that_end_without_a_farewell_are_carried_out(end, volts) -> None:
     card = VirtualCard()
@@ -127,6 +137,27 @@ def test_a_guardian_that_is_killed_is_replaced_with_the_newest_order_and_that_is
         seconds_until(lambda: guardian.pid != first and len(guardian.reports) > 0 and guardian.on_guard)
         assert guardian.order.volts == -0.9
         assert "guardian" in str(guardian.reports[0])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_a_guardian_that_stands_still_is_replaced_and_that_is_reported() -> None:
+    """Before: it went unnoticed, and nothing would have parked."""
+    lost: list[DeviceError] = []
+    with (
+        CardServer(VirtualCard()) as server,
+        Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address), lost.append) as guardian,
+    ):
+        time.sleep(3 * SILENT_S)
+        assert not guardian.reports, "one that answers is left alone"
+        first = guardian.pid
+        os.kill(first, signal.SIGSTOP)
+        stopped_s = time.perf_counter()
+        seconds_until(lambda: bool(lost) or (guardian.on_guard and guardian.pid != first))
+        assert time.perf_counter() - stopped_s < 1.2, "replaced, or told to park; a busy computer adds to the 1 s"
+        seconds_until(lambda: guardian.on_guard and len(guardian.reports) > 0, 20)
+        assert "did not answer" in str(guardian.reports[0])
+        with pytest.raises(ProcessLookupError):
+            os.kill(first, 0)
 
 
 def test_a_guardian_that_cannot_reach_the_card_does_not_pretend_to_watch() -> None:

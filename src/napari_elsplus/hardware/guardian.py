@@ -4,11 +4,12 @@
 sweeping the laser, or leaves it on one line of tissue. The guardian process waits on a pipe; when it ends without a
 farewell, the process at the other end is dead, and the guardian parks, without end until the card confirms it.
 
-A guardian that dies is replaced; while none is on guard the galvo must not move.
+A guardian that dies, or does not answer, is replaced; while none is on guard the galvo must not move.
 """
 
 from __future__ import annotations
 
+import atexit
 import json
 import subprocess
 import sys
@@ -32,11 +33,18 @@ if TYPE_CHECKING:
 
 READY: Final = "ready"
 FAREWELL: Final = "farewell"
-"""Messages of the pipe."""
+HEARTBEAT: Final = "heartbeat"
+"""Messages of the pipes; a heartbeat is sent back."""
 POLL_S: Final = 0.05
 """Seconds between two checks of the guardian process; chosen: a small part of the 1 s in which it is replaced."""
-REPLACE_WITHIN_S: Final = 0.7
-"""Seconds for a new guardian to be ready; chosen: with the park that follows otherwise it stays below 1 s."""
+SILENT_S: Final = 0.3
+"""Seconds without answer to a heartbeat after which a guardian is replaced; chosen: a hundred times what it takes."""
+REPLACE_WITHIN_S: Final = 0.5
+"""Seconds for a new guardian to be ready; derived: with `SILENT_S` and the park that follows otherwise below 1 s."""
+MAX_STEP_S: Final = 2 * POLL_S
+"""Seconds that a check counts at most, so that a computer that stood still is no guardian that does not answer."""
+START_TIMEOUT_S: Final = 30.0
+"""Seconds for a guardian to be ready; chosen: ten times that of a busy computer."""
 END_TIMEOUT_S: Final = 1.5
 """Seconds for a dismissed guardian to end, before it is killed; chosen: no call takes longer than 2 s."""
 
@@ -60,7 +68,11 @@ class GuardianProcess:
         )
         self._ready = threading.Event()
         self._answered = threading.Event()
-        threading.Thread(target=self._await_answer, name="guardian's answer", daemon=True).start()
+        self._beats = threading.Event()
+        self.silent_s = 0.0
+        """Seconds since a heartbeat that it has not sent back."""
+        self._listener = threading.Thread(target=self._read_answers, name="guardian's answers", daemon=True)
+        self._listener.start()
         with suppress(OSError):  # seen by `wait_until_ready`
             self.send(json.dumps(asdict(order)))
 
@@ -74,9 +86,23 @@ class GuardianProcess:
         """True while it runs."""
         return self._process.poll() is None
 
-    def wait_until_ready(self, timeout_s: float | None = None) -> bool:
+    def wait_until_ready(self, timeout_s: float) -> bool:
         """Wait until it is on guard, at most `timeout_s`; return False if it is not."""
         return self._answered.wait(timeout_s) and self._ready.is_set()
+
+    @property
+    def on_guard(self) -> bool:
+        """True while it runs, is ready, and answers."""
+        return self.alive and self.wait_until_ready(0) and self.silent_s < SILENT_S
+
+    def beat(self, since_last_s: float) -> None:
+        """Send a heartbeat if the last one was sent back, else count the seconds since this was last called."""
+        if self._beats.is_set() or not self.silent_s:
+            self._beats.clear()
+            self.silent_s = 0.0
+            with suppress(OSError):  # it died
+                self.send(HEARTBEAT)
+        self.silent_s += since_last_s
 
     def send(self, line: str) -> None:
         """Write a line to its pipe; raises OSError if it is no more."""
@@ -88,27 +114,42 @@ class GuardianProcess:
         """Dismiss it, and wait for its end."""
         with suppress(OSError):  # it is gone already
             self.send(FAREWELL)
+        self._wait_for_end(END_TIMEOUT_S)
+
+    def kill(self) -> None:
+        """End it at once; it does not park."""
+        self._process.kill()
+        self._wait_for_end(END_TIMEOUT_S)
+
+    def leave(self) -> None:
+        """End its orders without a farewell, upon which it parks."""
         with suppress(OSError):
             cast("IO[str]", self._process.stdin).close()
+
+    def _wait_for_end(self, timeout_s: float) -> None:
+        self.leave()
         try:
-            self._process.wait(END_TIMEOUT_S)
+            self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:  # it stands still
             self._process.kill()
             self._process.wait()
-        self._answered.wait()
+        self._listener.join()
 
-    def _await_answer(self) -> None:
+    def _read_answers(self) -> None:
         with cast("IO[str]", self._process.stdout) as pipe:
-            if pipe.readline().strip() == READY:
-                self._ready.set()
+            for line in pipe:
+                if line.strip() == READY:
+                    self._ready.set()
+                self._answered.set()
+                self._beats.set()
         self._answered.set()
 
 
 class Guardian:
     """Parks from another process if this one dies. A context manager: leaving it dismisses the guardian.
 
-    The guardian process is polled, and replaced when it dies. If a replacement is not ready in time, `lost` is called,
-    which has to park, and starting one is tried again.
+    The guardian process is polled, and replaced when it dies or does not answer. If a replacement is not ready in time,
+    `lost` is called, which has to park, and starting one is tried again.
 
     Parameters
     ----------
@@ -130,8 +171,8 @@ class Guardian:
         self._reports: list[DeviceError] = []
         self._subscribers: list[Callable[[DeviceError], None]] = []
         self._process = GuardianProcess(order)
-        if not self._process.wait_until_ready():
-            self._process.end()
+        if not self._process.wait_until_ready(START_TIMEOUT_S):
+            self._process.kill()
             raise DeviceError("the galvo's guardian did not start", "see the messages above")
         self._watch = threading.Thread(target=self._supervise, name="guardian watch", daemon=True)
         self._watch.start()
@@ -144,7 +185,7 @@ class Guardian:
     @property
     def on_guard(self) -> bool:
         """True while a guardian process waits."""
-        return self._process.alive and self._process.wait_until_ready(0)
+        return self._process.on_guard
 
     @property
     def order(self) -> ParkOrder:
@@ -178,6 +219,12 @@ class Guardian:
             self._watch.join()
         self._process.end()
 
+    def hand_over(self) -> None:
+        """Let it park now, while this process ends, which takes a while."""
+        if not self._dismissed.is_set():
+            self._dismissed.set()
+            self._process.leave()
+
     def __enter__(self) -> Self:
         return self
 
@@ -185,23 +232,27 @@ class Guardian:
         self.dismiss()
 
     def _supervise(self) -> None:
+        checked_s = time.monotonic()
         while not self._dismissed.wait(POLL_S):
-            if not self._process.alive:
-                self._replace()
+            now_s = time.monotonic()
+            self._process.beat(min(now_s - checked_s, MAX_STEP_S))
+            checked_s = now_s
+            if not self._process.on_guard:
+                self._replace("did not answer" if self._process.alive else "had died")
 
-    def _replace(self) -> None:
+    def _replace(self, why: str) -> None:
         begun_s = time.monotonic()
-        self._process.end()
+        self._process.kill()  # without a farewell, which one that stands still would not read
         with self._lock:
             new = GuardianProcess(self._order)
             self._process = new
         ready = new.wait_until_ready(REPLACE_WITHIN_S)
         if ready:
             took_s = time.monotonic() - begun_s
-            self._report(f"the galvo's guardian had died; another was on guard {took_s:.1f} s later")
+            self._report(f"the galvo's guardian {why}; another was on guard {took_s:.1f} s later")
             return
-        self._lost(self._report("the galvo's guardian has died, so the galvo was parked"))
-        if new.wait_until_ready():
+        self._lost(self._report(f"the galvo's guardian {why}, so the galvo was parked"))
+        if new.wait_until_ready(START_TIMEOUT_S):
             self._report("another guardian is on guard; the galvo may be used again")
 
     def _report(self, problem: str) -> DeviceError:
@@ -237,6 +288,8 @@ def guard_scanner(scanner: DaqScanner, held: ExitStack, *, virtual: bool = False
     def end() -> None:
         scanner.close()
         when_parked(scanner, guardian.dismiss)
+        if not scanner.park_state.parked:
+            atexit.register(guardian.hand_over)
 
     held.callback(end)
     return guardian
@@ -278,6 +331,11 @@ def guard(orders: TextIO, answers: TextIO, report: Callable[[ParkState], None] =
     while (line := orders.readline()).endswith("\n"):  # one that was cut off was never given
         if line.strip() == FAREWELL:
             return
+        if line.strip() == HEARTBEAT:
+            with suppress(OSError):  # the process at the other end is dead: the orders end
+                answers.write(line)
+                answers.flush()
+            continue
         order = ParkOrder(**json.loads(line))
     take_over(order, report)
 

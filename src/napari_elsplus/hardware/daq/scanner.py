@@ -35,6 +35,8 @@ COMPARE_EVERY_S: Final = 0.2
 time (a check takes some calls, 1 to 2 ms)."""
 PARK_TIMEOUT_S: Final = 1.5
 """Seconds that `DaqScanner.park` waits for the card; chosen: no call takes longer than 2 s."""
+FAILING_TIMEOUT_S: Final = 0.3
+"""Seconds that `DaqScanner.close` waits where parking has failed before; chosen: some attempts."""
 CLOSE_TIMEOUT_S: Final = 1.9
 """Seconds that `DaqScanner.close` waits for the end of its threads; chosen: no call takes longer than 2 s."""
 
@@ -179,10 +181,11 @@ class DaqScanner:
         if self._closing:
             return
         begun_s = time.perf_counter()
+        fails = self._parking.state.stage is ParkStage.NOT_PARKED
         self._command_parking()
         self._closing = True
-        with contextlib.suppress(DeviceError):  # see park_state; parking goes on
-            self.park()
+        if not self._parking.wait(FAILING_TIMEOUT_S if fails else PARK_TIMEOUT_S):
+            self._parking.alarm("the card has not confirmed it")  # parking goes on
         if self._parking.state.parked:
             self._card.join(max(0.0, begun_s + CLOSE_TIMEOUT_S - time.perf_counter()))
         atexit.unregister(self.close)

@@ -48,11 +48,23 @@ def _engine_killed(stage: Stage, limit_s: float) -> None:
 @fault("guardian-killed", "replaced or parked within 1 s, reported", GUARDIAN_WITHIN_S)
 def _guardian_killed(stage: Stage, limit_s: float) -> None:
     """Kill the guardian's process; after its time, if another is on guard, kill the engine, too."""
+    _lose_guardian(stage, KILL, limit_s)
+
+
+@fault("guardian-stopped", "replaced or parked within 1 s, reported", GUARDIAN_WITHIN_S, posix=True)
+def _guardian_stopped(stage: Stage, limit_s: float) -> None:
+    """Stop the guardian's process, without ending it; then as if it was killed."""
+    if sys.platform != "win32":
+        _lose_guardian(stage, signal.SIGSTOP, limit_s)
+
+
+def _lose_guardian(stage: Stage, by: signal.Signals, limit_s: float) -> None:
+    """End the guardian `by` a signal; after its time, if another is on guard, kill the engine, too."""
     stage.scan()
     stage.note_exposures()
     first, _ = stage.switch("guardian")
-    os.kill(first, KILL)
-    stage.fault_s = killed_s = time.perf_counter()
+    os.kill(first, by)
+    stage.fault_s = lost_s = time.perf_counter()
     time.sleep(limit_s)
     now, on_guard = stage.switch("guardian")
     replaced = on_guard and now != first
@@ -68,7 +80,7 @@ def _guardian_killed(stage: Stage, limit_s: float) -> None:
     stage.fault_s = time.perf_counter()
     stage.expect_parked(0.5)
     stage.expect_recording(complete=False)
-    stage.hear(f"replaced; after {stage.fault_s - killed_s:.1f} s the engine was killed, and it parked")
+    stage.hear(f"replaced; after {stage.fault_s - lost_s:.1f} s the engine was killed, and it parked")
 
 
 @fault("script-without-guardian", "parked within 0.5 s by the guardian that every open rig has", 0.5)
