@@ -167,6 +167,11 @@ class CardThread:
     def execute(self, act: Callable[[], Result]) -> Result:
         """Call a function in the card's thread, and return its result or raise its error.
 
+        Parameters
+        ----------
+        act : callable
+            Called without arguments, after the commands given before it.
+
         Raises
         ------
         DeviceError
