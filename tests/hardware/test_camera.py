@@ -82,7 +82,7 @@ def test_what_is_set_is_what_the_sensor_does(cameras) -> None:
 
 def test_a_camera_that_does_not_tell_its_line_rate_is_believed_to_have_the_rigs(cameras) -> None:
     bench = cameras(real_time=False)
-    bench.plug.camera.memory.put(flea3.BASE + flea3.LINE_FREQUENCY, 0xFFFFFFFF)
+    bench.plug.camera.make.line_frequency = 0xFFFFFFFF
     with bench.open(line_rate_hz=131_000.0) as camera:
         assert camera.line_period_s == 1 / 131_000
 
@@ -182,8 +182,7 @@ def test_a_camera_that_is_open_elsewhere_is_left_alone(cameras) -> None:
 
 
 def test_of_two_cameras_the_serial_number_chooses(cameras) -> None:
-    first, second = cameras(), cameras()
-    second.plug.camera.serial = "0815"
+    first, second = cameras(), cameras(serial="0815")
     bus = VirtualBus(first.plug, second.plug)
     assert len(find_cameras(bus)) == 2
     with pytest.raises(DeviceError, match="2 cameras"):
@@ -286,6 +285,4 @@ def test_the_flea3_can_be_built_with_another_strobe_line(cameras) -> None:
     bench = cameras(real_time=False)
     with U3vCamera(choose_camera("", bench.bus), partial(flea3.Flea3, strobe_line=2)) as camera:
         camera.configure(SMALL, slit_rows=3, frame_rate_hz=100)
-    memory = bench.plug.camera.memory
-    assert memory.get(flea3.BASE + flea3.GPIO_MODE + 0x20) == flea3.GPIO_STROBE
-    assert memory.get(flea3.BASE + flea3.GPIO_MODE + 0x10) == 0
+    assert [bench.plug.camera.make.strobe_delay_s(line) for line in range(4)] == [None, None, 0.0, None]

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from usb.core import USBTimeoutError
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.u3v import control, genapi, packets, stream
+from napari_elsplus.hardware.u3v import control, genapi, packets, stream, transfers
 from napari_elsplus.hardware.u3v.discovery import Endpoints
 
 ENDS = Endpoints(0, 0x01, 0x81, 1, 0x82)
@@ -94,13 +94,13 @@ class Liar(Mute):
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.integers(0, 2**64 - 1), max_size=12))
-@example([0x10000, 0, 0, 0x20000, 0, 2**63])
-@example([0x10000, 2**32 - 1, 2**32 - 1, 0x20000, 0x30000, 1, 0, 0, 2**63])
+@example([0x10000, 0, 0, 0x20000, 200, 0, 2**63])
+@example([0x10000, 2**32 - 1, 2**32 - 1, 0x20000, 200, 0x30000, 1, 0, 0, 2**63])
 def test_a_device_that_lies_in_form_cannot_make_us_allocate(numbers) -> None:
     tracemalloc.start()
     try:
         channel = control.Control(Liar(list(numbers)), ENDS)
-        stream.negotiate_transfers(channel, SHAPE)
+        transfers.negotiate_transfers(channel, SHAPE)
     except DeviceError:
         pass
     try:
@@ -114,9 +114,11 @@ def test_a_device_that_lies_in_form_cannot_make_us_allocate(numbers) -> None:
 
 
 def test_a_frame_larger_than_the_image_is_refused_before_buffers_are_made() -> None:
-    # sbrm, max ack, max command, sirm; then info, payload, leader and trailer size
+    # sbrm, max ack, max command, sirm, response time; then info, payload, leader and trailer size
     with pytest.raises(DeviceError, match="announces frames"):
-        stream.negotiate_transfers(control.Control(Liar([0x10000, 0, 0, 0x20000, 0, 2**40, 52, 32]), ENDS), SHAPE)
+        transfers.negotiate_transfers(
+            control.Control(Liar([0x10000, 0, 0, 0x20000, 200, 0, 2**40, 52, 32]), ENDS), SHAPE
+        )
 
 
 def test_a_device_that_always_asks_for_time_does_not_get_all_of_it(monkeypatch) -> None:
@@ -143,7 +145,7 @@ def test_an_answer_that_comes_too_late_is_not_taken_for_the_next_one() -> None:
             self.answers = [*before, bytes(stale), *self.answers]
             return len(data)
 
-    channel = control.Control(Late([0x10000, 512, 512, 0x20000, 4711]), ENDS)
+    channel = control.Control(Late([0x10000, 512, 512, 0x20000, 200, 4711]), ENDS)
     assert channel.sirm == 0x20000
     assert channel.read_number(0x1000) == 4711
 

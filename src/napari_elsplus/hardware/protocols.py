@@ -167,6 +167,19 @@ class CountsFrames(Protocol):
 
 
 @runtime_checkable
+class HasClock(Protocol):
+    """A camera whose clock can be read, so that the time of a frame's exposure is known."""
+
+    @property
+    def clock_zero_s(self) -> float | None:
+        """When the clock of `FrameInfo.readout_start_s` was at zero, in seconds on that of `time.perf_counter`.
+
+        Measured by `Camera.start`, never later than the truth; None where the camera's clock cannot be read, or the
+        frames are not timed by it. Valid from the first frame on.
+        """
+
+
+@runtime_checkable
 class Scanner(Protocol):
     """The galvo that positions the laser line. A context manager: leaving it parks and releases the galvo.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from napari_elsplus.acquisition.engine.live_images import LiveImages, Measures
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.protocols import HasClock
 from napari_elsplus.processing.images.elsa import elsa_pair
 
 if TYPE_CHECKING:
@@ -69,8 +70,9 @@ class CameraWorker(Thread):
     Attributes
     ----------
     camera_clock_s : float
-        Earliest time of zero of the camera's clock, on the clock of ``time.perf_counter``: its first frame was not
-        exposed before it was started. So a frame that comes late is not taken for a newer one.
+        Earliest time of zero of the camera's clock, on the clock of ``time.perf_counter``: measured by the camera, or
+        derived from its first frame, which was not exposed before the start. So a frame that comes late is not taken
+        for a newer one; where the camera's clock gains on the computer's, every frame corrects it.
     received : int
         Frames that the camera has delivered since its start, lost ones included.
     """
@@ -100,6 +102,8 @@ class CameraWorker(Thread):
         camera, stream, tally = self._camera, self._stream, self._tally
         started_s = last_s = time.perf_counter()
         frame_period_s = camera.line_periods_per_frame * camera.line_period_s
+        readout_s = camera.frame_shape[0] * camera.line_period_s
+        start_takes_s = 0.0
         settled = False
         before: dict[str, int] = {}
         expected: int | None = None
@@ -118,12 +122,15 @@ class CameraWorker(Thread):
             last_s = info.received_s
             self.received = info.frame_number + 1
             if self.camera_clock_s == -inf:
+                measured_s = camera.clock_zero_s if isinstance(camera, HasClock) else None
+                start_takes_s = _START_TAKES_S if measured_s is None else 0.0
                 first_exposed_s = info.readout_start_s - info.frame_number * frame_period_s
-                self.camera_clock_s = started_s - _START_TAKES_S - first_exposed_s
+                guessed_s = started_s - start_takes_s - first_exposed_s
+                self.camera_clock_s = guessed_s if measured_s is None else measured_s
+            latest_s = info.received_s - info.readout_start_s - readout_s  # no frame comes before it was read
+            self.camera_clock_s = min(self.camera_clock_s, latest_s)
             if not settled:
-                late_s = (
-                    info.received_s - (info.readout_start_s + self.camera_clock_s) - _START_TAKES_S - frame_period_s
-                )
+                late_s = info.received_s - (info.readout_start_s + self.camera_clock_s) - start_takes_s - frame_period_s
                 settled = late_s < frame_period_s or info.received_s - started_s > _MAX_SETTLING_S
                 settled = settled and info.frame_number >= self._settling
                 before = dict(camera.dropped)  # frames lost before the first one used do not count

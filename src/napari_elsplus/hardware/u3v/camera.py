@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.u3v import stream as streaming
+from napari_elsplus.hardware.u3v.clock import CameraClock
 from napari_elsplus.hardware.u3v.control import MODEL, SERIAL, Control
 from napari_elsplus.hardware.u3v.discovery import endpoints, refuse_slow_link, translate_usb_errors
 from napari_elsplus.hardware.u3v.stream import U3vStream
+from napari_elsplus.hardware.u3v.transfers import ENABLE, negotiate_transfers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -49,11 +50,20 @@ class Features(Protocol):
             Gain in dB.
         """
 
+    def reset(self) -> None:
+        """Load the default settings, and switch off what would change the images: gamma, trigger, binning, chunks.
+
+        Raises
+        ------
+        DeviceError
+            Naming what cannot be switched off.
+        """
+
     def start(self) -> None:
         """Begin to acquire."""
 
     def stop(self) -> None:
-        """End acquiring."""
+        """End acquiring; does nothing where the camera does not acquire."""
 
 
 class U3vCamera:
@@ -87,12 +97,15 @@ class U3vCamera:
         self._streamed: Region | None = None
         self._dropped: Mapping[str, int] = {}
         self._rate_hz = 0.0
+        self._clock_zero_s: float | None = None
         self._received = 0
         try:
             self._claim()
             self._control = Control(device, self._ends)
             self.model, self.serial = self._control.read_text(MODEL), self._control.read_text(SERIAL)
             self._features = features(self._control)
+            self._end_earlier_session()
+            self._clock = CameraClock(self._control)
         except BaseException:
             util.dispose_resources(device)
             raise
@@ -112,6 +125,12 @@ class U3vCamera:
         """Line periods from one frame to the next, idle time included."""
         self._configured()
         return 1 / (self._rate_hz * self.line_period_s)
+
+    @property
+    def clock_zero_s(self) -> float | None:
+        """Zero of the camera's clock on that of `time.perf_counter`; see `protocols.HasClock`."""
+        stream = self._stream
+        return self._clock_zero_s if stream is None or stream.has_timestamps else None
 
     @property
     def frames_received(self) -> int:
@@ -138,20 +157,23 @@ class U3vCamera:
         if self._stream is not None:
             return
         region = self._configured()
-        sizes = streaming.negotiate_transfers(self._control, region.shape)
-        self._control.write_number(self._control.sirm + streaming.ENABLE, 1)
+        sizes = negotiate_transfers(self._control, region.shape)
+        self._control.write_number(self._control.sirm + ENABLE, 1)
         self._stream = U3vStream(
             self._device,
             self._ends.stream_in,
             sizes,
             region.shape,
             timeout_s=0.5 + 2 / self._rate_hz,
+            tick_s=self._clock.tick_s,
+            period_s=1 / self._rate_hz,
             skip=INVALID_AFTER_CHANGE if region != self._streamed else 0,
             wait_for_reader=self._wait,
         )
         self._streamed = region
         try:
             self._features.start()
+            self._clock_zero_s = self._clock.zero_s()
         except DeviceError:
             self.stop()
             raise
@@ -175,7 +197,7 @@ class U3vCamera:
         stream, self._stream = self._stream, None
         try:
             self._features.stop()
-            self._control.write_number(self._control.sirm + streaming.ENABLE, 0)
+            self._control.write_number(self._control.sirm + ENABLE, 0)
         except DeviceError:
             self._streamed = None  # unplugged, or as good as: the next start begins anew
         finally:
@@ -214,6 +236,14 @@ class U3vCamera:
                 if self._kernel_has(interface):
                     raise DeviceError("the camera is held by a driver of the system", "stop the program that uses it")
                 util.claim_interface(self._device, interface)
+
+    def _end_earlier_session(self) -> None:
+        """End what a program that was killed has left: a camera goes on streaming, and locks its settings."""
+        self._features.stop()
+        self._control.write_number(self._control.sirm + ENABLE, 0)
+        with translate_usb_errors("the camera"):
+            self._device.clear_halt(self._ends.stream_in)
+        self._features.reset()
 
     def _kernel_has(self, interface: int) -> bool:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import struct
 import threading
 import time
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.u3v.discovery import Endpoints
 
 # Bootstrap registers (GenCP 1.1, table 23; USB3 Vision 1.0, tables 4-17 and 4-19).
-MODEL, SERIAL, MANIFEST, SBRM = 0x0044, 0x0144, 0x01D0, 0x01D8
+MODEL, SERIAL, MAX_RESPONSE_MS, MANIFEST, SBRM = 0x0044, 0x0144, 0x01CC, 0x01D0, 0x01D8
 MAX_COMMAND, MAX_ACK, SIRM = 0x14, 0x18, 0x20
 
 ACK_BYTES: Final = 1024
@@ -42,6 +43,12 @@ MAX_ATTEMPTS: Final = 3
 """Times that a command is sent; chosen: a single lost packet is made up for."""
 TIMEOUT_MS: Final = 500
 """Milliseconds per transfer; chosen: far above the time of a register access, short for a person."""
+FIRST_TIMEOUT_MS: Final = 2000
+"""Milliseconds per transfer until the camera's own response time was read; chosen: longer than slow cameras state."""
+BUSY: Final = 0x8007
+"""GenCP status of a command to be sent again (EMVA GenCP 1.1, table 9)."""
+BUSY_RETRY_S: Final = 0.02
+"""Seconds before a command is sent again to a camera that was busy; chosen: some times that of a register access."""
 PENDING_TIMEOUT_S: Final = 10.0
 """Seconds that a device may delay its answer by PENDING_ACK; chosen, longer than any region change."""
 STATUS_WORDS: Final = {
@@ -50,7 +57,7 @@ STATUS_WORDS: Final = {
     0x8003: "invalid address",
     0x8004: "write protected",
     0x8006: "access denied",
-    0x8007: "busy",
+    BUSY: "busy",
     0x800B: "timed out",
 }
 """GenCP status codes in words (EMVA GenCP 1.1, table 9)."""
@@ -79,7 +86,8 @@ class Control:
     def __init__(self, device: Device, ends: Endpoints) -> None:
         self._device, self._ends = device, ends
         self._lock = threading.Lock()
-        self._request_id = 0
+        self._request_id = time.monotonic_ns() & 0xFFFF  # not that of an answer which a killed program left unread
+        self._timeout_ms = FIRST_TIMEOUT_MS
         self._answer = array("B", bytes(ACK_BYTES))
         self._read_payload = self._write_payload = SAFE_PAYLOAD
         self.sbrm = self.read_number(SBRM, 8)
@@ -88,6 +96,8 @@ class Control:
         self._read_payload = min(max(longest_ack - HEADER.size, SAFE_PAYLOAD), MAX_PAYLOAD) // 4 * 4
         self._write_payload = min(max(longest_command - HEADER.size - 8, SAFE_PAYLOAD), MAX_PAYLOAD) // 4 * 4
         self.sirm = self.read_number(self.sbrm + SIRM, 8)
+        response_ms = min(self.read_number(MAX_RESPONSE_MS), int(PENDING_TIMEOUT_S * 1000))
+        self._timeout_ms = TIMEOUT_MS + response_ms
 
     def read(self, address: int, count: int) -> bytes:
         """Read `count` bytes of memory from an `address` on.
@@ -142,40 +152,57 @@ class Control:
         return self.read(address, 64).split(b"\0")[0].decode("ascii", "replace").strip()
 
     def _exchange(self, command: CommandPacket, address: int, what: int | bytes) -> bytes:
-        from usb.core import USBTimeoutError
-
+        busy_until_s = time.monotonic() + PENDING_TIMEOUT_S
+        unanswered = 0
         with self._lock, translate_usb_errors("the camera"):
-            for _ in range(MAX_ATTEMPTS):
-                self._request_id = self._request_id % 0xFFFF + 1
-                request = (
-                    read_command(address, what, self._request_id)
-                    if isinstance(what, int)
-                    else write_command(address, what, self._request_id)
-                )
-                try:
-                    self._device.write(self._ends.control_out, request, TIMEOUT_MS)
-                    ack = self._await_answer(command)
-                except (USBTimeoutError, PacketError):
-                    continue
-                if ack.status & 0x8000:
+            while unanswered < MAX_ATTEMPTS:
+                ack = self._request(command, address, what)
+                if ack is None:
+                    unanswered += 1
+                elif ack.status == BUSY and time.monotonic() < busy_until_s:
+                    time.sleep(BUSY_RETRY_S)
+                elif ack.status & 0x8000:
                     word = STATUS_WORDS.get(ack.status, f"status {ack.status:#06x}")
                     raise RegisterError(f"the camera refused register {address:#x}: {word}", "restart the camera")
-                return ack.data
+                else:
+                    return ack.data
         raise DeviceError(
             f"the camera did not answer {MAX_ATTEMPTS} times (register {address:#x})",
             "plug it in again, then open the rig again",
         )
 
+    def _request(self, command: CommandPacket, address: int, what: int | bytes) -> Ack | None:
+        """Send a command, and return its acknowledgement; None if none came, or the endpoint was halted."""
+        from usb.core import USBError, USBTimeoutError
+
+        self._request_id = self._request_id % 0xFFFF + 1
+        request = (
+            read_command(address, what, self._request_id)
+            if isinstance(what, int)
+            else write_command(address, what, self._request_id)
+        )
+        try:
+            self._device.write(self._ends.control_out, request, self._timeout_ms)
+            return self._await_answer(command)
+        except (USBTimeoutError, PacketError):
+            return None
+        except USBError as error:
+            if error.errno != errno.EPIPE:
+                raise
+            for endpoint in (self._ends.control_out, self._ends.control_in):
+                self._device.clear_halt(endpoint)
+            return None
+
     def _await_answer(self, command: CommandPacket) -> Ack:
         """Read until the answer to the last request comes; answers to older requests are passed over."""
-        timeout_ms, until = TIMEOUT_MS, time.monotonic() + PENDING_TIMEOUT_S
+        timeout_ms, until = self._timeout_ms, time.monotonic() + PENDING_TIMEOUT_S
         while time.monotonic() < until:
             count = self._device.read(self._ends.control_in, self._answer, timeout_ms)
             ack = parse_ack(self._answer[:count].tobytes())
             if ack.request_id != self._request_id:
                 continue
             if ack.command == CommandPacket.PENDING_ACK:
-                timeout_ms = min(pending_ms(ack) + TIMEOUT_MS, int(PENDING_TIMEOUT_S * 1000))
+                timeout_ms = min(pending_ms(ack) + self._timeout_ms, int(PENDING_TIMEOUT_S * 1000))
                 continue
             if ack.command == command + 1:
                 return ack

@@ -39,7 +39,7 @@ PERMISSION_REMEDIES: Final = {
     "win32": "give it the WinUSB driver with Zadig (the maker's own viewer then stops working with it)",
 }
 """What permits access to the camera, by ``sys.platform``."""
-UNPLUGGED: Final = (errno.ENODEV, errno.EIO, errno.ESHUTDOWN, errno.EPIPE)
+UNPLUGGED: Final = (errno.ENODEV, errno.EIO, errno.ESHUTDOWN)
 """System errors of a device that is gone."""
 
 
@@ -80,13 +80,26 @@ def translate_usb_errors(what: str) -> Iterator[None]:
         raise DeviceError(f"{what} has no driver that libusb can use", PERMISSION_REMEDIES["win32"]) from error
     except USBError as error:
         if error.errno == errno.EACCES:
-            remedy = PERMISSION_REMEDIES.get(sys.platform, "run it from an account that may use USB devices")
-            raise DeviceError(f"no permission to open {what}", remedy) from error
+            raise no_permission(what) from error
         if error.errno == errno.EBUSY:
             raise DeviceError(f"{what} is open in another program", "close that program, then try again") from error
         if error.errno in UNPLUGGED:
             raise DeviceError(f"{what} was unplugged", "plug it in again, then open the rig again") from error
+        if error.errno == errno.EPIPE:
+            raise DeviceError(f"{what} has halted its endpoint", "open the rig again, which ends the halt") from error
         raise DeviceError(f"{what}: {error}", "plug it in again; if that does not help, try another port") from error
+
+
+def no_permission(what: str) -> DeviceError:
+    """Return the error of a device that may not be opened, with what permits it.
+
+    Parameters
+    ----------
+    what : str
+        Device, as the message names it.
+    """
+    remedy = PERMISSION_REMEDIES.get(sys.platform, "run it from an account that may use USB devices")
+    return DeviceError(f"no permission to open {what}", remedy)
 
 
 def find_cameras(backend: IBackend | None = None) -> list[Device]:
@@ -144,12 +157,15 @@ def choose_camera(serial: str = "", backend: IBackend | None = None) -> Device:
     Raises
     ------
     DeviceError
-        If there is none, or more than one to choose from.
+        If there is none, or more than one to choose from, or the serial numbers may not be read.
     """
     cameras = find_cameras(backend)
     if serial:
         with translate_usb_errors("the camera"):
-            cameras = [camera for camera in cameras if camera.serial_number == serial]
+            numbers = [_serial_number(camera) for camera in cameras]
+        if serial not in numbers and None in numbers:
+            raise no_permission(f"the camera, or one of {len(cameras)}, so that no serial number can be read")
+        cameras = [camera for camera, number in zip(cameras, numbers, strict=True) if number == serial]
     if len(cameras) == 1:
         return cameras[0]
     if cameras:
@@ -199,6 +215,14 @@ def endpoints(device: Device) -> Endpoints:
         )  # fmt: skip
     except KeyError:
         raise DeviceError("the camera has no control or no stream endpoint", "update its firmware") from None
+
+
+def _serial_number(device: Device) -> str | None:
+    """Return the serial number of a device; None where it may not be opened."""
+    try:
+        return str(device.serial_number)
+    except ValueError:  # pyusb's word for texts that may not be read
+        return None
 
 
 def _interface_classes(device: Device) -> set[tuple[Any, Any, Any]]:

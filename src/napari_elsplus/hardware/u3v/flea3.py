@@ -6,9 +6,10 @@ docs/first-light.md.
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.errors import InputError
+from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.u3v.control import RegisterError
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 
@@ -20,17 +21,24 @@ IIDC: Final = 0xFFFF_F000_0000
 """Base of the IIDC register space; strobe registers are given relative to it."""
 BASE: Final = 0xFFFF_F0F0_0000
 """Address of the camera's command registers; all below are relative to it."""
-STROBE_OFFSET: Final = 0x48C
-FRAME_RATE_MODE, EXPOSURE_MODE, GAIN_MODE = 0x83C, 0x81C, 0x820
+STROBE_OFFSET, VIDEO_MODE, MEMORY_CHANNEL = 0x48C, 0x604, 0x624
+FRAME_RATE_MODE, EXPOSURE_MODE, GAIN_MODE, GAMMA_MODE, TRIGGER_MODE = 0x83C, 0x81C, 0x820, 0x818, 0x830
 EXPOSURE_MIN, EXPOSURE_MAX, EXPOSURE = 0x910, 0x914, 0x918
 GAIN_MIN, GAIN_MAX, GAIN = 0x920, 0x924, 0x928
 RATE_MIN, RATE_MAX, RATE = 0x960, 0x964, 0x968
 MAX_SIZE, UNIT_SIZE, OFFSET, SIZE = 0xA00, 0xA04, 0xA08, 0xA0C
-GPIO_MODE, LINE_FREQUENCY, ACQUISITION, PIXEL_CODING = 0x1110, 0x1AF4, 0x4030, 0x4070
+GPIO_MODE, FRAME_INFO, LINE_FREQUENCY, ACQUISITION, PIXEL_CODING = 0x1110, 0x12F8, 0x1AF4, 0x4030, 0x4070
 STROBE_CONTROL, STROBE_TIMES = 0x300, 0x400
 """Offsets from the strobe block: on, polarity; delay, duration."""
 AUTO, ON, ACQUIRE, STROBE_ON, GPIO_STROBE = 1 << 24, 1 << 25, 1 << 31, 1 << 20, 3 << 16
 """Bits of the registers above."""
+LEFT_ON: Final = {
+    "gamma": (GAMMA_MODE, ON),
+    "an external trigger": (TRIGGER_MODE, ON),
+    "binning": (VIDEO_MODE, 7 << 29),
+    "numbers in the first pixels of the image": (FRAME_INFO, 0x3FF),
+}
+"""What other programs may leave on that changes the images: register, and bits that have to be 0."""
 UNIT_PX: Final = (2, 4)
 """Rows and columns in which the region moves; the sizes' unit is read from the camera."""
 
@@ -70,6 +78,7 @@ class Flea3:
         for mode in (FRAME_RATE_MODE, EXPOSURE_MODE, GAIN_MODE):
             held = control.read_number(BASE + mode) & ~AUTO
             control.write_number(BASE + mode, held | ON)
+        control.write_float(BASE + EXPOSURE, control.read_float(BASE + EXPOSURE_MIN))  # a long one limits the rate
         self._set("frame rate", "Hz", RATE_MIN, RATE_MAX, RATE, frame_rate_hz)
         self._set("exposure", "s", EXPOSURE_MIN, EXPOSURE_MAX, EXPOSURE, exposure_s)
         self._set("gain", "dB", GAIN_MIN, GAIN_MAX, GAIN, gain_db)
@@ -77,6 +86,22 @@ class Flea3:
         strobe = IIDC + 4 * control.read_number(BASE + STROBE_OFFSET) + 4 * self._strobe_line
         control.write_number(strobe + STROBE_TIMES, 0)  # no delay, as long as the exposure
         control.write_number(strobe + STROBE_CONTROL, STROBE_ON)
+
+    def reset(self) -> None:
+        """Load the default settings; see :meth:`napari_elsplus.hardware.u3v.camera.Features.reset`."""
+        control = self._control
+        with contextlib.suppress(RegisterError):  # firmware without memory channels
+            control.write_number(BASE + MEMORY_CHANNEL, 0)
+        for name, (register, bits) in LEFT_ON.items():
+            try:
+                held = control.read_number(BASE + register)
+                if held & bits:
+                    control.write_number(BASE + register, held & ~bits)
+                    held = control.read_number(BASE + register)
+            except RegisterError:
+                continue  # a camera without that feature
+            if held & bits:
+                raise DeviceError(f"the camera keeps {name} switched on", "switch it off with the maker's software")
 
     def start(self) -> None:
         """Begin to acquire."""

@@ -25,6 +25,19 @@ MAX_ENTRIES: Final = 16
 """Descriptions in a camera's table; chosen: cameras have one or two."""
 ZIPPED: Final = 1
 """File type of a packed description (GenCP 1.1, manifest entry)."""
+LEFT_ON: Final = {
+    "ChunkModeActive": False,
+    "TriggerMode": "Off",
+    "GammaEnable": False,
+    "GammaEnabled": False,
+    "BinningHorizontal": 1,
+    "BinningVertical": 1,
+    "DecimationHorizontal": 1,
+    "DecimationVertical": 1,
+    "ReverseX": False,
+    "ReverseY": False,
+}
+"""Features (SFNC) that other programs may leave on and that change the images, with the values that do not."""
 CHUNK: Final = 1 << 16
 """Bytes unpacked at once."""
 UNREADABLE: Final = (
@@ -135,6 +148,8 @@ class GenicamFeatures:
             self._set_if_there("Off", name)
         for name in ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"):
             self._set_if_there(True, name)
+        exposure = self._node("ExposureTime", "ExposureTimeAbs")
+        self._set(exposure.min, "ExposureTime", "ExposureTimeAbs")  # a long one limits the rate
         self._set(frame_rate_hz, "AcquisitionFrameRate", "AcquisitionFrameRateAbs")
         self._set(exposure_s * 1e6, "ExposureTime", "ExposureTimeAbs")
         self._set(gain_db, "Gain")
@@ -142,13 +157,23 @@ class GenicamFeatures:
         self._set_if_there("Output", "LineMode")
         self._set("ExposureActive", "LineSource")
 
+    def reset(self) -> None:
+        """Load the default settings; see :meth:`napari_elsplus.hardware.u3v.camera.Features.reset`."""
+        if self._nodes.has_node("UserSetLoad"):
+            self._set_if_there("Default", "UserSetSelector")
+            self._nodes.get_node("UserSetLoad").execute()
+        for name, value in LEFT_ON.items():
+            self._set_if_there(value, name)
+
     def start(self) -> None:
-        """Begin to acquire."""
+        """Begin to acquire; from then on the camera may lock what changes its transfers."""
+        self._set_if_there(1, "TLParamsLocked")
         self._node("AcquisitionStart").execute()
 
     def stop(self) -> None:
         """End acquiring."""
         self._node("AcquisitionStop").execute()
+        self._set_if_there(0, "TLParamsLocked")
 
     def _node(self, *names: str) -> Any:
         for name in names:
@@ -165,8 +190,14 @@ class GenicamFeatures:
             raise InputError(f"{names[0]} = {value}", f"the camera allows {allowed}") from error
 
     def _set_if_there(self, value: object, name: str) -> None:
-        if self._nodes.has_node(name):
+        """Set a feature that not every camera has; one that is fixed must hold the value already."""
+        if not self._nodes.has_node(name):
+            return
+        node = self._nodes.get_node(name)
+        if self._genapi.is_writable(node):
             self._set(value, name)
+        elif self._genapi.is_readable(node) and node.value != value:
+            raise DeviceError(f"the camera's {name} is {node.value} and cannot be set to {value}", "see its manual")
 
 
 def _port(genapi: Any, control: Control) -> Any:

@@ -15,8 +15,8 @@ COMMAND_MAGIC, LEADER_MAGIC, TRAILER_MAGIC = b"U3VC", b"U3VL", b"U3VT"
 """First four bytes of control packets, leaders and trailers."""
 REQUEST_ACK: Final = 0x4000
 """Flag of a command that is acknowledged."""
-IMAGE: Final = 0x0001
-"""Payload type of an image leader."""
+IMAGE, IMAGE_WITH_CHUNKS = 0x0001, 0x4001
+"""Payload types of an image leader: the image alone, or chunk data behind it."""
 MONO8: Final = 0x01080001
 """Pixel format code (PFNC) of 8-bit grey levels."""
 HEADER: Final = struct.Struct("<4sHHHH")
@@ -54,12 +54,16 @@ class Leader:
     """Leader of a frame."""
 
     block_id: int
-    timestamp_ns: int
+    timestamp: int
+    """Ticks of the camera's clock; 1 ns by the standard."""
     pixel_format: int
     rows: int
     cols: int
     row: int
     col: int
+    padding_x: int
+    """Bytes after each line."""
+    payload_type: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,10 +151,10 @@ def parse_leader(packet: bytes) -> Leader:
     """
     if len(packet) < LEADER.size or packet[:4] != LEADER_MAGIC:
         raise PacketError(f"{len(packet)} bytes that are no leader: {packet[:8].hex()}")
-    _, _, _, block, _, kind, time, pixel, cols, rows, col, row, _, _ = LEADER.unpack_from(packet)
-    if kind != IMAGE:
+    _, _, _, block, _, kind, time, pixel, cols, rows, col, row, padding_x, _ = LEADER.unpack_from(packet)
+    if kind not in (IMAGE, IMAGE_WITH_CHUNKS):
         raise PacketError(f"a leader of payload type {kind:#06x}")
-    return Leader(block, time, pixel, rows, cols, row, col)
+    return Leader(block, time, pixel, rows, cols, row, col, padding_x, kind)
 
 
 def parse_trailer(packet: bytes) -> Trailer:

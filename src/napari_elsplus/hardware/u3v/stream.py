@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 import time
 from array import array
@@ -14,6 +15,7 @@ from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.hardware.u3v.discovery import translate_usb_errors
 from napari_elsplus.hardware.u3v.packets import (
+    IMAGE,
     MONO8,
     TRAILER_MAGIC,
     Leader,
@@ -22,77 +24,34 @@ from napari_elsplus.hardware.u3v.packets import (
     parse_leader,
     parse_trailer,
 )
+from napari_elsplus.hardware.u3v.transfers import PACKET
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
     from usb.core import Device
 
-    from napari_elsplus.hardware.u3v.control import Control
-
-# U3vStream interface registers (USB3 Vision 1.0, table 4-22), from the SIRM's address.
-INFO, ENABLE, PAYLOAD_BYTES, LEADER_BYTES, TRAILER_BYTES = 0x00, 0x04, 0x08, 0x10, 0x14
-MAX_LEADER, TRANSFER_BYTES, TRANSFER_COUNT, FINAL_1, FINAL_2, MAX_TRAILER = 0x18, 0x1C, 0x20, 0x24, 0x28, 0x2C
-
-TRANSFER: Final = 1 << 20
-"""Bytes of one bulk transfer; chosen: 1 MiB, few enough calls at 167 MB/s."""
-SMALL: Final = 1024
-"""Bytes of the buffers for leader and trailer: a whole packet of a USB 3 bulk endpoint."""
 POLL_MS: Final = 50
 """Milliseconds until a reading thread notices that the stream is being stopped; chosen."""
 DEPTH: Final = 32
 """Frames that wait for their reader: an eighth of a second at 240 Hz, for a computer that is busy elsewhere."""
-SURPLUS: Final = 1 << 16
-"""Bytes by which a device's payload may exceed the image; chosen: padding and chunk data fit, no second image does."""
-
-
-def negotiate_transfers(control: Control, frame_shape: tuple[int, int]) -> list[int]:
-    """Write the sizes of a frame's transfers to the device, and return them.
-
-    Parameters
-    ----------
-    control : Control
-        Control channel.
-    frame_shape : tuple of int
-        Rows and columns.
-
-    Returns
-    -------
-    list of int
-        Bytes of each transfer.
-
-    Raises
-    ------
-    DeviceError
-        If leaders, trailers or payload of the device have impossible sizes.
-    """
-    sirm, image = control.sirm, frame_shape[0] * frame_shape[1]
-    unit = 1 << min(control.read_number(sirm + INFO) >> 24, 16)
-    payload = control.read_number(sirm + PAYLOAD_BYTES, 8)
-    edges = max(control.read_number(sirm + LEADER_BYTES), control.read_number(sirm + TRAILER_BYTES))
-    if not image <= payload <= image + SURPLUS or edges > SMALL:
-        raise DeviceError(
-            f"the camera announces frames of {payload} bytes for {frame_shape[0]} x {frame_shape[1]} pixels",
-            "restart the camera; only Mono8 is read",
-        )
-    whole, rest = divmod(payload, TRANSFER)
-    final = -(-rest // unit) * unit
-    for register, value in (
-        (MAX_LEADER, SMALL), (MAX_TRAILER, SMALL), (TRANSFER_BYTES, TRANSFER), (TRANSFER_COUNT, whole),
-        (FINAL_1, final), (FINAL_2, 0),
-    ):  # fmt: skip
-        control.write_number(sirm + register, value)
-    return [TRANSFER] * whole + ([final] if final else [])
+MAX_HALTS: Final = 8
+"""Halts of the endpoint without a frame between them after which the stream ends; chosen: one is made up for."""
 
 
 class _Slot:
-    """Transfers of one frame, and its number and times."""
+    """Transfers of one frame, its number and times, and the bytes after each of its lines."""
 
     def __init__(self, sizes: list[int]) -> None:
         self.transfers = [array("B", bytes(size)) for size in sizes]
         self._bytes = [np.frombuffer(transfer, np.uint8) for transfer in self.transfers]
-        self.info = FrameInfo(0, 0.0, 0.0)
+        self.info, self.padding_x = FrameInfo(0, 0.0, 0.0), 0
 
     def copy_into(self, buffer: NDArray[np.uint8]) -> None:
+        if self.padding_x:
+            rows, cols = buffer.shape
+            lines = np.concatenate(self._bytes)[: rows * (cols + self.padding_x)]
+            buffer[:] = lines.reshape(rows, cols + self.padding_x)[:, :cols]
+            return
         flat, done = buffer.reshape(-1), 0
         for part in self._bytes:
             count = min(len(part), len(flat) - done)
@@ -115,6 +74,10 @@ class U3vStream:
         Rows and columns.
     timeout_s : float
         Time in which the rest of a frame must follow its leader.
+    tick_s : float
+        Seconds per unit of the timestamps.
+    period_s : float
+        Seconds from frame to frame, by which frames without timestamps are timed.
     skip : int
         Number of invalid frames at the start.
     wait_for_reader : bool
@@ -129,22 +92,28 @@ class U3vStream:
         frame_shape: tuple[int, int],
         *,
         timeout_s: float = 0.5,
+        tick_s: float = 1e-9,
+        period_s: float = 0.0,
         skip: int = 0,
         wait_for_reader: bool = False,
     ) -> None:
         self._device, self._endpoint, self._frame_shape = device, endpoint, frame_shape
         self._patience_ms = max(POLL_MS, round(timeout_s * 1000))
+        self._tick_s, self._period_s = tick_s, period_s
         self._skip, self._wait = skip, wait_for_reader
         self._free = deque(_Slot(sizes) for _ in range(DEPTH))
         self._ready: deque[_Slot] = deque()
         self._spill = _Slot(sizes)
-        self._small = array("B", bytes(SMALL))
+        self._small = array("B", bytes(PACKET))
+        self._halts, self._timed_out = 0, False
         self._changed = threading.Condition()
         self._fault: Exception | None = None
         self._stopping = threading.Event()
         self._last_block: int | None = None
         self.dropped: Counter[str] = Counter()
         self.received = 0
+        self.has_timestamps = True
+        """The last frame's leader had a timestamp."""
         self._thread = threading.Thread(target=self._run, name="camera stream", daemon=True)
         self._thread.start()
 
@@ -191,9 +160,12 @@ class U3vStream:
             self.dropped["bad leader"] += 1
             self._resynchronise()
             return
+        if leader.payload_type != IMAGE:
+            raise DeviceError("the camera sends chunk data behind its images", "switch ChunkModeActive off")
         self.received += 1
         self._note_gap(leader)
         slot = self._take_slot()
+        slot.padding_x, halts = leader.padding_x, self._halts
         trailer = self._read_trailer() if self._read_payload(slot) else None
         arrived_s = time.perf_counter()
         cause = self._why_bad(leader, trailer)
@@ -201,14 +173,18 @@ class U3vStream:
             self._skip, cause = self._skip - 1, "invalid after a change"
         if slot is self._spill:
             cause = cause or "slow consumer"
-        slot.info = FrameInfo(leader.block_id, arrived_s, leader.timestamp_ns * 1e-9)
+        self.has_timestamps = leader.timestamp != 0
+        time_s = leader.timestamp * self._tick_s if self.has_timestamps else leader.block_id * self._period_s
+        slot.info = FrameInfo(leader.block_id, arrived_s, time_s)
         with self._changed:
             if cause is not None:
                 self.dropped[cause] += 1
             if slot is not self._spill:
                 (self._ready if cause is None else self._free).append(slot)
             self._changed.notify_all()
-        if trailer is None:
+        if trailer is not None:
+            self._halts = 0
+        elif self._halts == halts:  # after a halt the next packet is a leader
             self._resynchronise()
 
     def _read_payload(self, slot: _Slot) -> bool:
@@ -216,16 +192,32 @@ class U3vStream:
         came = 0
         for transfer in slot.transfers:
             count = self._read_transfer(transfer, self._patience_ms)
+            if self._timed_out and 0 < count < len(transfer):
+                count = self._read_rest(transfer, count)
             came += count
             if count < len(transfer):
                 break
-        return came >= self._frame_shape[0] * self._frame_shape[1]
+        return came >= self._image_bytes(slot.padding_x)
+
+    def _read_rest(self, transfer: array[int], came: int) -> int:
+        """Read on where a slow bus had carried `came` bytes of a transfer in time; return the bytes of all."""
+        while self._timed_out and came < len(transfer) and came % PACKET == 0:
+            rest = array("B", bytes(len(transfer) - came))
+            count = self._read_transfer(rest, self._patience_ms)
+            memoryview(transfer)[came : came + count] = memoryview(rest)[:count]
+            came += count
+            if not count:
+                break
+        return came
+
+    def _image_bytes(self, padding_x: int) -> int:
+        return self._frame_shape[0] * (self._frame_shape[1] + padding_x)
 
     def _why_bad(self, leader: Leader, trailer: Trailer | None) -> str | None:
         rows, cols = self._frame_shape
         if trailer is None or trailer.block_id != leader.block_id or trailer.status:
             return "bad trailer" if trailer is not None else "short frame"
-        if trailer.valid_bytes < rows * cols:
+        if trailer.valid_bytes < self._image_bytes(leader.padding_x):
             return "short frame"
         if (leader.rows, leader.cols, leader.pixel_format) != (rows, cols, MONO8):
             return "other format"
@@ -258,15 +250,30 @@ class U3vStream:
         return None
 
     def _read_transfer(self, buffer: array[int], timeout_ms: int = POLL_MS) -> int:
-        """Read one transfer and return its bytes; 0 if none came in time, or the stream is being stopped."""
-        from usb.core import USBTimeoutError
+        """Read one transfer and return its bytes; 0 if none came in time, or the stream is being stopped.
+
+        `_timed_out` is set where the time was up before the transfer was whole.
+        """
+        from usb.core import USBError, USBTimeoutError
 
         for _ in range(-(-timeout_ms // POLL_MS)):
+            begin_s = time.perf_counter()
             try:
-                return int(self._device.read(self._endpoint, buffer, POLL_MS))
+                count = int(self._device.read(self._endpoint, buffer, POLL_MS))
             except USBTimeoutError:
                 if self._stopping.is_set():
                     break
+            except USBError as error:
+                if error.errno != errno.EPIPE or self._halts >= MAX_HALTS:
+                    raise
+                self._halts += 1
+                self.dropped["halted endpoint"] += 1
+                self._device.clear_halt(self._endpoint)
+                break
+            else:
+                self._timed_out = time.perf_counter() - begin_s >= POLL_MS / 1000
+                return count
+        self._timed_out = True
         return 0
 
     def _resynchronise(self) -> None:

@@ -1,69 +1,108 @@
-"""GenICam description of the virtual camera: the features that a line scan needs, by their standard names."""
+"""GenICam descriptions (GenApi schema 1.1) of the virtual cameras, from nodes by the features' standard names."""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.hardware.u3v import flea3
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 HEADER: Final = """<?xml version="1.0" encoding="utf-8"?>
-<RegisterDescription ModelName="VirtualCamera" VendorName="napari-elsplus"
+<RegisterDescription ModelName="{model}" VendorName="napari_elsplus"
  StandardNameSpace="None" SchemaMajorVersion="1" SchemaMinorVersion="1" SchemaSubMinorVersion="0"
- MajorVersion="1" MinorVersion="0" SubMinorVersion="0" ToolTip="Virtual USB3 Vision camera"
+ MajorVersion="1" MinorVersion="1" SubMinorVersion="0" ToolTip="Virtual USB3 Vision camera"
  ProductGuid="6c5d7c1e-2c7b-4f0b-9d61-6d6e2a1c9f11" VersionGuid="d1c5b6d8-53b0-4bb4-a6a5-0f4bd1b4b7f2"
  xmlns="http://www.genicam.org/GenApi/Version_1_1">
 """
-ROOT: Final = """<Category Name="Root"><pFeature>DeviceVendorName</pFeature><pFeature>Width</pFeature>
-<pFeature>Height</pFeature><pFeature>OffsetX</pFeature><pFeature>OffsetY</pFeature><pFeature>ExposureTime</pFeature>
-<pFeature>Gain</pFeature><pFeature>AcquisitionFrameRateEnable</pFeature><pFeature>AcquisitionFrameRate</pFeature>
-<pFeature>AcquisitionStart</pFeature><pFeature>AcquisitionStop</pFeature><pFeature>LineSource</pFeature></Category>
-<StringReg Name="DeviceVendorName"><Address>0x4</Address><Length>64</Length><AccessMode>RO</AccessMode>
-<pPort>Device</pPort></StringReg>
-"""
+IDENTITY: Final = "".join(
+    f'<StringReg Name="{name}"><Address>{address:#x}</Address><Length>64</Length><AccessMode>RO</AccessMode>'
+    "<pPort>Device</pPort></StringReg>\n"
+    for name, address in (("DeviceVendorName", 0x4), ("DeviceModelName", 0x44), ("DeviceID", 0x144))
+)
 
 
-def describe() -> bytes:
-    """Return the description, as XML."""
-    halves = {"Width": (flea3.SIZE, 16, 31), "Height": (flea3.SIZE, 0, 15)}
-    halves |= {"OffsetX": (flea3.OFFSET, 16, 31), "OffsetY": (flea3.OFFSET, 0, 15)}
-    limits = {"Width": (16, 16), "Height": (4, 4), "OffsetX": (0, 4), "OffsetY": (0, 2)}
-    nodes = [HEADER, ROOT]
-    for name, (register, low, high) in halves.items():
-        nodes.append(_integer(name, register, low, high, *limits[name]))
-    nodes.append(_float("AcquisitionFrameRate", flea3.RATE, flea3.RATE_MIN, flea3.RATE_MAX, "Hz"))
-    nodes.append(_float("Gain", flea3.GAIN, flea3.GAIN_MIN, flea3.GAIN_MAX, "dB"))
-    nodes.append(_float("ExposureSeconds", flea3.EXPOSURE, flea3.EXPOSURE_MIN, flea3.EXPOSURE_MAX, "s"))
-    nodes.append(
-        '<Converter Name="ExposureTime"><FormulaTo>FROM/1000000</FormulaTo><FormulaFrom>TO*1000000</FormulaFrom>'
-        "<pValue>ExposureSeconds</pValue><Unit>us</Unit></Converter>"
-    )
-    nodes.append(_bit("AcquisitionFrameRateEnable", flea3.FRAME_RATE_MODE, 25))
-    nodes.append(_command("AcquisitionStart", flea3.ACQUISITION, flea3.ACQUIRE))
-    nodes.append(_command("AcquisitionStop", flea3.ACQUISITION, 0))
-    nodes.append(_strobe())
-    nodes.append('<Port Name="Device"/></RegisterDescription>')
-    return "\n".join(nodes).encode()
+def description(model: str, features: Mapping[str, str]) -> bytes:
+    """Return a description, as XML.
+
+    Parameters
+    ----------
+    model : str
+        Name of the camera.
+    features : mapping
+        Nodes by the names of their features.
+    """
+    names = ["DeviceVendorName", "DeviceModelName", "DeviceID", *features]
+    root = "".join(f"<pFeature>{name}</pFeature>" for name in names)
+    nodes = "\n".join(features.values())
+    head = HEADER.format(model=model) + f'<Category Name="Root">{root}</Category>\n'
+    return f'{head}{IDENTITY}{nodes}\n<Port Name="Device"/></RegisterDescription>'.encode()
 
 
-def _place(register: int) -> str:
-    return (
-        f"<Address>{flea3.BASE + register:#x}</Address><Length>4</Length><AccessMode>RW</AccessMode>"
+def register(name: str, address: int, *, bits: tuple[int, int] = (0, 31), access: str = "RW", size: int = 4) -> str:
+    """Return the node of an unsigned number in the bits of a register.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    address : int
+        First byte.
+    bits : tuple of int
+        Lowest and highest bit.
+    access : str
+        ``RW``, ``RO`` or ``WO``.
+    size : int
+        Bytes.
+    """
+    place = (
+        f"<Address>{address:#x}</Address><Length>{size}</Length><AccessMode>{access}</AccessMode>"
         "<pPort>Device</pPort><Cachable>NoCache</Cachable>"
     )
+    kind, mask = "IntReg", ""
+    if bits != (0, 31):
+        kind, mask = "MaskedIntReg", f"<LSB>{bits[0]}</LSB><MSB>{bits[1]}</MSB>"
+    return f'<{kind} Name="{name}">{place}{mask}<Sign>Unsigned</Sign><Endianess>LittleEndian</Endianess></{kind}>'
 
 
-def _integer(name: str, register: int, low: int, high: int, least: int, step: int) -> str:
+def integer(name: str, value: str, *, low: int, high: str, step: int, locked: bool = True) -> str:
+    """Return the node of a number whose largest value is in another node.
+
+    Parameters
+    ----------
+    name : str
+        Feature.
+    value : str
+        Node of the value's register.
+    low, step : int
+        Smallest value, and step.
+    high : str
+        Node of the largest value.
+    locked : bool
+        It may not be changed while ``TLParamsLocked`` is set.
+    """
+    lock = "<pIsLocked>TLParamsLocked</pIsLocked>" if locked else ""
     return (
-        f'<Integer Name="{name}"><pValue>{name}Reg</pValue><Min>{least}</Min><Inc>{step}</Inc></Integer>'
-        f'<MaskedIntReg Name="{name}Reg">{_place(register)}<LSB>{low}</LSB><MSB>{high}</MSB><Sign>Unsigned</Sign>'
-        "<Endianess>LittleEndian</Endianess></MaskedIntReg>"
+        f'<Integer Name="{name}">{lock}<pValue>{value}</pValue><Min>{low}</Min><pMax>{high}</pMax><Inc>{step}</Inc>'
+        "</Integer>"
     )
 
 
-def _float(name: str, register: int, low: int, high: int, unit: str) -> str:
+def real(name: str, at: int, low: int, high: int, unit: str) -> str:
+    """Return the nodes of a float with limits, each in a register.
+
+    Parameters
+    ----------
+    name : str
+        Feature.
+    at, low, high : int
+        Addresses of value and limits.
+    unit : str
+        Unit.
+    """
     registers = "".join(
-        f'<FloatReg Name="{name}{part}">{_place(at)}<Endianess>LittleEndian</Endianess></FloatReg>'
-        for part, at in (("Reg", register), ("Min", low), ("Max", high))
+        f'<FloatReg Name="{name}{part}"><Address>{address:#x}</Address><Length>4</Length><AccessMode>{access}'
+        "</AccessMode><pPort>Device</pPort><Cachable>NoCache</Cachable><Endianess>LittleEndian</Endianess></FloatReg>"
+        for part, address, access in (("Reg", at, "RW"), ("Min", low, "RO"), ("Max", high, "RO"))
     )
     return (
         f'<Float Name="{name}"><pValue>{name}Reg</pValue><pMin>{name}Min</pMin><pMax>{name}Max</pMax>'
@@ -71,27 +110,58 @@ def _float(name: str, register: int, low: int, high: int, unit: str) -> str:
     )
 
 
-def _bit(name: str, register: int, bit: int) -> str:
+def boolean(name: str, value: str, *, on: int = 1, locked: bool = False) -> str:
+    """Return the node of a switch.
+
+    Parameters
+    ----------
+    name : str
+        Feature.
+    value : str
+        Node of its register.
+    on : int
+        Value that means on.
+    locked : bool
+        It may not be changed while ``TLParamsLocked`` is set.
+    """
+    lock = "<pIsLocked>TLParamsLocked</pIsLocked>" if locked else ""
     return (
-        f'<Boolean Name="{name}"><pValue>{name}Reg</pValue><OnValue>1</OnValue><OffValue>0</OffValue></Boolean>'
-        f'<MaskedIntReg Name="{name}Reg">{_place(register)}<Bit>{bit}</Bit><Sign>Unsigned</Sign>'
-        "<Endianess>LittleEndian</Endianess></MaskedIntReg>"
+        f'<Boolean Name="{name}">{lock}<pValue>{value}</pValue><OnValue>{on}</OnValue><OffValue>0</OffValue></Boolean>'
     )
 
 
-def _command(name: str, register: int, value: int) -> str:
-    return (
-        f'<Command Name="{name}"><pValue>{name}Reg</pValue><CommandValue>{value}</CommandValue></Command>'
-        f'<IntReg Name="{name}Reg">{_place(register)}<Sign>Unsigned</Sign><Endianess>LittleEndian</Endianess></IntReg>'
-    )
+def enumeration(name: str, value: str, entries: Mapping[str, int], *, selected: str = "", locked: bool = False) -> str:
+    """Return the node of a choice.
+
+    Parameters
+    ----------
+    name : str
+        Feature.
+    value : str
+        Node of its register.
+    entries : mapping
+        Values by the names of the choices.
+    selected : str
+        Feature of which this is the selector; empty: of none.
+    locked : bool
+        It may not be changed while ``TLParamsLocked`` is set.
+    """
+    choices = "".join(f'<EnumEntry Name="{entry}"><Value>{code}</Value></EnumEntry>' for entry, code in entries.items())
+    lock = "<pIsLocked>TLParamsLocked</pIsLocked>" if locked else ""
+    chosen = f"<pSelected>{selected}</pSelected>" if selected else ""
+    return f'<Enumeration Name="{name}">{lock}{choices}<pValue>{value}</pValue>{chosen}</Enumeration>'
 
 
-def _strobe() -> str:
-    """GPIO 1 as the strobe, on while the sensor is exposed."""
-    return (
-        '<Enumeration Name="LineSource"><EnumEntry Name="Off"><Value>0</Value></EnumEntry>'
-        f'<EnumEntry Name="ExposureActive"><Value>{flea3.GPIO_STROBE}</Value></EnumEntry>'
-        "<pValue>LineSourceReg</pValue></Enumeration>"
-        f'<IntReg Name="LineSourceReg">{_place(flea3.GPIO_MODE + 0x10)}<Sign>Unsigned</Sign>'
-        "<Endianess>LittleEndian</Endianess></IntReg>"
-    )
+def command(name: str, value: str, code: int) -> str:
+    """Return the node of a command that writes a `code`.
+
+    Parameters
+    ----------
+    name : str
+        Feature.
+    value : str
+        Node of its register.
+    code : int
+        Value that is written.
+    """
+    return f'<Command Name="{name}"><pValue>{value}</pValue><CommandValue>{code}</CommandValue></Command>'

@@ -1,33 +1,41 @@
-"""The virtual USB3 Vision camera: control commands, acquisition on the bench's clock, and the stream."""
+"""The virtual USB3 Vision camera: its registers, and acquisition on the bench's clock."""
 
 from __future__ import annotations
 
-import errno
-import struct
 import threading
-from collections import deque
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Final, Protocol
 
 import numpy as np
-from usb.core import USBError, USBTimeoutError
 
-from napari_elsplus.hardware.u3v import flea3, packets, stream
-from napari_elsplus.hardware.virtual.camera.memory import SIRM, STROBE, Memory, MemoryFault
+from napari_elsplus.hardware.virtual.camera import bootstrap, standard
+from napari_elsplus.hardware.virtual.camera.bootstrap import Identity, StreamInterface, Timestamp
+from napari_elsplus.hardware.virtual.camera.endpoints import (
+    PACKET,
+    CameraFaults,
+    ControlEndpoint,
+    StreamEndpoint,
+    Transfer,
+)
+from napari_elsplus.hardware.virtual.camera.iidc import Flea3Registers
+from napari_elsplus.hardware.virtual.camera.memory import Memory
+from napari_elsplus.hardware.virtual.camera.sensor import CHUNK_BYTES, FRAME_INFO_BYTES, Sensor, SensorModel
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain
-from napari_elsplus.instrument.optics import LINE_RATE_HZ
 
 if TYPE_CHECKING:
-    from array import array
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
+    from napari_elsplus.hardware.virtual.camera.memory import Register
     from napari_elsplus.hardware.virtual.timeline import BenchClock
 
 BYTES_KEPT: Final = 32 << 20
 """Bytes that the camera buffers while the computer is late (chosen); older frames are lost."""
-IDLE: Final = LINE_RATE_HZ / 240 / 524
-"""Shortest frame period over the time in which its rows are read, as in the paper's modes."""
+WIRED_LINE: Final = 1
+"""Line of the camera that is wired to the card."""
+GAMMA: Final = 0.5
+"""Exponent of the lookup table that a camera applies whose gamma was left on; chosen: the image is visibly wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,178 +77,187 @@ class Bench(Protocol):
         """Fill the frame `out` of a shot."""
 
 
-@dataclass
-class CameraFaults:
-    """Faults to inject.
+class Make(Protocol):
+    """Registers of a make of camera, and its description of them."""
 
-    Parameters
-    ----------
-    pending_acks, lose_acks : int
-        Number of answers that follow a PENDING_ACK, and of answers that are lost.
-    short_frames, bad_trailers, drop_frames : int
-        Number of frames cut short, ended by a bad trailer, or lost.
-    empty_packets : bool
-        End payloads with an empty packet.
-    strobe_off : bool
-        Cut the strobe's wire.
-    """
+    name: ClassVar[str]
+    model: ClassVar[SensorModel]
 
-    pending_acks: int = 0
-    lose_acks: int = 0
-    short_frames: int = 0
-    bad_trailers: int = 0
-    drop_frames: int = 0
-    empty_packets: bool = False
-    strobe_off: bool = False
+    def __init__(self, sensor: Sensor, acquire: Callable[[bool], None]) -> None:
+        """Build them on the sensor's settings; `acquire` is called with True to start acquisition, False to end it."""
+
+    def registers(self) -> dict[int, Register]:
+        """Return the registers by their addresses."""
+
+    def describe(self) -> bytes:
+        """Return the description, as XML."""
+
+    def strobe_delay_s(self, line: int) -> float | None:
+        """Seconds from the beginning of the exposure to the edge on a line; None: there is none."""
 
 
 class VirtualCamera:
-    """A Flea3 with USB3 Vision firmware, its sensor on the bench.
+    """A USB3 Vision camera, its sensor on the bench.
 
     Parameters
     ----------
     bench : Bench
-        Clock, strobe and scene.
+        Clock, scene, and where the strobe goes.
     serial : str
-        Serial number.
-    line_rate_hz : float
-        Rows per second.
+        Its serial number.
+    line_rate_hz : float, optional
+        Rows per second; None: those of its make.
+    make : type
+        Its registers: those of a Flea3, or of another make.
     """
 
-    def __init__(self, bench: Bench, *, serial: str = "1", line_rate_hz: float = LINE_RATE_HZ) -> None:
-        self.bench, self.serial = bench, serial
-        self.faults = CameraFaults()
-        self.memory = Memory(serial, line_rate_hz)
-        self._line_period_s = 1 / line_rate_hz
-        self._answers: deque[bytes] = deque()
-        self._lock = threading.RLock()
+    def __init__(
+        self,
+        bench: Bench,
+        *,
+        serial: str = "1",
+        line_rate_hz: float | None = None,
+        make: type[Make] = Flea3Registers,
+    ) -> None:
+        self.bench, self.faults, self._lock = bench, CameraFaults(), threading.RLock()
+        model = make.model
+        if line_rate_hz is not None:
+            model = replace(model, line_rate_hz=line_rate_hz)
         self._train: StrobeTrain | None = None
+        self._wired: StrobeTrain | None = None
+        """Edges that the card receives."""
+        self.stream = StreamInterface(self._payload_bytes, self._enable)
+        self.sensor = Sensor(model, lambda: self.stream.enabled or self._train is not None)
+        self.make = make(self.sensor, self._acquire)
+        self.identity = Identity(self.make.name, serial)
+        self.memory = Memory()
+        timestamp = Timestamp(self.identity, lambda: self._ticks(bench.clock.now_s()))
+        for registers in (
+            bootstrap.abrm(self.identity, timestamp), bootstrap.sbrm(), bootstrap.manifest(self.make.describe()),
+            self.stream.registers(), self.make.registers(),
+        ):  # fmt: skip
+            self.memory.add(registers)
+        self.control_endpoint = ControlEndpoint(self.memory, self.faults, bench.clock)
+        self.stream_endpoint = StreamEndpoint(self._next_block, self.faults, bench.clock)
         self._frame = 0
         self._pixels = np.zeros(0, np.uint8)
-        self._sent_empty = False
-        self._sent = -1  # bytes of the current frame's payload that were sent; -1: its leader was not
-        self._settle()
 
-    # Control endpoint.
+    @property
+    def serial(self) -> str:
+        """Serial number."""
+        return self.identity.serial
 
-    def command(self, packet: bytes) -> None:
-        """Execute a control command `packet`, and queue the acknowledgement."""
-        if len(packet) < packets.HEADER.size:
-            return
-        _, _, command, _, request_id = packets.HEADER.unpack_from(packet)
-        body = packet[packets.HEADER.size :]
-        status, data = 0, b""
-        try:
-            if command == packets.CommandPacket.READ:
-                address, _, count = packets.READ.unpack_from(body)
-                data = self.memory.read(address, count)
-            elif command == packets.CommandPacket.WRITE:
-                (address,) = struct.unpack_from("<Q", body)
-                self._write(address, body[8:])
-                data = struct.pack("<HH", 0, len(body) - 8)
-            else:
-                status = 0x8001
-        except MemoryFault:
-            status = 0x8003
-        if self.faults.lose_acks:
-            self.faults.lose_acks -= 1
-            return
-        if self.faults.pending_acks:
-            self.faults.pending_acks -= 1
-            self._answers.append(_ack(0, packets.CommandPacket.PENDING_ACK, request_id, packets.PENDING.pack(0, 50)))
-        self._answers.append(_ack(status, command + 1, request_id, data))
-
-    def answer(self, timeout_s: float) -> bytes:
-        """Return the next acknowledgement.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Time to wait for it.
-
-        Raises
-        ------
-        USBTimeoutError
-            If there is none.
-        """
-        if not self._answers:
-            self.bench.clock.wait_until(self.bench.clock.now_s() + min(timeout_s, 0.01))
-            raise USBTimeoutError("no answer", None, errno.ETIMEDOUT)
-        return self._answers.popleft()
-
-    # Stream endpoint.
-
-    def stream_into(self, buffer: array[int], timeout_s: float) -> int:
-        """Put the next packet into the buffer: leader, part of the payload, or trailer.
-
-        Parameters
-        ----------
-        buffer : array.array
-            Bytes; a packet that is longer is an overflow.
-        timeout_s : float
-            Time to wait for a packet to be due.
-
-        Returns
-        -------
-        int
-            Bytes of the packet.
-
-        Raises
-        ------
-        USBTimeoutError
-            If none is due in time.
-        """
+    def cut_strobe(self) -> None:
+        """Cut the strobe's wire, now."""
         with self._lock:
-            train, enabled = self._train, self.memory.get(SIRM + stream.ENABLE)
+            self.faults.strobe_off = True
+            self._end_strobe()
+
+    # Acquisition.
+
+    def _acquire(self, on: bool) -> None:
         clock = self.bench.clock
-        if train is None or not enabled:
-            if clock.real_time:
-                clock.wait_until(clock.now_s() + timeout_s)
-            raise USBTimeoutError("not streaming", None, errno.ETIMEDOUT)
-        shot = self._shot(self._frame, train)
-        if self._sent < 0:
-            self._skip_lost_frames(train)
-            shot = self._shot(self._frame, train)
-            self._await(shot.row_zero_s, timeout_s)
-            self._sent = 0
-            return _put(buffer, _leader(shot))
-        size = shot.region[2] * shot.region[3]
-        if self._sent < size:
-            return self._send_payload(shot, buffer, timeout_s)
-        if self.faults.empty_packets and not self._sent_empty:
-            self._sent_empty = True
-            return 0
-        self._frame, self._sent, self._sent_empty = self._frame + 1, -1, False
-        return _put(buffer, self._trailer(shot))
+        with self._lock:
+            if on == (self._train is not None):
+                return
+            if on:
+                period_s = 1 / self.sensor.rate_hz
+                self.bench.prepare(self._shot(0, StrobeTrain(0.0, period_s)))
+                self._train = StrobeTrain(clock.now_s() + 2e-3, period_s)
+                self._frame = 0
+                delay_s = self.make.strobe_delay_s(WIRED_LINE)
+                if delay_s is not None and not self.faults.strobe_off and not self.sensor.settings.trigger:
+                    self._wired = StrobeTrain(self._train.start_s + delay_s, period_s)
+                self.bench.strobe(self._wired)
+                return
+            self._end_strobe()
+            self._train = None
+            self.stream_endpoint.discard()
 
-    def close(self) -> None:
-        """End the acquisition, as a camera does that loses its host."""
-        self._acquire(False)
+    def _end_strobe(self) -> None:
+        """End the edges on the line that is wired to the card, now."""
+        train, self._wired = self._wired, None
+        if train is not None:
+            self.bench.strobe(replace(train, end_s=self.bench.clock.now_s()))
 
-    def _send_payload(self, shot: Shot, buffer: array[int], timeout_s: float) -> int:
-        rows, cols = shot.region[2:]
-        if self._sent == 0:
-            if len(self._pixels) != rows * cols:
-                self._pixels = np.zeros(rows * cols, np.uint8)
-            self.bench.expose(shot, self._pixels.reshape(rows, cols))
-            self._await(shot.read_out_s, timeout_s)
-        if self.faults.short_frames:
-            self.faults.short_frames -= 1
-            self._sent = rows * cols
-            return _put(buffer, self._pixels[: len(buffer) // 2])
-        part = self._pixels[self._sent : self._sent + len(buffer)]
-        self._sent += len(part)
-        return _put(buffer, part)
+    def _enable(self, on: bool) -> None:
+        del on
+        self.stream_endpoint.discard()
 
-    def _trailer(self, shot: Shot) -> bytes:
-        status = 0
-        if self.faults.bad_trailers:
-            self.faults.bad_trailers -= 1
-            status = 0xA001
-        rows, cols = shot.region[2:]
-        return packets.TRAILER.pack(
-            packets.TRAILER_MAGIC, 0, packets.TRAILER.size, shot.frame, status, 0, rows * cols, rows
+    def _shot(self, frame: int, train: StrobeTrain) -> Shot:
+        settings = self.sensor.settings
+        return Shot(
+            frame,
+            train.start_s + frame * train.period_s,
+            self.sensor.region,
+            settings.exposure_s,
+            self.sensor.line_period_s,
+            train.period_s,
+            settings.gain_db,
         )
+
+    def _ticks(self, time_s: float) -> int:
+        return round(time_s * 1e9 / self.faults.tick_ns)
+
+    # Stream.
+
+    def _payload_bytes(self) -> int:
+        settings = self.sensor.settings
+        lines = settings.rows * (settings.cols + self.faults.padding_x)
+        return lines + (CHUNK_BYTES if settings.chunks else 0)
+
+    def _next_block(self) -> Iterator[Transfer] | None:
+        """Return the transfers of the next frame; None while no frame is taken."""
+        with self._lock:
+            train = self._train
+        if train is None or not self.stream.enabled or self.sensor.settings.trigger:
+            return None
+        self._skip_lost_frames(train)
+        shot, self._frame = self._shot(self._frame, train), self._frame + 1
+        return self._transfers(shot, self.stream.transfer_sizes)
+
+    def _transfers(self, shot: Shot, sizes: list[int]) -> Iterator[Transfer]:
+        """Leader, payload in the sizes that the host has set, trailer (USB3 Vision 1.0.1, image payload)."""
+        faults, chunks = self.faults, self.sensor.settings.chunks
+        time = 0 if faults.blank_timestamps else self._ticks(shot.row_zero_s)
+        kind = standard.IMAGE_WITH_CHUNKS if chunks else standard.IMAGE
+        head = standard.leader(shot.frame, time, shot.region, kind=kind, padding_x=faults.padding_x)
+        yield _whole(head, shot.row_zero_s)
+        payload = self._payload(shot)
+        sent = payload[: len(payload) // 2] if faults.take("short_frames") else payload
+        at = 0
+        for room in sizes:
+            part = sent[at : at + room]
+            yield Transfer(part, room, shot.read_out_s)
+            at += len(part)
+            if len(part) < room:
+                break
+        if faults.empty_packets:
+            yield Transfer(payload[:0], PACKET, shot.read_out_s)
+        status = standard.DATA_OVERRUN if at < len(sent) else standard.SUCCESS
+        status = standard.DATA_DISCARDED if faults.take("bad_trailers") else status
+        valid = min(at, len(payload)) if status == standard.DATA_OVERRUN else len(payload)
+        yield _whole(
+            standard.trailer(shot.frame, status, valid, shot.region[2], 1 if chunks else None), shot.read_out_s
+        )
+
+    def _payload(self, shot: Shot) -> NDArray[np.uint8]:
+        """Expose a frame, and change it as the settings do that another program may have left on."""
+        settings, padding = self.sensor.settings, self.faults.padding_x
+        rows, cols = shot.region[2:]
+        if len(self._pixels) != rows * cols:
+            self._pixels = np.zeros(rows * cols, np.uint8)
+        pixels = self._pixels.reshape(rows, cols)
+        self.bench.expose(shot, pixels)
+        if settings.gamma:
+            pixels = np.asarray(255 * (pixels / 255) ** GAMMA, np.uint8)
+        if settings.frame_info:
+            pixels = pixels.copy()
+            pixels.reshape(-1)[: FRAME_INFO_BYTES * settings.frame_info.bit_count()] = 0xAB
+        if padding:
+            pixels = np.pad(pixels, ((0, 0), (0, padding)), constant_values=0xCD)
+        chunk = np.full(CHUNK_BYTES if settings.chunks else 0, 0xEF, np.uint8)
+        return np.concatenate([pixels.reshape(-1), chunk]) if settings.chunks else pixels.reshape(-1)
 
     def _skip_lost_frames(self, train: StrobeTrain) -> None:
         clock = self.bench.clock
@@ -253,95 +270,7 @@ class VirtualCamera:
             self._frame += self.faults.drop_frames
             self.faults.drop_frames = 0
 
-    def _await(self, time_s: float, timeout_s: float) -> None:
-        clock = self.bench.clock
-        if clock.real_time and time_s > clock.now_s() + timeout_s:
-            clock.wait_until(clock.now_s() + timeout_s)
-            raise USBTimeoutError("no packet", None, errno.ETIMEDOUT)
-        clock.wait_until(time_s)
 
-    # Registers.
-
-    def _write(self, address: int, data: bytes) -> None:
-        self.memory.write(address, data)
-        if address in {flea3.BASE + r for r in (flea3.SIZE, flea3.RATE, flea3.EXPOSURE)}:
-            self._settle()
-        if address == flea3.BASE + flea3.ACQUISITION:
-            self._acquire(bool(self.memory.get(address) & flea3.ACQUIRE))
-
-    def _settle(self) -> None:
-        """Adapt limits and payload to the region and the exposure."""
-        base, memory = flea3.BASE, self.memory
-        size = memory.get(base + flea3.SIZE)
-        rows, cols = size & 0xFFFF, size >> 16
-        memory.put64(SIRM + stream.PAYLOAD_BYTES, rows * cols)
-        exposure_s = memory.get_float(base + flea3.EXPOSURE)
-        fastest = 1 / (rows * IDLE * self._line_period_s)
-        memory.put_float(base + flea3.RATE_MAX, fastest)
-        memory.put_float(base + flea3.EXPOSURE_MAX, 1 / memory.get_float(base + flea3.RATE))
-        memory.put_float(base + flea3.EXPOSURE, exposure_s)
-
-    def _acquire(self, on: bool) -> None:
-        clock = self.bench.clock
-        with self._lock:
-            if on == (self._train is not None):
-                return
-            if on:
-                period_s = 1 / self.memory.get_float(flea3.BASE + flea3.RATE)
-                self.bench.prepare(self._shot(0, StrobeTrain(0.0, period_s)))
-                self._train = StrobeTrain(clock.now_s() + 2e-3, period_s)
-                self._frame, self._sent = 0, -1
-                train = self._train if self._strobe_is_on() and not self.faults.strobe_off else None
-                self.bench.strobe(train)
-                return
-            assert self._train is not None
-            ended = StrobeTrain(self._train.start_s, self._train.period_s, clock.now_s())
-            if self._strobe_is_on() and not self.faults.strobe_off:
-                self.bench.strobe(ended)
-            self._train = None
-
-    def cut_strobe(self) -> None:
-        """Cut the strobe's wire, now."""
-        with self._lock:
-            self.faults.strobe_off = True
-            if self._train is not None:
-                self.bench.strobe(StrobeTrain(self._train.start_s, self._train.period_s, self.bench.clock.now_s()))
-
-    def _strobe_is_on(self) -> bool:
-        return any(self.memory.get(STROBE + flea3.STROBE_CONTROL + 4 * k) & flea3.STROBE_ON for k in range(4)) or any(
-            self.memory.get(flea3.BASE + flea3.GPIO_MODE + 0x10 * k) & flea3.GPIO_STROBE for k in range(4)
-        )
-
-    def _shot(self, frame: int, train: StrobeTrain) -> Shot:
-        base, memory = flea3.BASE, self.memory
-        size, origin = memory.get(base + flea3.SIZE), memory.get(base + flea3.OFFSET)
-        return Shot(
-            frame,
-            train.start_s + frame * train.period_s,
-            (origin & 0xFFFF, origin >> 16, size & 0xFFFF, size >> 16),
-            memory.get_float(base + flea3.EXPOSURE),
-            self._line_period_s,
-            train.period_s,
-            memory.get_float(base + flea3.GAIN),
-        )
-
-
-def _ack(status: int, command: int, request_id: int, data: bytes) -> bytes:
-    return packets.HEADER.pack(packets.COMMAND_MAGIC, status, command, len(data), request_id) + data
-
-
-def _leader(shot: Shot) -> bytes:
-    row, col, rows, cols = shot.region
-    time_ns = round(shot.row_zero_s * 1e9)
-    return packets.LEADER.pack(
-        packets.LEADER_MAGIC, 0, packets.LEADER.size, shot.frame, 0, packets.IMAGE, time_ns, packets.MONO8,
-        cols, rows, col, row, 0, 0,
-    )  # fmt: skip
-
-
-def _put(buffer: array[int], data: bytes | NDArray[np.uint8]) -> int:
-    """Copy a packet into the buffer; one that is longer than the buffer is libusb's overflow."""
-    if len(data) > len(buffer):
-        raise USBError("Overflow", None, errno.EOVERFLOW)
-    np.frombuffer(buffer, np.uint8)[: len(data)] = np.frombuffer(data, np.uint8)
-    return len(data)
+def _whole(data: bytes, due_s: float) -> Transfer:
+    """Return a leader or trailer as a transfer: one short packet."""
+    return Transfer(np.frombuffer(data, np.uint8), len(data), due_s)

@@ -1,122 +1,118 @@
-"""The virtual camera's memory: bootstrap registers, the Flea3's registers, and this package's own description."""
+"""The virtual camera's memory: registers at addresses, each with its access and what reading and writing do."""
 
 from __future__ import annotations
 
-import struct
-from typing import TYPE_CHECKING, Final
+from bisect import bisect_right
+from dataclasses import dataclass
+from struct import pack, unpack
+from typing import TYPE_CHECKING
 
-from napari_elsplus.hardware.u3v import control, flea3, stream
-from napari_elsplus.hardware.virtual.camera.description import describe
-from napari_elsplus.instrument.optics import SENSOR_SHAPE
+from napari_elsplus.hardware.virtual.camera.standard import ACCESS_DENIED, INVALID_ADDRESS, WRITE_PROTECT, Refusal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-SBRM, SIRM, MANIFEST, XML = 0x1_0000, 0x2_0000, 0x3_0000, 0x4_0000
-"""Addresses of the register blocks; arbitrary."""
-STROBE: Final = flea3.BASE + 0x5000
-"""Address of the strobe registers; arbitrary."""
-REGISTERS: Final = 0x6000
-"""Bytes of the block at `flea3.BASE`."""
-MAX_ACK: Final = 1024
+    from collections.abc import Callable
 
 
-class MemoryFault(Exception):
-    """An address that the device does not have."""
+@dataclass(frozen=True, slots=True)
+class Register:
+    """A register: its size in bytes, and what reading and writing it do; None where that is not allowed."""
+
+    size: int
+    read: Callable[[], bytes] | None = None
+    write: Callable[[bytes], None] | None = None
 
 
-class Memory:
-    """Blocks of memory at addresses, little-endian.
+def constant(value: bytes) -> Register:
+    """Return a register that holds a value."""
+    return Register(len(value), lambda: value)
+
+
+def text(value: str) -> Register:
+    """Return a bootstrap register of 64 bytes that holds a text `value`."""
+    return constant(value.encode("ascii").ljust(64, b"\0"))
+
+
+def number(get: Callable[[], int], put: Callable[[int], None] | None = None, size: int = 4) -> Register:
+    """Return a register of an unsigned number.
 
     Parameters
     ----------
-    serial : str
-        Serial number of the camera.
-    line_rate_hz : float
-        Rows per second.
+    get : callable
+        Returns the number.
+    put : callable, optional
+        Called with the number that is written; may raise `Refusal`.
+    size : int
+        Bytes.
     """
+    write = None if put is None else lambda data: put(int.from_bytes(data, "little"))
+    return Register(size, lambda: get().to_bytes(size, "little"), write)
 
-    def __init__(self, serial: str, line_rate_hz: float) -> None:
-        xml = describe()
-        self._blocks = {0: bytearray(0x400), SBRM: bytearray(0x80), SIRM: bytearray(0x40), MANIFEST: bytearray(0x48)}
-        self._blocks |= {XML: bytearray(xml), flea3.BASE: bytearray(REGISTERS)}
-        for address, text in ((0x04, "napari-elsplus"), (0x44, "virtual FL3-U3-13S2M"), (control.SERIAL, serial)):
-            self.write(address, text.encode().ljust(64, b"\0"))
-        self._put64({control.MANIFEST: MANIFEST, control.SBRM: SBRM, SBRM + control.SIRM: SIRM})
-        self._put64({MANIFEST: 1, MANIFEST + 0x10: XML, MANIFEST + 0x18: len(xml)})
-        self._put32({0x00: 0x0001_0001, 0x1CC: 200, MANIFEST + 0x08: 0x0101_0000})
-        self._put32({SBRM: 0x0001_0000, SBRM + control.MAX_COMMAND: MAX_ACK, SBRM + control.MAX_ACK: MAX_ACK})
-        self._put32({SBRM + 0x1C: 1, SBRM + 0x28: 0x40, SBRM + 0x40: 8})
-        self._put32({SIRM + stream.INFO: 2 << 24, SIRM + stream.LEADER_BYTES: 52, SIRM + stream.TRAILER_BYTES: 32})
-        rows, cols = SENSOR_SHAPE
-        base = flea3.BASE
-        self._put32({base + flea3.MAX_SIZE: cols << 16 | rows, base + flea3.SIZE: cols << 16 | rows})
-        self._put32({base + flea3.UNIT_SIZE: 16 << 16 | 4, base + flea3.LINE_FREQUENCY: round(line_rate_hz)})
-        self._put32({base + flea3.STROBE_OFFSET: (STROBE - flea3.IIDC) // 4})
-        for mode in (flea3.FRAME_RATE_MODE, flea3.EXPOSURE_MODE, flea3.GAIN_MODE):
-            self.put(base + mode, flea3.AUTO)
-        self._put_floats({base + flea3.GAIN_MIN: 0.0, base + flea3.GAIN_MAX: 24.0, base + flea3.RATE_MIN: 1.0})
-        self._put_floats({base + flea3.EXPOSURE_MIN: 1e-6, base + flea3.EXPOSURE: 0.005, base + flea3.RATE: 30.0})
+
+def real(get: Callable[[], float], put: Callable[[float], None] | None = None) -> Register:
+    """Return a register of a 32-bit float.
+
+    Parameters
+    ----------
+    get : callable
+        Returns the number.
+    put : callable, optional
+        Called with the number that is written; may raise `Refusal`.
+    """
+    write = None if put is None else lambda data: put(unpack("<f", data)[0])
+    return Register(4, lambda: pack("<f", get()), write)
+
+
+class Memory:
+    """Registers at addresses; what lies between them does not exist."""
+
+    def __init__(self) -> None:
+        self._registers: dict[int, Register] = {}
+        self._starts: list[int] = []
+
+    def add(self, registers: dict[int, Register]) -> None:
+        """Add registers, or replace those at the same addresses."""
+        self._registers.update(registers)
+        self._starts = sorted(self._registers)
 
     def read(self, address: int, count: int) -> bytes:
         """Read `count` bytes from an address on.
 
         Raises
         ------
-        MemoryFault
-            If they are not all in one block.
+        Refusal
+            If one of them does not exist, or may not be read.
         """
-        block, at = self._find(address, count)
-        return bytes(block[at : at + count])
+        parts = []
+        while count > 0:
+            start, register = self._at(address)
+            if register.read is None:
+                raise Refusal(ACCESS_DENIED)
+            part = register.read()[address - start :][:count]
+            parts.append(part)
+            address, count = address + len(part), count - len(part)
+        return b"".join(parts)
 
     def write(self, address: int, data: bytes) -> None:
-        """Write data from an address on.
+        """Write data from an address on, whole registers.
 
         Raises
         ------
-        MemoryFault
-            As `read`.
+        Refusal
+            If one of them does not exist, may not be written, or does not accept its value.
         """
-        block, at = self._find(address, len(data))
-        block[at : at + len(data)] = data
+        while data:
+            start, register = self._at(address)
+            if start != address or len(data) < register.size:
+                raise Refusal(INVALID_ADDRESS)
+            if register.write is None:
+                raise Refusal(WRITE_PROTECT)
+            register.write(data[: register.size])
+            address, data = address + register.size, data[register.size :]
 
-    def get(self, address: int) -> int:
-        """Return the 32-bit number at an address."""
-        return int.from_bytes(self.read(address, 4), "little")
-
-    def get_float(self, address: int) -> float:
-        """Return the 32-bit float at an address."""
-        return float(struct.unpack("<f", self.read(address, 4))[0])
-
-    def put(self, address: int, value: int) -> None:
-        """Write a value as 32-bit number to an address."""
-        self.write(address, struct.pack("<I", value))
-
-    def put_float(self, address: int, value: float) -> None:
-        """Write a value as 32-bit float to an address."""
-        self.write(address, struct.pack("<f", value))
-
-    def put64(self, address: int, value: int) -> None:
-        """Write a value as 64-bit number to an address."""
-        self.write(address, struct.pack("<Q", value))
-
-    def _find(self, address: int, count: int) -> tuple[bytearray, int]:
-        for start, block in self._around(address):
-            if address + count <= start + len(block):
-                return block, address - start
-        raise MemoryFault(f"{address:#x}")
-
-    def _around(self, address: int) -> Iterator[tuple[int, bytearray]]:
-        return ((start, block) for start, block in self._blocks.items() if start <= address < start + len(block))
-
-    def _put32(self, numbers: dict[int, int]) -> None:
-        for address, value in numbers.items():
-            self.put(address, value)
-
-    def _put64(self, numbers: dict[int, int]) -> None:
-        for address, value in numbers.items():
-            self.put64(address, value)
-
-    def _put_floats(self, numbers: dict[int, float]) -> None:
-        for address, value in numbers.items():
-            self.put_float(address, value)
+    def _at(self, address: int) -> tuple[int, Register]:
+        index = bisect_right(self._starts, address) - 1
+        if index >= 0:
+            start = self._starts[index]
+            if address < start + self._registers[start].size:
+                return start, self._registers[start]
+        raise Refusal(INVALID_ADDRESS)
