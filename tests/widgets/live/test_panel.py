@@ -22,12 +22,14 @@ from napari_elsplus.acquisition.engine.live_images import display_layout
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.streaming.ring import Ring
+from napari_elsplus.errors import DeviceError
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration, recall
 from napari_elsplus.processing.calibration.lag import ScanLag
 from napari_elsplus.widgets.live.form import DEFAULT_LIMIT_S, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers
 from napari_elsplus.widgets.shared.calibration_state import AMBER
+from napari_elsplus.widgets.shared.connection import join
 from processes import exists
 
 PLUGIN = "napari-elsplus"
@@ -383,6 +385,16 @@ def test_closing_the_last_panel_while_it_connects_leaves_no_engine(viewer, qtbot
     may_open.set()
     qtbot.waitUntil(lambda: small_engine and not exists(small_engine[-1].pid), timeout=30_000)
     assert connection.client is None
+
+
+def test_a_rig_is_not_connected_once_the_last_panel_was_closed(small_engine):
+    """Before: a request whose turn came after the last panel was closed left its engine behind, the rig open."""
+    connection = join()
+    connection.leave()
+    with pytest.raises(DeviceError, match="last panel was closed"):
+        connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
+    assert connection.client is None
+    assert not [client for client in small_engine if exists(client.pid)]
 
 
 def test_a_recording_has_a_limit_is_described_and_opened(viewer, panel, qtbot, tmp_path):

@@ -128,12 +128,14 @@ class Connection:
         Raises
         ------
         DeviceError
-            If it cannot be opened.
+            If it cannot be opened, or the last panel was closed meanwhile.
         InputError
             If there is no such rig, or the camera refuses the settings; if ``heartbeat_timeout_s`` of ``[rig]`` in the
             settings file is too short.
         """
         with self._lock:
+            if self._users == 0:  # closed before this thread came to it; later, `leave` finds the lock and ends it
+                raise DeviceError("the last panel was closed", "open one, then connect again")
             self._end()
             client = EngineClient()
             try:
