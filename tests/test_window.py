@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from npe2 import PluginManifest
-from qtpy.QtWidgets import QDockWidget
+from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import QDockWidget, QMessageBox
 
 from napari_elsplus import _sample_data, _window
+from napari_elsplus.widgets.shared.window import closing
 
 pytestmark = pytest.mark.skipif(
     sys.platform.startswith("linux") and not {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ),
@@ -37,3 +41,35 @@ def test_the_window_shows_what_the_manifest_offers(
     assert panels[0] in [one.windowTitle() for one in viewer.window._qt_window.findChildren(QDockWidget)]
     assert [layer.name for layer in viewer.layers if layer.visible] == ["fibres LS", "fibres residual", "fibres ELS+"]
     assert viewer.canvas.overlays.scale_bar.visible
+
+
+@pytest.fixture
+def _handlers() -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("_handlers")
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+@pytest.mark.parametrize("open_question", [False, True])
+def test_a_signal_closes_the_window_without_a_question(
+    make_napari_viewer: Any, qtbot: Any, monkeypatch: pytest.MonkeyPatch, open_question: bool
+) -> None:
+    """Before: a calibration that was not saved kept the window open, and the galvo scanning."""
+    viewer = make_napari_viewer()
+    asked: list[str] = []
+    monkeypatch.setattr(closing, "confirm", lambda _, question: (asked.append(question), False)[1])
+    _, panel = viewer.window.add_plugin_dock_widget(_window.PLUGIN, "Calibration")
+    monkeypatch.setattr(panel._window_end, "_unsaved", lambda: "The calibration was not saved. Discard it?")
+    viewer.window._qt_window.show()
+    timer = _window.close_on_signals(viewer)
+    if open_question:
+        QTimer.singleShot(200, lambda: os.kill(os.getpid(), signal.SIGTERM))
+        QMessageBox.question(viewer.window._qt_window, "Replace", "Replace it?")  # returns when it is closed
+    else:
+        os.kill(os.getpid(), signal.SIGTERM)
+    qtbot.waitUntil(lambda: not hasattr(viewer.window, "_qt_window"), timeout=10_000)
+    timer.stop()
+    assert not asked

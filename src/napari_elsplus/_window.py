@@ -12,12 +12,15 @@ import napari
 from napari.settings import get_settings
 from qtpy.QtCore import QTimer
 from qtpy.QtGui import QGuiApplication
+from qtpy.QtWidgets import QApplication
 
 PLUGIN: Final = "napari-elsplus"
 DOCK: Final = "ELS+"
 SAMPLE: Final = "recording"
 SHARE_OF_SCREEN: Final = 0.85
 """Size of the first window relative to the screen; chosen."""
+SIGNALS_MS: Final = 100
+"""Period in which signals are handled, milliseconds; chosen: below the 0.5 s in which the galvo parks."""
 
 
 def fill(viewer: napari.Viewer) -> None:
@@ -29,16 +32,54 @@ def fill(viewer: napari.Viewer) -> None:
     QTimer.singleShot(0, lambda: QTimer.singleShot(0, viewer.reset_view))  # after the layout has resized the canvas
 
 
+def close_at_once(viewer: napari.Viewer) -> None:
+    """Close a viewer without questions about what is not saved, and end the application; the engine parks and ends.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        Its panels release the engine when its window is hidden, and ask nothing when it is closed then.
+    """
+    for window in QApplication.topLevelWidgets():
+        if window.isVisible():
+            window.close() if window.isModal() else window.hide()  # a question that is closed is answered by Cancel
+    viewer.close()
+    QApplication.quit()
+
+
+def close_on_signals(viewer: napari.Viewer) -> QTimer:
+    """Close a viewer without questions on SIGINT, SIGTERM and SIGHUP, the galvo parked by the end of the engine.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        Closed in the main thread.
+
+    Returns
+    -------
+    QTimer
+        Lets Python handle signals while the window is idle; to be kept.
+    """
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):  # Windows has not all of them
+            signal.signal(getattr(signal, name), lambda *_: close_at_once(viewer))
+    timer = QTimer()
+    timer.timeout.connect(lambda: None)
+    timer.start(SIGNALS_MS)
+    return timer
+
+
 def main() -> None:
-    """Open the window and run until it is closed; SIGTERM closes it."""
+    """Open the window and run until it is closed; signals that end programs close it."""
     viewer = napari.Viewer()
     screen = QGuiApplication.primaryScreen()
     if get_settings().application.window_size is None and screen is not None:
         size = screen.availableSize() * SHARE_OF_SCREEN  # napari's default is too small for a panel beside images
         viewer.window.resize(size.width(), size.height())
     fill(viewer)
-    signal.signal(signal.SIGTERM, lambda *_: viewer.close())
+    timer = close_on_signals(viewer)
     napari.run()
+    timer.stop()
 
 
 if __name__ == "__main__":
