@@ -6,9 +6,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-from skimage.measure import profile_line
-
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
 from napari_elsplus.processing.images.cores import CoreFilter
@@ -22,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
@@ -29,12 +27,9 @@ if TYPE_CHECKING:
     from napari_elsplus.viewing.stack import Stack
 
     Image = NDArray[np.float32]
-    Point = tuple[float, float]
 
 MODES: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
 """Modes in display order, from left to right."""
-PROFILE_WIDTH_PX: Final = 5
-"""Width over which profiles are averaged, pixels; chosen, a few cores."""
 
 
 class Scaling(StrEnum):
@@ -75,25 +70,6 @@ class Comparison:
     def at(self, index: int) -> dict[Mode, Image]:
         """Return the images at a frame index, as a dictionary of mode to (n, n) float32."""
         return {mode: planes[index] for mode, planes in self.images.items()}
-
-
-@dataclass(frozen=True)
-class LineProfiles:
-    """Line profiles of several images.
-
-    Attributes
-    ----------
-    position : numpy.ndarray
-        (m,), from the line's start, in `unit`.
-    values : dict
-        Mode to (m,) grey levels, the mean over five pixels across the line.
-    unit : str
-        ``"um"`` or ``"px"``.
-    """
-
-    position: NDArray[np.float64]
-    values: dict[Mode, NDArray[np.float64]]
-    unit: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +160,7 @@ def image_statistics(images: Mapping[Mode, Image], inside: NDArray[np.bool_]) ->
 
     Examples
     --------
+    >>> import numpy as np
     >>> haze, bars = np.full((8, 8), 60, np.float32), np.tile(np.float32([0, 100]), (8, 4))
     >>> found = image_statistics({Mode.LS: haze + bars, Mode.ELS: bars + 6}, np.ones((8, 8), bool))
     >>> round(found[Mode.ELS].background_left, 3), found[Mode.LS].background
@@ -197,45 +174,6 @@ def image_statistics(images: Mapping[Mode, Image], inside: NDArray[np.bool_]) ->
         )
         for mode, level in levels.items()
     }
-
-
-def line_profiles(
-    images: Mapping[Mode, Image], start: Point, end: Point, um_per_px: float | None = None
-) -> LineProfiles:
-    """Return profiles of several images along one line.
-
-    Parameters
-    ----------
-    images : mapping
-        Mode to (n, n) grey levels.
-    start, end : tuple of float
-        Ends of the line, (row, col) in pixels of the images.
-    um_per_px : float, optional
-        Scale of the positions; pixels if unknown.
-
-    Returns
-    -------
-    LineProfiles
-        One value per pixel of the line's length.
-
-    Raises
-    ------
-    InputError
-        If the line is shorter than a pixel, or lies outside the images.
-    """
-    length_px = float(np.hypot(*np.subtract(end, start)))
-    if not length_px >= 1:
-        raise InputError(f"the line is {length_px:.1f} px long", "draw a longer one")
-    side = len(next(iter(images.values())))
-    if max(*start, *end) < 0 or min(*start, *end) > side - 1:
-        raise InputError("the line lies outside the images", "draw it across one of them")
-    values = {
-        mode: profile_line(image, start, end, linewidth=PROFILE_WIDTH_PX, order=1, mode="constant", cval=0.0)
-        for mode, image in images.items()
-    }
-    step = um_per_px or 1.0
-    count = len(next(iter(values.values())))
-    return LineProfiles(np.arange(count, dtype=np.float64) * step, values, "um" if um_per_px else "px")
 
 
 def difference_planes(comparison: Comparison, minuend: Mode, subtrahend: Mode) -> LazyPlanes:

@@ -10,8 +10,8 @@ import pytest
 import tifffile
 from qtpy.QtWidgets import QApplication
 
+from napari_elsplus.processing.analysis.line_profiles import line_profiles
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
-from napari_elsplus.viewing.comparison import line_profiles
 from napari_elsplus.widgets.analysis.compare import BLINK, DIFFERENCE, ComparePanel
 from pairs import calibration, frames, write_pair
 
@@ -225,3 +225,49 @@ def test_closing_the_dock_ends_the_comparison_and_leaves_nothing(viewer, tmp_pat
     QApplication.processEvents()
     gc.collect()
     assert gone() is None
+
+
+def test_a_stray_click_draws_no_line(viewer, panel, qtbot):
+    press(panel, qtbot)
+    before, line = panel.display.line, viewer.layers["compare line"]
+    line.add_lines(np.array([[10, 12], [11, 13]]))
+    assert panel.display.line == before
+    assert len(line.data) == 3
+
+
+def test_the_line_survives_a_change_of_view(panel, qtbot):
+    press(panel, qtbot)
+    panel.display.set_line((10.0, 12.0), (40.0, 30.0))
+    for view in (BLINK, DIFFERENCE):
+        panel.view.value = view
+        qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
+        assert panel.display.line == ((10, 12), (40, 30))
+
+
+def test_blinking_shows_the_title_of_its_image_alone(panel, qtbot):
+    panel.view.value = BLINK
+    press(panel, qtbot)
+    for _ in range(3):
+        panel.display.show_next()
+        lit = [layer.name.removeprefix("compare ") for layer in panel.display.images if layer.visible]
+        assert panel.display.shown_titles == lit
+
+
+@pytest.mark.parametrize("suffix", ["png", "pdf", "svg"])
+def test_the_figure_is_saved_as_it_is_displayed(panel, qtbot, tmp_path, suffix):
+    assert "start the comparison" in panel.save_figure.tooltip
+    press(panel, qtbot)
+    panel.display.set_line((10.0, 12.0), (40.0, 30.0))
+    panel.line_width.value = 3
+    path = tmp_path / f"figure.{suffix}"
+    panel.save_figure_to(path)
+    assert path.stat().st_size > 5000
+    assert [one.name for one in tmp_path.iterdir() if "figure" in one.name] == [path.name]
+
+
+def test_the_width_of_the_line_is_averaged(panel, qtbot):
+    press(panel, qtbot)
+    wide = panel.plot.curves[0].y
+    panel.line_width.value = 1
+    narrow = panel.plot.curves[0].y
+    assert np.var(np.diff(narrow)) > np.var(np.diff(wide))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
@@ -55,3 +56,27 @@ def test_an_unknown_picture_format_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"c\.xyz"):
         save_figure(draw_comparison(compare(RAW, CALIBRATION)), tmp_path / "c.xyz")
     assert not list(tmp_path.iterdir())
+
+
+def test_the_figure_is_legible_in_one_column() -> None:
+    figure = draw_comparison(replace(compare(RAW, CALIBRATION), um_per_px=2.0))
+    assert figure.get_figwidth() * 25.4 == pytest.approx(85)
+    figure.draw_without_rendering()
+    texts = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    assert len(texts) > 10
+    assert min(text.get_fontsize() for text in texts) >= 6
+    page = figure.bbox
+    for text in texts:
+        box = text.get_window_extent()
+        assert box.x0 >= page.x0 - 1
+        assert box.x1 <= page.x1 + 1, text.get_text()
+
+
+def test_profiles_follow_the_line_and_its_width() -> None:
+    middle = compare(RAW, CALIBRATION)
+    drawn = replace(middle, line=((10.0, 12.0), (40.0, 30.0)), line_width_px=1)
+    assert len(drawn.profiles().position) == 36
+    assert middle.profiles().unit == "px"
+    (row, col), (row_end, col_end) = middle.ends
+    assert row == row_end == (len(middle.inside) - 1) / 2
+    assert col_end - col == pytest.approx(0.9 * 50, abs=0.5)

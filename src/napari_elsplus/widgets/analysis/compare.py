@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from magicgui.widgets import ComboBox, PushButton
+from magicgui.widgets import ComboBox, PushButton, SpinBox
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
 
+from napari_elsplus.errors import InputError
 from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
 from napari_elsplus.processing.analysis.image_quality import white_level
+from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, line_profiles
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.comparison import (
@@ -22,7 +24,6 @@ from napari_elsplus.viewing.comparison import (
     comparison_script,
     difference_planes,
     image_statistics,
-    line_profiles,
     white_levels,
 )
 from napari_elsplus.viewing.layers import TITLES
@@ -39,6 +40,7 @@ from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
 from napari_elsplus.widgets.shared.work import Work
+from napari_elsplus.workflows.pictures.comparison import ComparisonFigure
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -53,6 +55,7 @@ REFRESH_MS: Final = 100
 """Delay of table and profiles after a change, milliseconds; chosen, 10 Hz while the slider moves."""
 BLINK_MS: Final = 600
 """Time for which each image is displayed, milliseconds; chosen, long enough to compare one detail."""
+FIGURES: Final = "Figures (*.pdf *.svg *.png)"
 PREPARING: Final = "Computing the first images; the first time after installation this takes some seconds."
 HINT: Final = "Select a recording and press Compare; then draw a line on any of the images."
 
@@ -79,6 +82,8 @@ class ComparePanel(Panel):
         self.rescale.clicked.connect(self.rescale_contrast)
         self.script.clicked.connect(self.copy_script)
         self.save.clicked.connect(self._ask_where_to_save)
+        self.save_figure.clicked.connect(self._ask_where_to_save_figure)
+        self.line_width.changed.connect(self.show_numbers)
         self.scaling.changed.connect(self.rescale_contrast)
         for choice in (self.cores, self.view, self.recording):
             choice.changed.connect(self._restart)
@@ -158,13 +163,31 @@ class ComparePanel(Panel):
         if self.display.line is None:
             return
         with notify_errors(self):
-            found = line_profiles(images, *self.display.line, self._comparison.um_per_px)
+            found = line_profiles(images, *self.display.line, self._comparison.um_per_px, self.line_width.value)
             unit = "\N{MICRO SIGN}m" if found.unit == "um" else "px"
             curves = [
                 Curve(TITLES[mode], found.position, values, COLOURS[mode], DASHES[mode])
                 for mode, values in found.values.items()
             ]
             self.plot.draw(curves, bottom=f"position along the line / {unit}")
+
+    def save_figure_to(self, path: str | Path) -> None:
+        """Save the displayed frame's images and profiles as a figure for a paper; an existing file is replaced.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.png``, ``.pdf`` or ``.svg``.
+        """
+        with notify_errors(self):
+            if self._comparison is None:
+                raise InputError("there is no comparison to save", "press Compare first")
+            images, inside = self._comparison.at(self._index()), self._comparison.inside
+            white = white_levels(images, inside, self.scaling.value)
+            scaled = {mode: image / np.float32(white[mode]) for mode, image in images.items()}
+            um_per_px, width_px = self._comparison.um_per_px, int(self.line_width.value)
+            figure = ComparisonFigure(scaled, inside, self.display.line or (), width_px, um_per_px)
+            figure.save(path, force=True)
 
     def copy_script(self) -> None:
         """Copy a script that makes this comparison to the clipboard."""
@@ -188,22 +211,25 @@ class ComparePanel(Panel):
         )
         self.view = ComboBox(label="view", choices=[SIDE_BY_SIDE, BLINK, DIFFERENCE])
         self.view.tooltip = "Side by side; alternating in one place; LS - ELS+ and ELSA - ELS+ in grey levels"
+        self.line_width = SpinBox(label="line width (px)", value=PROFILE_WIDTH_PX, min=1, max=51)
+        self.line_width.tooltip = "Pixels across the line that are averaged in the profiles, 1 to 51"
         self.start = PushButton(text="Compare")
         self.rescale = PushButton(text="Rescale")
         self.script = PushButton(text="Copy as script")
-        self.save = PushButton(text="Save plot...")
+        self.save = PushButton(text="Save profiles...")
+        self.save_figure = PushButton(text="Save figure...")
         self.numbers = QLabel()
         self.numbers.setWordWrap(True)
         self.plot = ThemedPlot("position along the line / px", "grey levels", self.viewer.theme)
         self.plot.setMinimumHeight(180)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 6)
-        layout.addLayout(form_layout(self.recording, self.cores, self.scaling, self.view))
+        layout.addLayout(form_layout(self.recording, self.cores, self.scaling, self.view, self.line_width))
         layout.addLayout(button_row(self.start, self.rescale))
         layout.addWidget(self.work)
         layout.addWidget(self.numbers)
         layout.addWidget(self.plot, 1)
-        layout.addLayout(button_row(self.script, self.save))
+        layout.addLayout(button_row(self.save_figure, self.save, self.script))
 
     def _chosen(self) -> Image:
         return chosen_image(self.viewer, self.recording, "recording with a calibration")
@@ -215,10 +241,11 @@ class ComparePanel(Panel):
         step = self.viewer.dims.current_step
         with notify_errors(self):
             compared = self._compared_images(comparison)  # may raise, so before the viewer is changed
+            line = self.display.line if source == self._source else None
             if self.comparing:
                 self.end()
             facts, apart = source.metadata["elsplus"], self.view.value != BLINK
-            self.display.begin(compared, facts["stack"], facts["calibration"], apart=apart)
+            self.display.begin(compared, facts["stack"], facts["calibration"], apart=apart, line=line)
             self.viewer.dims.current_step = step
             self._comparison, self._source = comparison, source
             self.rescale_contrast()
@@ -274,6 +301,8 @@ class ComparePanel(Panel):
             self.rescale, self.comparing, "Set the contrast limits from the displayed frame", "start the comparison"
         )
         set_enabled(self.save, self.comparing, "Save the profiles as PNG or CSV", "start the comparison")
+        figure = "Save images and profiles as a figure of one column's width (85 mm): PNG, PDF or SVG"
+        set_enabled(self.save_figure, self.comparing, figure, "start the comparison")
 
     def _work_ended(self) -> None:
         self._layers_changed()
@@ -291,6 +320,11 @@ class ComparePanel(Panel):
         if path:
             with notify_errors(self):
                 self.plot.save(Path(path))
+
+    def _ask_where_to_save_figure(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Save the figure", "comparison.pdf", FIGURES)
+        if path:
+            self.save_figure_to(path)
 
 
 def _timer(parent: Panel, milliseconds: int, slot: Any, *, once: bool = False) -> QTimer:

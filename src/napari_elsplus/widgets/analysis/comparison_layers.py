@@ -22,12 +22,16 @@ if TYPE_CHECKING:
     from napari_elsplus.viewing.lazy import LazyPlanes
     from napari_elsplus.viewing.stack import Stack
 
+    Line = tuple[tuple[float, float], tuple[float, float]]
+
 PREFIX: Final = "compare"
 LINE_COLOUR: Final = "#f0e442"
 SIGNED: Final = Colormap([[0.34, 0.71, 0.91], [0, 0, 0], [0.9, 0.62, 0]], name="ELS+ difference")
 """Blue below zero, orange above, black at zero: colour-blind safe."""
 _LINE_SHARE: Final = (0.15, 0.85)
 """Ends of the first line, fractions of an image's width; chosen, inside the bundle."""
+_MIN_LINE_SHARE: Final = 0.05
+"""Shortest line that is drawn on purpose, fraction of an image's width; a click makes one of some pixels. Chosen."""
 _FILLED: Final = 0.95
 """Share of the canvas that the images fill; chosen."""
 
@@ -73,6 +77,7 @@ class ComparisonLayers:
         self._side = 0
         self._line: Shapes | None = None
         self._titles: Points | None = None
+        self._title_texts: list[str] = []
         self._camera: tuple[Any, float] | None = None
         self._setting_line = False
         self.images: list[Image] = []
@@ -88,7 +93,7 @@ class ComparisonLayers:
         return all(layer in self._viewer.layers for layer in self._layers())
 
     @property
-    def line(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    def line(self) -> Line | None:
         """Ends of the line, (row, col) in pixels of the images; None if the user removed it."""
         if self._line is None or not len(self._line.data):
             return None
@@ -96,7 +101,13 @@ class ComparisonLayers:
         return (row, col), (row_end, col_end)
 
     def begin(
-        self, images: Sequence[ComparedImage], stack: Stack, calibration: Calibration, *, apart: bool = True
+        self,
+        images: Sequence[ComparedImage],
+        stack: Stack,
+        calibration: Calibration,
+        *,
+        apart: bool = True,
+        line: Line | None = None,
     ) -> None:
         """Hide the user's layers and display the images.
 
@@ -110,6 +121,8 @@ class ComparisonLayers:
             Gives the scale.
         apart : bool
             Side by side; otherwise all in one place.
+        line : tuple, optional
+            Ends of the line, (row, col) in pixels of the images; across the middle if there is none.
         """
         self._hidden = {layer: layer.visible for layer in self._viewer.layers}
         self._selected = set(self._viewer.layers.selection)
@@ -128,7 +141,7 @@ class ComparisonLayers:
             self._viewer.layers.append(image)
         place = {key: options[key][1:] for key in ("scale", "units", "axis_labels")}
         self._add_titles(images, place)
-        self._add_line(place)
+        self._add_line(place, line)
         self._fit_camera(place["scale"])
 
     def end(self) -> None:
@@ -171,7 +184,14 @@ class ComparisonLayers:
         for index, image in enumerate(self.images):
             image.visible = index == chosen
         if self._titles is not None:
-            self._titles.shown = np.arange(len(self.images)) == chosen
+            self._titles.text.string = [title if k == chosen else "" for k, title in enumerate(self._title_texts)]
+
+    @property
+    def shown_titles(self) -> list[str]:
+        """Titles that are displayed."""
+        if self._titles is None:
+            return []
+        return [str(text) for text in self._titles.text.values if text]
 
     def set_title_colours(self, colours: Sequence[str]) -> None:
         """Set the colours of the titles, one for each image."""
@@ -183,8 +203,9 @@ class ComparisonLayers:
         return [*self.images, *(mark for mark in marks if mark is not None)]
 
     def _add_titles(self, images: Sequence[ComparedImage], place: dict[str, Any]) -> None:
+        self._title_texts = [one.title for one in images]
         corners = [(-0.03 * self._side, offset) for offset in self._offsets_px]
-        text = {"string": [one.title for one in images], "color": [one.colour for one in images], "size": 12}
+        text = {"string": self._title_texts, "color": [one.colour for one in images], "size": 12}
         self._titles = Points(
             corners, name=f"{PREFIX} titles", size=1, face_color="transparent", border_color="transparent",
             text={**text, "anchor": "upper_left"}, **place,
@@ -200,9 +221,9 @@ class ComparisonLayers:
         camera.center = (rows / 2, cols / 2)
         camera.zoom = _FILLED * min(height / rows, width / cols)
 
-    def _add_line(self, place: dict[str, Any]) -> None:
+    def _add_line(self, place: dict[str, Any], line: Line | None) -> None:
         middle = (self._side - 1) / 2
-        start, end = ((middle, share * self._side) for share in _LINE_SHARE)
+        start, end = line or ((middle, share * self._side) for share in _LINE_SHARE)
         self._line = Shapes(
             [np.array([start, end])], shape_type="line", name=f"{PREFIX} line", edge_width=self._line_px,
             edge_color=LINE_COLOUR, **place,
@@ -213,12 +234,17 @@ class ComparisonLayers:
         self._line.mode = "add_line"
 
     def _line_changed(self, event: Any) -> None:
-        """Copy the line that was drawn or moved last to every image."""
+        """Copy the line that was drawn or moved last to every image; a click draws none."""
         if self._setting_line or self._line is None or str(event.action) not in ("added", "changed"):
             return
         if len(self._line.data):
             chosen = event.data_indices[-1] if event.data_indices else -1
-            self._repeat_line(np.asarray(self._line.data[chosen])[:, -2:])
+            drawn = np.asarray(self._line.data[chosen])[:, -2:]
+            short = np.hypot(*(drawn[1] - drawn[0])) < _MIN_LINE_SHARE * self._side
+            if short and str(event.action) == "added" and self.line is not None:
+                self.set_line(*self.line)
+                return
+            self._repeat_line(drawn)
         self._line_moved()
 
     def _repeat_line(self, line: NDArray[np.float64]) -> None:

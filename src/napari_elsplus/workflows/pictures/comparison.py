@@ -1,16 +1,20 @@
-"""LS, ELSA and ELS+ of one moment side by side, with a line profile: the paper's lens-paper figure."""
+"""LS, ELSA and ELS+ of one moment side by side, with profiles along a line: a figure of one column's width."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patheffects import withStroke
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
+from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, LineProfiles, line_profiles
 from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner, disc
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.pictures.mosaic_picture import bar_length
@@ -24,53 +28,76 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.analysis.image_quality import Contrast
 
+    Point = tuple[float, float]
+
 TITLES: Final = {Mode.LS: "LS", Mode.ELSA: "ELSA", Mode.ELS: "ELS+"}
 COLOURS: Final = {Mode.LS: "#0072b2", Mode.ELSA: "#e69f00", Mode.ELS: "#009e73"}
 """Of Okabe and Ito's palette, distinguishable with colour-vision deficiency."""
-_PROFILE_WIDTH_PX: Final = 5
-_BAR_SHARE: Final = 0.25
+DASHES: Final = {Mode.LS: (0, (1, 1)), Mode.ELSA: (0, (4, 1.5)), Mode.ELS: "-"}
+"""Distinguish the profiles without colour."""
+COLUMN_MM: Final = 85.0
+"""Width of the figure, millimetres: one column of most journals."""
+FONT_PT: Final = 7.0
+SMALL_PT: Final = 6.0
+"""Of labels, and of numbers and ticks, in points; journals ask for at least 5 to 6."""
+FIGURE_DPI: Final = 600
+"""Pixels per inch of a figure saved as pixels; journals ask for 300 for images and 600 for line art with images."""
+_PROFILE_MM: Final = 32.0
+"""Height of the profiles with their labels; chosen."""
+_CAPTION_MM: Final = 8.0
+"""Height of the title above and the number below an image; chosen for two lines of text."""
+_BAR_SHARE: Final = 0.32
 
 
 @dataclass(frozen=True)
 class ComparisonFigure:
-    """LS, ELSA and ELS+ images of one raw frame, scaled as in the paper.
+    """LS, ELSA and ELS+ images of one raw frame, scaled for display.
 
     Attributes
     ----------
     images : dict
-        Mode to (n, n) float32, 1 is white. LS and ELS+ are scaled to 0.01 % saturation each, ELSA by the factor of
-        ELS+.
+        Mode to (n, n) float32, 1 is white. :func:`compare` scales LS and ELS+ to 0.01 % saturation each, ELSA by the
+        factor of ELS+, as in the paper.
     inside : numpy.ndarray
         (n, n) bool: the disc of 90 % of the bundle, in which they are scaled and displayed.
-    profile_row : int
-        Row of the line profile.
+    line : tuple
+        Ends of the profiles' line, (row, col) in pixels of the images; empty for the horizontal diameter of the disc.
+    line_width_px : int
+        Pixels across the line that are averaged.
     um_per_px : float or None
         Micrometres per pixel; None without a scale in the calibration.
     """
 
     images: dict[Mode, NDArray[np.float32]]
     inside: NDArray[np.bool_]
-    profile_row: int
+    line: tuple[Point, Point] | tuple[()] = field(default=())
+    line_width_px: int = PROFILE_WIDTH_PX
     um_per_px: float | None = None
 
-    def profile(self, mode: Mode) -> NDArray[np.float32]:
-        """Return the mean of five rows about the profile row in one mode's image: (n,), NaN outside of the disc."""
-        half = _PROFILE_WIDTH_PX // 2
-        rows = slice(self.profile_row - half, self.profile_row + half + 1)
-        mean: NDArray[np.float32] = self.images[mode][rows].mean(axis=0)
-        return np.where(self.inside[self.profile_row], mean, np.float32(np.nan))
+    @property
+    def ends(self) -> tuple[Point, Point]:
+        """Ends of the line, (row, col): those given, or of the horizontal diameter."""
+        if self.line:
+            return self.line
+        middle = (len(self.inside) - 1) / 2
+        radius = sqrt(np.count_nonzero(self.inside) / np.pi)
+        return (middle, middle - radius), (middle, middle + radius)
+
+    def profiles(self) -> LineProfiles:
+        """Return the profiles along the line."""
+        return line_profiles(self.images, *self.ends, self.um_per_px, self.line_width_px)
 
     def contrast(self, mode: Mode | str) -> Contrast:
         """Return the contrast and the background of one mode's image, both in the 90 % disc."""
         return contrast(self.images[Mode(mode)], self.inside)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
-        """Draw the three images with their profiles and save the figure.
+        """Draw the images with their profiles and save the figure, 85 mm wide; pixels at 600 per inch.
 
         Parameters
         ----------
         path : path-like
-            File of the figure; its suffix names the format.
+            File of the figure; its suffix names the format: ``.png``, ``.pdf``, ``.svg``, ...
         force : bool
             Overwrite an existing file.
 
@@ -117,53 +144,80 @@ def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> Comparison
     white = {mode: white_level(images[mode], inside) for mode in (Mode.LS, Mode.ELS)}
     white[Mode.ELSA] = white[Mode.ELS]
     scaled = {mode: image / np.float32(white[mode]) for mode, image in images.items()}
-    return ComparisonFigure(scaled, inside, sectioner.side // 2, calibration.um_per_px)
+    return ComparisonFigure(scaled, inside, um_per_px=calibration.um_per_px)
 
 
 def draw_comparison(comparison: ComparisonFigure) -> Figure:
-    """Draw the three images and their profiles along one line.
+    """Draw the images and their profiles along one line, 85 mm wide, with text of at least 6 points.
 
     Parameters
     ----------
     comparison : ComparisonFigure
-        Of :func:`compare`; without its scale there is no scale bar, and the profile's axis is in pixels.
+        Of :func:`compare`, or with images scaled otherwise; without its scale there is no scale bar, and the profile's
+        axis is in pixels.
 
     Returns
     -------
     matplotlib.figure.Figure
         Without a window; :func:`save_figure` saves it.
     """
-    um_per_px = comparison.um_per_px
-    figure = Figure(figsize=(12, 7), layout="constrained")
-    axes = figure.subplot_mosaic([[mode.value for mode in TITLES], ["profile"] * 3], height_ratios=[2, 1])
-    for mode, title in TITLES.items():
-        shown = np.where(comparison.inside, comparison.images[mode], 0)
-        axes[mode.value].imshow(shown, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
-        axes[mode.value].axhline(comparison.profile_row, color=COLOURS[mode], linewidth=0.8, linestyle=(0, (6, 6)))
-        levels = comparison.contrast(mode)
-        axes[mode.value].set_title(f"{title}: background {100 * levels.background:.1f} % of white")
-        axes[mode.value].set_axis_off()
-        if um_per_px is not None:
-            _draw_scale_bar(axes[mode.value], len(shown), um_per_px)
-    _draw_profiles(axes["profile"], comparison, um_per_px)
+    shown = [mode for mode in TITLES if mode in comparison.images]
+    image_mm = COLUMN_MM / len(shown)
+    size_mm = (COLUMN_MM, image_mm + _CAPTION_MM + _PROFILE_MM)
+    layout = ConstrainedLayoutEngine(w_pad=0.01, h_pad=0.01, wspace=0.02, hspace=0.02)
+    figure = Figure(figsize=(size_mm[0] / 25.4, size_mm[1] / 25.4), dpi=FIGURE_DPI, layout=layout)
+    axes = figure.subplot_mosaic(
+        [[mode.value for mode in shown], ["profile"] * len(shown)],
+        height_ratios=[image_mm + _CAPTION_MM, _PROFILE_MM],
+    )
+    for letter, mode in zip("abc", shown, strict=False):
+        _draw_image(axes[mode.value], comparison, mode, letter)
+    _draw_profiles(axes["profile"], comparison, shown)
     return figure
 
 
-def _draw_profiles(axes: Axes, comparison: ComparisonFigure, um_per_px: float | None) -> None:
-    side = len(comparison.inside)
-    position = (np.arange(side) - (side - 1) / 2) * (um_per_px or 1)
-    for mode, title in TITLES.items():
-        axes.plot(position, comparison.profile(mode), color=COLOURS[mode], label=title, linewidth=1)
-    axes.axhline(0, color="0.7", linewidth=0.8)
-    axes.set_xlabel("position along the line / " + ("px" if um_per_px is None else "\N{MICRO SIGN}m"))
-    axes.set_ylabel("intensity / white")
-    axes.legend(loc="upper right", ncols=3, frameon=False)
+def _draw_image(axes: Axes, comparison: ComparisonFigure, mode: Mode, letter: str) -> None:
+    image = np.where(comparison.inside, comparison.images[mode], 0)
+    axes.imshow(image, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+    (row, col), (row_end, col_end) = comparison.ends
+    axes.plot([col, col_end], [row, row_end], color=COLOURS[mode], linewidth=0.7, linestyle=(0, (5, 4)))
+    axes.set_xlim(-0.5, len(image) - 0.5)
+    axes.set_ylim(len(image) - 0.5, -0.5)
+    axes.set_title(rf"$\bf{{{letter}}}$  {TITLES[mode]}", fontsize=FONT_PT, loc="left", pad=2)
+    background = 100 * comparison.contrast(mode).background
+    axes.set_xlabel(f"background {background:.1f} %", fontsize=SMALL_PT, labelpad=2)
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
+    if comparison.um_per_px is not None:
+        _draw_scale_bar(axes, len(image), comparison.um_per_px)
+
+
+def _draw_profiles(axes: Axes, comparison: ComparisonFigure, shown: list[Mode]) -> None:
+    found = comparison.profiles()
+    for mode in shown:
+        (curve,) = axes.plot(found.position, found.values[mode], color=COLOURS[mode], linewidth=0.8)
+        curve.set(label=TITLES[mode], linestyle=DASHES[mode])
+    axes.axhline(0, color="0.7", linewidth=0.5)
+    unit = "\N{MICRO SIGN}m" if found.unit == "um" else "px"
+    axes.set_xlabel(f"position along the line / {unit}", fontsize=FONT_PT, labelpad=2)
+    axes.set_ylabel("intensity / white", fontsize=FONT_PT, labelpad=2)
+    axes.tick_params(labelsize=SMALL_PT, width=0.5, length=2, pad=2)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_linewidth(0.5)
+    axes.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(shown), frameon=False, fontsize=SMALL_PT,
+        borderaxespad=0, handlelength=2.5,
+    )  # fmt: skip
     axes.margins(x=0)
 
 
 def _draw_scale_bar(axes: Axes, side: int, um_per_px: float) -> None:
     length_um = bar_length(_BAR_SHARE * side * um_per_px)
     length_px = length_um / um_per_px
-    axes.plot([side * 0.97 - length_px, side * 0.97], [side * 0.97] * 2, color="white", linewidth=3)
-    label = f"{length_um:g} \N{MICRO SIGN}m"
-    axes.text(side * 0.97 - length_px / 2, side * 0.955, label, color="white", ha="center", va="bottom")
+    outline = [withStroke(linewidth=1.5, foreground="black")]
+    right, bottom = 0.97 * side, 0.96 * side
+    axes.plot([right - length_px, right], [bottom] * 2, color="white", linewidth=1.5, solid_capstyle="butt")
+    axes.text(
+        right, 0.94 * side, f"{length_um:g} \N{MICRO SIGN}m", color="white", ha="right", va="bottom",
+        fontsize=SMALL_PT, path_effects=outline,
+    )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from napari_elsplus.errors import InputError
@@ -14,12 +15,14 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
+TRUE_TYPE: Final = 42
+"""Matplotlib's name for fonts that editors of PDF files can edit."""
 DPI: Final = 120
 """Pixels per inch of a figure; chosen, the figures are then 800 to 1500 pixels wide."""
 
 
 def save_figure(figure: Figure, path: Path, *, force: bool = False) -> None:
-    """Save a figure to a file whose suffix names the format.
+    """Save a figure to a file whose suffix names the format; one with a higher resolution of its own keeps that.
 
     Parameters
     ----------
@@ -36,8 +39,8 @@ def save_figure(figure: Figure, path: Path, *, force: bool = False) -> None:
         If the format is unknown, or the file exists and is not to be overwritten.
     """
     kind = refuse_format(path)
-    with replacing(path, force=force) as unfinished:
-        figure.savefig(unfinished, format=kind, dpi=DPI)
+    with replacing(path, force=force) as unfinished, rc_context({"pdf.fonttype": TRUE_TYPE}):
+        figure.savefig(unfinished, format=kind, dpi=max(DPI, figure.dpi))
 
 
 def refuse_format(path: Path) -> str:
