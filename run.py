@@ -150,7 +150,7 @@ def prepare(*groups: str) -> None:
         STAMP.unlink()
     wanted = sorted((present or set()).union(groups))
     chosen = [word for group in wanted for word in ("--group", group)]
-    must("installing", [*pip, "--constraint", "constraints.txt", "--editable", ".[pyqt,video,zarr]", *chosen])
+    must("installing", [*pip, "--constraint", "constraints.txt", "--editable", ".[pyqt,video,zarr,batch]", *chosen])
     STAMP.write_text(json.dumps({"fingerprint": fingerprint(), "groups": wanted}), encoding="utf-8")
 
 

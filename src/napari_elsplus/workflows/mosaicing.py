@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -100,6 +101,7 @@ def mosaic(
     method: str = Method.ELSPLUS,
     insertion: Insertion | str = Insertion.DEAD_LEAF,
     times_s: Sequence[float] | NDArray[np.float64] | None = None,
+    threads: Literal[1, 2] = 2,
     progress: Progress = without_display,
 ) -> MosaicResult:
     """Track the probe through raw frames or finished images, and insert the images into a mosaic.
@@ -124,6 +126,8 @@ def mosaic(
         Rule by which overlapping images are combined.
     times_s : sequence of float, optional
         (T,) time of each frame; the recording's by default.
+    threads : int
+        2 to register a frame while the next is sectioned, 1 where the cores are shared; the result is the same.
     progress : Progress
         Wraps the frames' numbers, once for tracking and once for insertion.
 
@@ -140,7 +144,7 @@ def mosaic(
     """
     _check_arguments(calibration, mode, finished=finished)
     shown = Mode.LS if finished else Mode(mode or Mode.ELS)
-    pipeline, calibration, notes = _tracked(raw, calibration, shown, method, insertion, times_s, progress)
+    pipeline, calibration, notes = _tracked(raw, calibration, shown, method, insertion, times_s, threads, progress)
     pipeline.finish(RawPairs(raw, shown), lambda numbers: progress(numbers, "Mosaic"))
     return MosaicResult(
         montage(list(pipeline.mosaics.values())),
@@ -179,7 +183,7 @@ def track(
     """
     _check_arguments(calibration, mode, finished=finished)
     shown = Mode.LS if finished else Mode(mode or Mode.ELS)
-    pipeline, _, _ = _tracked(raw, calibration, shown, method, Insertion.DEAD_LEAF, times_s, progress)
+    pipeline, _, _ = _tracked(raw, calibration, shown, method, Insertion.DEAD_LEAF, times_s, 2, progress)
     pipeline.refine(RawPairs(raw, shown))
     return pipeline.rows
 
@@ -201,9 +205,10 @@ def _tracked(
     method: str,
     insertion: Insertion | str,
     times_s: Sequence[float] | NDArray[np.float64] | None,
+    threads: Literal[1, 2],
     progress: Progress,
 ) -> tuple[Pipeline, Calibration | None, tuple[str, ...]]:
-    """Track all frames on two threads; return the pipeline, the calibration with its timing, and notes.
+    """Track all frames on one thread or two; return the pipeline, the calibration with its timing, and notes.
 
     Frames without a calibration are finished images.
     """
@@ -219,11 +224,12 @@ def _tracked(
             calibration, note = with_timing(calibration, pairs, mode)
         rows, cols = raw[0].shape
         pipeline = Pipeline(calibration, (rows, cols), mode, method=method, insertion=insertion)
-    with Pipelined(pipeline, insert=False) as two_threads:
+    with Pipelined(pipeline, insert=False) if threads == 2 else nullcontext() as ahead:
+        add = pipeline.track if ahead is None else ahead.add
         for index in progress(range(len(pairs)), "Tracking"):
             frame = pairs.frame(index)
             confocal, residual = pairs(index)
-            two_threads.add(confocal, frame, np.nan if times_s is None else float(times_s[frame]), residual)
+            add(confocal, frame, np.nan if times_s is None else float(times_s[frame]), residual)
     return pipeline, calibration, (note,) if note else ()
 
 

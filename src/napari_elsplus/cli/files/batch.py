@@ -1,0 +1,61 @@
+"""``batch``: sectioned images and mosaics of many recordings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from napari_elsplus.cli.options import FILE, LazyChoice, progress
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def _modes() -> list[str]:
+    from napari_elsplus.processing.images.sectioning import Mode
+
+    return [mode.value for mode in Mode]
+
+
+@click.command()
+@click.argument("source", type=FILE, metavar="FOLDER_OR_LIST")
+@click.option(
+    "-c", "--calibration", type=FILE, help="Calibration for all; by default that beside or in each recording."
+)
+@click.option("--mode", type=LazyChoice(_modes), default="els", show_default=True, help="Image type.")
+@click.option("--mosaic", is_flag=True, help="Also track the probe and make a mosaic of each recording.")
+@click.option("-o", "--output", type=FILE, required=True, help="Folder for the results; a batch in it is resumed.")
+@click.option(
+    "--scheduler",
+    help="Address of an existing dask scheduler. It executes whatever code it is sent: name only one that you trust.",
+)
+@click.option("--workers", type=click.IntRange(1), help="Local worker processes; one per core by default.")
+def command(
+    source: Path,
+    calibration: Path | None,
+    mode: str,
+    mosaic: bool,
+    output: Path,
+    scheduler: str | None,
+    workers: int | None,
+) -> None:
+    """Section every recording of a folder, or of a text file with one path per line.
+
+    Writes OUTPUT/NAME/els.ome.tif (mosaic.ome.tif and track.csv with --mosaic), OUTPUT/table.csv with a row per
+    recording, and OUTPUT/contact-sheet.png. The same command resumes an interrupted batch. Local workers and their
+    dashboard listen on 127.0.0.1 only. Exits 1 if any recording failed.
+    """
+    from napari_elsplus.workflows.batch.run import batch
+
+    result = batch(
+        source, output, calibration=calibration, mode=mode, mosaic=mosaic, scheduler=scheduler, workers=workers,
+        announce=lambda address: click.echo(f"dashboard: {address}", err=True), progress=progress,
+    )  # fmt: skip
+    for note in result.notes:
+        click.echo(f"note: {note}")
+    for row in result.failed:
+        click.echo(f"failed: {row['name']}: {row['error']}")
+    click.echo(f"{len(result.rows) - len(result.failed)} of {len(result.rows)} recordings done: {output / 'table.csv'}")
+    if result.failed:
+        raise SystemExit(1)

@@ -1,0 +1,185 @@
+"""The plan of a batch: its recordings, what is made of each, and which stages earlier runs have finished.
+
+A stage's record is written after its outputs were renamed into place, so that a stage with a record is complete. The
+records and the job lie in the folder ``.batch`` of the output.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import replacing
+from napari_elsplus.io.formats.registry import format_of_name, recording_stem, supported_recordings
+from napari_elsplus.processing.images.sectioning import Mode
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+RECORDS: Final = ".batch"
+"""Folder of a batch's records, in its output folder."""
+MAX_LIST_BYTES: Final = 16 << 20
+"""Chosen: a list of a hundred thousand paths has some 10 MB; a larger file is another one, named by mistake."""
+Values = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class BatchJob:
+    """What is made of every recording.
+
+    Parameters
+    ----------
+    output : str
+        Folder of the results.
+    mode : str
+        Image type: :class:`~napari_elsplus.processing.images.sectioning.Mode`.
+    mosaic : bool
+        Also track the probe and make a mosaic.
+    calibration : str, optional
+        Calibration file for all recordings; by default that beside or in each.
+    """
+
+    output: str
+    mode: str
+    mosaic: bool
+    calibration: str | None
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Names of the stages of a recording."""
+        return ("section", "mosaic") if self.mosaic else ("section",)
+
+    @property
+    def images_name(self) -> str:
+        """Name of the file of sectioned images."""
+        return f"{Mode(self.mode).value}.ome.tif"
+
+    def describe(self) -> str:
+        """Return the job in words, for a message."""
+        made = f"{self.mode} images" + (" and mosaics" if self.mosaic else "")
+        return made + (f" by {self.calibration}" if self.calibration else " by the recordings' calibrations")
+
+
+@dataclass(frozen=True)
+class BatchItem:
+    """One recording of a batch.
+
+    Parameters
+    ----------
+    name : str
+        Name of its folder of results.
+    recording : str
+        Path of the recording.
+    """
+
+    name: str
+    recording: str
+
+    def folder(self, job: BatchJob) -> Path:
+        """Return the folder of the recording's results of a job."""
+        return Path(job.output, self.name)
+
+    def recall(self, job: BatchJob, stage: str) -> Values | None:
+        """Return what a stage of a job has found, if an earlier run finished it for the same file; else None."""
+        try:
+            record = json.loads(self._record(job, stage).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        values: Values = record["values"]
+        return values if record.get("input") == self._fingerprint() else None
+
+    def remember(self, job: BatchJob, stage: str, values: Values) -> None:
+        """Write that a stage of a job is finished, with the values that it found."""
+        with replacing(self._record(job, stage), force=True) as unfinished:
+            unfinished.write_text(json.dumps({"input": self._fingerprint(), "values": values}), encoding="utf-8")
+
+    def _record(self, job: BatchJob, stage: str) -> Path:
+        return Path(job.output, RECORDS, f"{self.name}.{stage}.json")
+
+    def _fingerprint(self) -> list[int]:
+        found = Path(self.recording).stat()
+        return [found.st_size, found.st_mtime_ns]
+
+
+def find_items(source: Path) -> list[BatchItem]:
+    """Return the recordings of a folder, or of a text file that lists one path per line.
+
+    Parameters
+    ----------
+    source : pathlib.Path
+        Folder (searched without its subfolders), or list; paths in a list are relative to it, and lines that are empty
+        or begin with ``#`` are skipped.
+
+    Raises
+    ------
+    InputError
+        If there is none, or two recordings would have the same folder of results.
+    """
+    recordings = _in_folder(source) if source.is_dir() else _in_list(source)
+    if not recordings:
+        raise InputError(f"{source} names no recordings", f"give a folder or a list of: {supported_recordings()}")
+    names = _names(recordings)
+    return [BatchItem(name, str(path)) for name, path in zip(names, recordings, strict=True)]
+
+
+def open_output(job: BatchJob) -> None:
+    """Create the output folder of a job, or resume the same job in it.
+
+    Raises
+    ------
+    InputError
+        If the folder holds other files, or another job.
+    """
+    output, file = Path(job.output), Path(job.output, RECORDS, "job.json")
+    described = {**asdict(job), "output": "", "calibration": _digest(job.calibration)}
+    if file.exists():
+        if json.loads(file.read_text(encoding="utf-8")) != described:
+            raise InputError(f"{output} holds the results of another job than {job.describe()}", "name another folder")
+        return
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise InputError(f"{output} holds other files", "name a new folder")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(file) as unfinished:
+        unfinished.write_text(json.dumps(described), encoding="utf-8")
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    visible = (path for path in sorted(folder.iterdir()) if not path.name.startswith("."))
+    return [path for path in visible if (found := format_of_name(path)) is not None and found.opener is not None]
+
+
+def _in_list(file: Path) -> list[Path]:
+    if format_of_name(file) is not None:
+        raise InputError(f"{file} is one recording", "give a folder, or a text file that lists one path per line")
+    try:
+        if file.stat().st_size > MAX_LIST_BYTES:
+            raise InputError(f"{file} has {file.stat().st_size} bytes", "give a text file of one path per line")
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        raise InputError(f"there is no folder or list {file}", "check the path") from None
+    except ValueError:
+        raise InputError(f"{file} is no text", "give a text file of one path per line") from None
+    return [file.parent / line.strip() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+
+
+def _names(recordings: Sequence[Path]) -> list[str]:
+    """Return a name for each recording: its stem, preceded by its folder's where stems are alike."""
+    stems = [recording_stem(path.name) for path in recordings]
+    count = Counter(stems)
+    names = [
+        stem if count[stem] == 1 else f"{path.resolve().parent.name}-{stem}"
+        for stem, path in zip(stems, recordings, strict=True)
+    ]
+    twice = [name for name, times in Counter(names).items() if times > 1]
+    if twice:
+        raise InputError(f"two recordings are called {twice[0]}", "rename one of them, or leave it out")
+    return names
+
+
+def _digest(calibration: str | None) -> str | None:
+    return None if calibration is None else hashlib.sha256(Path(calibration).read_bytes()).hexdigest()

@@ -1,0 +1,185 @@
+"""Run a batch on a dask scheduler, collect a table and a contact sheet."""
+
+from __future__ import annotations
+
+import csv
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import read_calibration, replacing
+from napari_elsplus.io.formats.extras import extra_needed
+from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, Values, find_items, open_output
+from napari_elsplus.workflows.batch.stages import ERROR, run_stage
+from napari_elsplus.workflows.pictures.batch_sheet import draw_batch_sheet
+from napari_elsplus.workflows.pictures.files import save_figure
+from napari_elsplus.workflows.progress import without_display
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Iterator
+
+    from napari_elsplus.workflows.progress import Progress
+
+COLUMNS: Final = (
+    "recording", "name", "calibration", "images", "frames", "tracked", "segments", "path_um", "area_um2", "contrast",
+    "warnings", "error",
+)  # fmt: skip
+"""Columns of the table; those that a job does not measure stay empty."""
+SCHEDULER_TIMEOUT_S: Final = 10.0
+"""Time for an existing scheduler to answer, seconds; chosen: a busy one answers within one."""
+LOCAL: Final = "127.0.0.1"
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """What became of a batch.
+
+    Attributes
+    ----------
+    rows : list of dict
+        A row per recording, with the columns :data:`COLUMNS`.
+    notes : tuple of str
+        Messages to the user.
+    """
+
+    rows: list[Values]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def failed(self) -> list[Values]:
+        """Rows of the recordings that failed."""
+        return [row for row in self.rows if row.get(ERROR)]
+
+
+def batch(
+    source: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    calibration: str | os.PathLike[str] | None = None,
+    mode: Mode | str = Mode.ELS,
+    mosaic: bool = False,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    announce: Callable[[str], None] = lambda _: None,
+    progress: Progress = without_display,
+) -> BatchResult:
+    """Section many recordings, and make their mosaics, on the workers of a dask scheduler.
+
+    Each stage of each recording is a task of one thread. A batch that was interrupted is resumed by the same call:
+    finished stages are not done again. A recording that fails is reported and does not stop the others.
+
+    Parameters
+    ----------
+    source : path-like
+        Folder of recordings, or a text file with one path per line.
+    output : path-like
+        Folder for the results: ``NAME/els.ome.tif`` (after the mode), ``NAME/mosaic.ome.tif``, ``NAME/track.csv``,
+        ``table.csv`` and ``contact-sheet.png``.
+    calibration : path-like, optional
+        For all recordings; by default each has its own beside or in it.
+    mode : Mode or str
+        Image type.
+    mosaic : bool
+        Also track the probe and make a mosaic of each recording.
+    scheduler : str, optional
+        Address of an existing dask scheduler, whose workers see the same files and have this package; it executes the
+        code that it is sent. By default workers are started here and listen on 127.0.0.1 only.
+    workers : int, optional
+        Number of local workers, a process each; one per core by default.
+    announce : callable
+        Receives the address of the dashboard.
+    progress : Progress
+        Wraps the numbers of the tasks.
+
+    Returns
+    -------
+    BatchResult
+
+    Raises
+    ------
+    InputError
+        If there are no recordings, the output folder holds anything else, or no scheduler answers.
+    CalibrationError
+        If the given calibration cannot be used.
+    """
+    if calibration is not None:
+        read_calibration(calibration)  # refused here, once
+    items = find_items(Path(source))
+    chosen = None if calibration is None else str(Path(calibration).resolve())
+    job = BatchJob(str(Path(output).resolve()), Mode(mode).value, mosaic, chosen)
+    items = [BatchItem(item.name, str(Path(item.recording).resolve())) for item in items]
+    tasks = [(item, stage) for item in items for stage in job.stages]
+    with _client(scheduler, workers) as client:
+        open_output(job)
+        announce(client.dashboard_link)
+        found = _executed(client, tasks, job, progress)
+    rows = [_row(item, [found[item.name, stage] for stage in job.stages]) for item in items]
+    _write_table(Path(job.output, "table.csv"), rows)
+    pictures = [(row["name"], _picture(job, row)) for row in rows if not row[ERROR]]
+    if pictures:
+        save_figure(draw_batch_sheet(pictures), Path(job.output, "contact-sheet.png"), force=True)
+    return BatchResult(rows, _notes(rows))
+
+
+@contextmanager
+def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
+    with extra_needed("batch", "batches"):
+        from distributed import Client, LocalCluster
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
+        except (OSError, ValueError, TypeError) as error:  # no answer, or no address
+            raise InputError(
+                f"no scheduler answers at {scheduler} ({type(error).__name__})",
+                "start one with `dask scheduler`, or leave --scheduler out",
+            ) from None
+        with client:
+            yield client
+        return
+    local = {"host": LOCAL, "dashboard_address": f"{LOCAL}:0", "threads_per_worker": 1, "processes": True}
+    with LocalCluster(n_workers=workers, silence_logs="ERROR", **local) as cluster, Client(cluster) as client:
+        yield client
+
+
+def _executed(
+    client: Any, tasks: list[tuple[BatchItem, str]], job: BatchJob, progress: Progress
+) -> dict[tuple[str, str], Values]:
+    """Execute all tasks, and return what each found by the recording's name and the stage."""
+    from distributed import as_completed
+
+    futures = {client.submit(run_stage, stage, item, job, pure=False): (item.name, stage) for item, stage in tasks}
+    found: dict[tuple[str, str], Values] = {}
+    for _, future in zip(progress(range(len(futures)), "Batch"), as_completed(futures), strict=False):
+        error = future.exception()  # a defect, or a worker that was killed again and again
+        found[futures[future]] = future.result() if error is None else {ERROR: f"{type(error).__name__}: {error}"}
+    return found
+
+
+def _row(item: BatchItem, found: list[Values]) -> Values:
+    row: Values = dict.fromkeys(COLUMNS, "") | {"recording": item.recording, "name": item.name}
+    for values in found:
+        row |= {name: value for name, value in values.items() if name != ERROR}
+    row[ERROR] = "; ".join(dict.fromkeys(values[ERROR] for values in found if ERROR in values))
+    return row
+
+
+def _write_table(path: Path, rows: list[Values]) -> None:
+    with replacing(path, force=True) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, COLUMNS)
+        table.writeheader()
+        table.writerows(rows)
+
+
+def _picture(job: BatchJob, row: Values) -> Path:
+    return Path(job.output, row["name"], "mosaic.ome.tif" if job.mosaic else job.images_name)
+
+
+def _notes(rows: list[Values]) -> tuple[str, ...]:
+    used = {row["calibration"].rpartition("(")[2] for row in rows if row["calibration"]}
+    if len(used) < 2:
+        return ()
+    return (f"the recordings have {len(used)} different calibrations: compare grey levels and lengths with care",)

@@ -1,0 +1,125 @@
+"""Stages of a recording in a batch, executed by a worker: its sectioned images; its track and mosaic."""
+
+from __future__ import annotations
+
+import hashlib
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from napari_elsplus.errors import CalibrationError, ElsPlusError, error_message
+from napari_elsplus.io import Recording, open_recording, read_calibration
+from napari_elsplus.io.calibrations import format_calibration
+from napari_elsplus.workflows.mosaicing import mosaic
+from napari_elsplus.workflows.sectioning import section
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.io import TrackPoint
+    from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, Values
+
+ERROR: Final = "error"
+"""Key of a failed stage's message."""
+
+
+def run_stage(stage: str, item: BatchItem, job: BatchJob) -> Values:
+    """Return what a stage finds in a recording: from an earlier run's record, or by executing it.
+
+    Parameters
+    ----------
+    stage : str
+        ``"section"`` or ``"mosaic"``.
+    item : BatchItem
+        The recording.
+    job : BatchJob
+        What is made of it.
+
+    Returns
+    -------
+    dict
+        Columns of the recording's row in the table; a message under :data:`ERROR` if it failed.
+    """
+    try:
+        found = item.recall(job, stage)
+        if found is None:
+            _remove_unfinished(item.folder(job))
+            with open_recording(item.recording) as recording:
+                found = _STAGES[stage](item, job, recording)
+            item.remember(job, stage, found)
+    except (ElsPlusError, OSError) as error:
+        return {ERROR: error_message(error)}
+    return found
+
+
+def _section(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
+    calibration, source = _calibration(job, recording)
+    images = section(recording, calibration, job.mode)
+    folder = _made(item.folder(job))
+    images.save(folder / job.images_name, force=True)
+    return {"calibration": source, "images": len(images), "contrast": _contrast(images[len(images) // 2])}
+
+
+def _mosaic(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
+    calibration, source = _calibration(job, recording)
+    result = mosaic(recording, calibration, job.mode, threads=1)
+    folder = _made(item.folder(job))
+    result.save(folder / "mosaic.ome.tif", folder / "track.csv", force=True)
+    um = np.nan if result.um_per_px is None else result.um_per_px
+    return {
+        "calibration": source,
+        "frames": len(result.track),
+        "tracked": sum(point.state == "tracked" for point in result.track),
+        "segments": result.segments,
+        "path_um": _path_um(result.track),
+        "area_um2": float(np.count_nonzero(result.image)) * um**2,
+        "warnings": "; ".join(result.notes),
+    }
+
+
+_STAGES: Final = {"section": _section, "mosaic": _mosaic}
+
+
+def _calibration(job: BatchJob, recording: Recording) -> tuple[Calibration, str]:
+    """Return the calibration of a recording and, for the table, its file or where it was found, with its digest."""
+    if job.calibration is not None:
+        found, file = read_calibration(job.calibration), Path(job.calibration)
+    else:
+        own, beside = recording.find_calibration()
+        if own is None:
+            raise CalibrationError("no calibration lies beside the recording or in it", "give one with -c")
+        found, file = own, beside or recording.path
+    digest = hashlib.sha256(format_calibration(found).encode()).hexdigest()[:8]
+    return found, f"{file.name} ({digest})"
+
+
+def _contrast(image: NDArray[np.float32]) -> float:
+    """Return the standard deviation of an image (n, n) over its mean, within 90 % of the disc's diameter."""
+    side = len(image)
+    away_px = np.arange(side) - (side - 1) / 2
+    inside = image[np.hypot(away_px[:, None], away_px) < 0.45 * side]
+    mean = float(np.nanmean(inside))
+    return float(np.nanstd(inside)) / mean if mean > 0 else float("nan")
+
+
+def _path_um(track: Sequence[TrackPoint]) -> float:
+    """Return the length of the path within segments, micrometres; NaN without a scale or a tracked pair."""
+    tracked: list[Any] = [point for point in track if point.state == "tracked"]
+    steps = [np.hypot(b.row_um - a.row_um, b.col_um - a.col_um) for a, b in pairwise(tracked) if a.segment == b.segment]
+    return float(np.sum(steps)) if steps else float("nan")
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _remove_unfinished(folder: Path) -> None:
+    """Remove what a killed worker has left: files that were never renamed."""
+    for file in folder.glob(".????????.*"):
+        file.unlink(missing_ok=True)

@@ -1,0 +1,50 @@
+"""Contact sheet of a batch: one small picture for each recording."""
+
+from __future__ import annotations
+
+from math import ceil, sqrt
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from napari_elsplus.io import open_recording
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+MAX_SIDE: Final = 256
+"""Pixels of a picture's longer side at most; chosen: a sheet of a hundred is then 3000 pixels wide."""
+
+
+def draw_batch_sheet(pictures: Sequence[tuple[str, Path]]) -> Figure:
+    """Draw the middle image of each file, each between its own dark and bright levels.
+
+    Parameters
+    ----------
+    pictures : sequence of (str, pathlib.Path)
+        Name and file of each recording: a mosaic, or a stack of images.
+    """
+    columns = ceil(sqrt(len(pictures)))
+    rows = ceil(len(pictures) / columns)
+    figure = Figure(figsize=(2.2 * columns, 2.4 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for plot, (name, file) in zip(axes, pictures, strict=False):
+        image = _small(file)
+        seen = image[np.isfinite(image) & (image != 0)]
+        low, high = np.quantile(seen, (0.01, 0.995)) if seen.size else (0.0, 1.0)
+        plot.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="antialiased")
+        plot.set_title(name, fontsize=7)
+    for plot in axes:
+        plot.set_axis_off()
+    return figure
+
+
+def _small(file: Path) -> NDArray[np.float32]:
+    with open_recording(file) as stack:
+        image = np.asarray(stack[len(stack) // 2], np.float32)
+    step = max(1, ceil(max(image.shape) / MAX_SIDE))
+    return image[::step, ::step]

@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, find_items, open_output
+
+
+def touched(*paths: Path) -> list[Path]:
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"II*\0")
+    return list(paths)
+
+
+def job(output: Path, **changes: object) -> BatchJob:
+    return replace(BatchJob(str(output), "els", mosaic=True, calibration=None), **changes)  # type: ignore[arg-type]
+
+
+def test_a_folder_gives_its_recordings_and_nothing_else(tmp_path: Path) -> None:
+    touched(tmp_path / "b.ome.tif", tmp_path / "a.tif", tmp_path / "sub" / "c.tif", tmp_path / ".hidden.tif")
+    (tmp_path / "a.calibration.json").write_text("{}")
+    (tmp_path / "notes.txt").write_text("")
+    assert [item.name for item in find_items(tmp_path)] == ["a", "b"]
+
+
+def test_a_list_is_relative_to_itself_and_names_alike_get_their_folders(tmp_path: Path) -> None:
+    files = touched(*(tmp_path / name for name in ("monday/scan.tif", "tuesday/scan.tif", "other.tif")))
+    names = tmp_path / "list.txt"
+    names.write_text(f"# a comment\nmonday/scan.tif\n\n{files[1]}\nother.tif\n", encoding="utf-8")
+    items = find_items(names)
+    assert [item.name for item in items] == ["monday-scan", "tuesday-scan", "other"]
+    assert [Path(item.recording) for item in items] == files
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [("", "names no recordings"), ("a/scan.tif\na/scan.tif\n", "two recordings are called a-scan")],
+)
+def test_lists_that_cannot_be_used_are_refused(tmp_path: Path, content: str, problem: str) -> None:
+    (tmp_path / "list.txt").write_text(content)
+    with pytest.raises(InputError, match=problem):
+        find_items(tmp_path / "list.txt")
+
+
+def test_sources_that_are_neither_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no folder or list"):
+        find_items(tmp_path / "absent")
+    (scan,) = touched(tmp_path / "scan.tif")
+    with pytest.raises(InputError, match="is one recording"):
+        find_items(scan)
+    np.arange(300, dtype=np.uint8).tofile(tmp_path / "binary")
+    with pytest.raises(InputError, match="no text"):
+        find_items(tmp_path / "binary")
+
+
+def test_a_stage_is_recalled_only_for_the_same_file(tmp_path: Path) -> None:
+    (scan,) = touched(tmp_path / "scan.tif")
+    made, item = job(tmp_path / "out"), BatchItem("scan", str(scan))
+    open_output(made)
+    assert item.recall(made, "section") is None
+    item.remember(made, "section", {"images": 3})
+    assert item.recall(made, "section") == {"images": 3}
+    assert item.recall(made, "mosaic") is None
+    scan.write_bytes(b"another recording")
+    assert item.recall(made, "section") is None
+
+
+def test_an_output_folder_is_resumed_by_the_same_job_only(tmp_path: Path) -> None:
+    calibration = tmp_path / "cal.json"
+    calibration.write_text("{}")
+    first = job(tmp_path / "out", calibration=str(calibration))
+    open_output(first)
+    open_output(first)
+    for other in (replace(first, mode="ls"), replace(first, mosaic=False), replace(first, calibration=None)):
+        with pytest.raises(InputError, match="another job"):
+            open_output(other)
+    calibration.write_text('{"measured": "anew"}')
+    with pytest.raises(InputError, match="another job"):
+        open_output(first)
+    with pytest.raises(InputError, match="other files"):
+        open_output(job(tmp_path))

@@ -1,0 +1,156 @@
+"""A batch gives what single runs give, survives a broken recording, and does nothing twice."""
+
+from __future__ import annotations
+
+import csv
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+
+from napari_elsplus.cli import elsplus
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import open_recording, read_track, write_calibration
+from napari_elsplus.workflows.batch import run, stages
+from napari_elsplus.workflows.batch.run import batch
+from napari_elsplus.workflows.mosaicing import mosaic
+from napari_elsplus.workflows.sectioning import section
+from napari_elsplus.workflows.simulated import simulate_recording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three recordings of four frames, the second of which is no TIFF."""
+    folder = tmp_path_factory.mktemp("season")
+    for name, seed in (("a", 1), ("c", 2)):
+        made = simulate_recording(frames=4, seed=seed)
+        tifffile.imwrite(folder / f"{name}.tif", np.stack(list(made)), photometric="minisblack")
+        write_calibration(folder / f"{name}.calibration.json", made.calibration)
+    (folder / "b.tif").write_bytes(b"not a TIFF at all")
+    return folder
+
+
+class Task:
+    """A future of :class:`InlineClient`."""
+
+    def __init__(self, result: Callable[[], Any]) -> None:
+        self.result = result
+
+    def exception(self) -> None:
+        return None
+
+
+class InlineClient:
+    """Executes tasks in this process, one after the other, as they are waited for."""
+
+    dashboard_link = "http://127.0.0.1:1/status"
+
+    def submit(self, function: Callable[..., Any], *arguments: Any, pure: bool) -> Task:
+        assert not pure
+        return Task(partial(function, *arguments))
+
+
+@pytest.fixture
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    @contextmanager
+    def client(*_: object) -> Iterator[InlineClient]:
+        yield InlineClient()
+
+    monkeypatch.setattr(run, "_client", client)
+    monkeypatch.setattr("distributed.as_completed", list)
+
+
+def test_a_batch_on_a_worker_gives_what_single_runs_give(recordings: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["batch", str(recordings), "--mosaic", "-o", str(out), "--workers", "1"]
+    done = CliRunner().invoke(elsplus, words)
+    assert done.exit_code == 1
+    assert "2 of 3 recordings done" in done.output
+    assert "failed: b: " in done.output
+    assert "dashboard: http://127.0.0.1:" in done.output
+    rows = {row["name"]: row for row in csv.DictReader((out / "table.csv").read_text(encoding="utf-8").splitlines())}
+    assert set(rows) == {"a", "b", "c"}
+    assert rows["b"]["error"]
+    assert (out / "contact-sheet.png").stat().st_size > 10_000
+    with open_recording(recordings / "a.tif") as raw:
+        calibration = raw.calibration
+        assert calibration is not None
+        single = mosaic(raw, calibration)
+        images = section(raw, calibration)[:]
+    assert (tifffile.imread(out / "a" / "els.ome.tif") == images).all()
+    assert (tifffile.imread(out / "a" / "mosaic.ome.tif", key=0) == single.image).all()
+    assert [(p.row_px, p.state) for p in read_track(out / "a" / "track.csv")] == [
+        (p.row_px, p.state) for p in single.track
+    ]
+    assert rows["a"]["images"] == "4"
+    assert rows["a"]["tracked"] == str(sum(point.state == "tracked" for point in single.track))
+
+
+@pytest.mark.usefixtures("inline")
+def test_a_batch_is_resumed_without_doing_anything_twice(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    executed: list[str] = []
+    killed_at = ["c mosaic"]
+
+    def counted(stage: str, made: Callable[..., Any]) -> Callable[..., Any]:
+        def execute(item: Any, job: Any, recording: Any) -> Any:
+            if f"{item.name} {stage}" in killed_at:
+                killed_at.clear()
+                raise KeyboardInterrupt
+            executed.append(f"{item.name} {stage}")
+            return made(item, job, recording)
+
+        return execute
+
+    whole = dict(stages._STAGES)
+    monkeypatch.setattr(stages, "_STAGES", {name: counted(name, stage) for name, stage in whole.items()})
+    out = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        batch(recordings, out, mosaic=True)
+    assert executed == ["a section", "a mosaic", "c section"]
+    left = out / "c" / ".deadbeef.els.ome.tif"
+    left.write_bytes(b"what a killed worker left")
+    result = batch(recordings, out, mosaic=True)
+    assert executed == ["a section", "a mosaic", "c section", "c mosaic"]
+    assert [row["name"] for row in result.failed] == ["b"]
+    assert not left.exists()
+
+
+@pytest.mark.usefixtures("inline")
+def test_different_calibrations_are_noted_and_a_missing_one_fails_its_recording(
+    recordings: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for name in ("a.tif", "a.calibration.json", "c.tif"):
+        (folder / name).write_bytes((recordings / name).read_bytes())
+    with open_recording(recordings / "a.tif") as raw:
+        other = raw.calibration
+    assert other is not None
+    result = batch(folder, tmp_path / "out")
+    assert "no calibration lies beside" in result.failed[0]["error"]
+    assert result.notes == ()
+    write_calibration(folder / "c.calibration.json", other.model_copy(update={"created": "2026-01-01T00:00:00Z"}))
+    result = batch(folder, tmp_path / "out")
+    assert result.failed == []
+    assert "2 different calibrations" in result.notes[0]
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "SCHEDULER_TIMEOUT_S", 0.2)
+    with pytest.raises(InputError, match=r"no scheduler answers at tcp://127\.0\.0\.1:9"):
+        batch(recordings, tmp_path / "out", scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(InputError, match="no scheduler answers at nonsense"):
+        batch(recordings, tmp_path / "out", scheduler="nonsense:x")
+    assert not (tmp_path / "out").exists()
