@@ -12,7 +12,8 @@ from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
-from napari_elsplus.processing.tracking.pose_graph.live_graph import LiveGraph
+from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
+from napari_elsplus.processing.tracking.pose_graph.node_registration import FrameRegistration
 from napari_elsplus.processing.tracking.pose_graph.prepared_frames import RecentFrames
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
 
@@ -34,9 +35,9 @@ RESTING_S: Final = 1.0
 TIME_SHARE: Final = 0.02
 """Largest share of the time that is spent on solving and re-rendering; chosen: leaves the cores to the stream."""
 QUEUE_LIMIT: Final = 4
-"""With more nodes waiting than this, other segments are not searched; chosen: less than a second behind."""
-_EDGES_AT_REST: Final = 100
-"""Edges tested again in a second after a rotation was found; chosen: a fifth of a second's work."""
+"""With more nodes waiting than this, the search in other segments is deferred; chosen: less than a second behind."""
+_REGISTRATIONS_AT_REST: Final = 100
+"""Deferred registrations of each kind in a second at rest; chosen: a few tenths of a second's work."""
 _MAX_PREPARED: Final = 64
 """Frames kept prepared for registration; chosen: the neighbours of a node."""
 _POLL_S: Final = 0.1
@@ -113,7 +114,7 @@ class LoopClosureThread(Thread):
         super().__init__(name="loops", daemon=True)
         self._track = track
         self._registrar = Registrar(grid)
-        self._graph = LiveGraph(self._registrar, self._prepare)
+        self._graph = PoseGraph(grid, FrameRegistration(self._registrar), self._prepare)
         self._kept: dict[int, Keyframe] = {}
         self._prepared = RecentFrames(self._registrar, _MAX_PREPARED)
         self._queue: SimpleQueue[NewNode | Event | int | None] = SimpleQueue()
@@ -159,15 +160,15 @@ class LoopClosureThread(Thread):
             try:
                 item = self._queue.get(timeout=RESTING_S)
             except Empty:
-                self._changed |= self._graph.ask_again(_EDGES_AT_REST)
+                self._changed |= self._graph.register_deferred(_REGISTRATIONS_AT_REST)
                 self._correct(DISPLACEMENT_LIMIT_AT_REST_PX)
                 continue
             if isinstance(item, Event):
-                self._changed |= self._graph.ask_again()
+                self._changed |= self._graph.register_deferred()
                 self._correct(DISPLACEMENT_LIMIT_AT_REST_PX)
                 item.set()
             elif isinstance(item, int):
-                self._graph.forget(item)
+                self._graph.remove(item)
                 self._removals += 1
                 self._changed = True
             elif item is not None:
@@ -183,7 +184,7 @@ class LoopClosureThread(Thread):
         self.count = self._graph.closed
         if self._track.crowded:
             self._kept = {one.frame: one for one in self._track.thin(self._graph.corrections)}
-        self._graph.thin(lambda node: node.frame in self._kept)
+        self._graph.marginalise(lambda node: node.frame in self._kept)
 
     def _correct(self, limit_px: float) -> None:
         """Solve the pose graph, and correct the track."""

@@ -254,13 +254,13 @@ class LiveTrack:
         return (ElsaInsertion if mode is Mode.ELSA else LiveInsertion)(pipeline, max_keyframes, board, image)
 
     def _insert(self, found: TrackedFrame, raw: NDArray[np.uint8], image: NDArray[np.float32]) -> None:
-        node = None
+        nodes = []
         if found.pose.state is TrackingState.TRACKED and self._loop_closure is not None:
-            node = self._selector.add(found.frame, found.pose, self.pipeline.newest_registration)
+            nodes = self._selector.add(found.frame, found.pose, self.pipeline.newest_registration)
         for mode, insertion in self._insertions.items():
             tracked = mode is self._plan.tracked
-            insertion.add(found, raw, image if tracked else None, keep=tracked and node is not None)
-            if tracked and node is not None and self._loop_closure is not None:
+            insertion.add(found, raw, image if tracked else None, keep=tracked and bool(nodes))
+            for node in nodes if tracked else ():
                 self._queue_node(NewNode(node, insertion.kept.recent(node.frame), self.pipeline.motion_model))
 
     def _queue_node(self, new: NewNode) -> None:

@@ -1,4 +1,4 @@
-"""Nodes along the track: the few frames by which it is remembered while the probe moves on."""
+"""Selection of the nodes of the pose graph from the track."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.tracking.pose_graph.loop_closure import KEY_SPACING, LINK_STRETCH_PX, edge_covariance
+from napari_elsplus.processing.tracking.pose_graph.node_registration import LINK_STRETCH_PX, edge_covariance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,28 +16,29 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
 
+KEY_SPACING: Final = 0.25
+"""Path between two nodes, bundle diameters; chosen: neighbours share 0.7 of the field."""
 _DRIFT: Final = 0.001
-"""Part of the path by which links may be off in one direction; rows per frame wrong by 3 % make it so much."""
+"""Systematic error of registrations, fraction of the path; derived: that of line periods per frame off by 3 %."""
 
 
 class Node(NamedTuple):
-    """A frame that is kept in mind.
+    """A frame in the pose graph.
 
     Parameters
     ----------
     frame : int
         Its number.
     pose : Pose
-        Where the tracker has it.
+        As tracked.
     gone_px : float
         Path since the node before, pixels of the tracking grid.
     covariance : numpy.ndarray
         (2, 2) of its displacement from the node before, pixels squared.
     turn_sigma : float
-        Of its angle against the node before; 1 where no rotation was asked for.
+        Standard deviation of its angle against the node before, radians; 1 where no rotation was modelled.
     upright : tuple of int and Pose, optional
-        The tracked frame before, and where the tracker has it, if from this one on it models rotation: up to there it
-        knew of no angle.
+        The tracked frame before and its pose, if rotation is modelled from this node on: up to there no angle is known.
     """
 
     frame: int
@@ -49,12 +50,12 @@ class Node(NamedTuple):
 
 
 class KeyframeSelector:
-    """Finds nodes, a quarter of a bundle diameter apart; costs next to nothing for the frames between them.
+    """Selects nodes a quarter of a bundle diameter apart.
 
     Parameters
     ----------
     grid : Grid
-        On which frames are tracked.
+        Tracking grid.
     """
 
     def __init__(self, grid: Grid) -> None:
@@ -67,48 +68,46 @@ class KeyframeSelector:
         self._gone = 0.0
         self._since: list[PairRegistration] = []
 
-    def add(self, frame: int, pose: Pose, link: tuple[int, int, PairRegistration] | None) -> Node | None:
-        """Take in a tracked frame; return it as a node if it is one, or the very first, once that is known to be one.
+    def add(self, frame: int, pose: Pose, link: tuple[int, int, PairRegistration] | None) -> list[Node]:
+        """Return the nodes that a tracked frame adds: none, itself, or with it the first frame of its segment.
 
         Parameters
         ----------
         frame : int
             Its number.
         pose : Pose
-            Where the tracker has it.
+            As tracked.
         link : tuple, optional
-            How the tracker came to that: the earlier and the later frame, by its own count, and the link between them.
+            Earlier and later frame by the tracker's count, and their registration, of which the pose follows.
         """
         known, self._before = self._before, (frame, pose)
-        before = None if known is None else known[1]
-        if before is None or before.segment != pose.segment:
-            if isnan(pose.score):
-                return None  # the first of all: only the next one tells its velocity
+        if known is None or known[1].segment != pose.segment:
             self._newest = self._node = link
             self._gone, self._since = 0.0, []
-            return Node(frame, pose, 0.0, np.eye(2), 1.0)
+            # the velocity of a first frame without a registration follows from the next one
+            return [] if isnan(pose.score) else [Node(frame, pose, 0.0, np.eye(2), 1.0)]
+        nodes, before = [], known[1]
         self._gone += hypot(pose.row - before.row, pose.col - before.col)
-        if known is not None and link is not None and isnan(before.score):
-            self._newest = link
+        if link is not None and isnan(before.score):
             velocity, _ = self._shutter.velocities(link[2].warp)
-            return Node(known[0], before._replace(velocity=velocity), 0.0, np.eye(2), 1.0)
+            nodes.append(Node(known[0], before._replace(velocity=velocity), 0.0, np.eye(2), 1.0))
         newest, self._newest = self._newest, link
         if link is not None and newest is not None and link[0] != newest[0]:
-            self._since.append(newest[2])  # frames hang from a newer one now, which hangs by that
-        noticed = pose.angle != 0 and before.angle == 0
-        if self._gone < self._spacing_px and not noticed:
-            return None
+            self._since.append(newest[2])  # frames are registered to a newer one now, which was registered by that
+        begins_to_turn = pose.angle != 0 and before.angle == 0
+        if self._gone < self._spacing_px and not begins_to_turn:
+            return nodes
         node = Node(frame, pose, self._gone, *self._spread())
-        if noticed:  # what the angles differ by is not what the probe turned by since
+        if begins_to_turn:  # the angle that was added is not what the probe turned by since
             node = node._replace(turn_sigma=1.0, upright=known)
         self._node, self._gone, self._since = link, 0.0, []
-        return node
+        return [*nodes, node]
 
     def _spread(self) -> tuple[NDArray[np.float64], float]:
-        """How far the newest frame may be off, seen from the node before: over the links between them."""
+        """Return the covariance of the newest frame's displacement from the node before, and its angle's deviation."""
         links = [] if self._newest is None else [*self._since, self._newest[2]]
         if self._node is not None and links:
-            if links[0] is not self._node[2]:  # both hang from the same frame
+            if links[0] is not self._node[2]:  # both are registered to the same frame
                 links.append(self._node[2])
             elif len(links) > 1:
                 links = links[1:]

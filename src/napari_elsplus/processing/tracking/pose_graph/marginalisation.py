@@ -1,4 +1,4 @@
-"""A graph that stays small however long the path: nodes are let go, and what linked them links their neighbours."""
+"""Marginalisation of nodes: their edges are composed into edges between the retained nodes."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 
 def retained_nodes(
-    path: NDArray[np.float64], segment: NDArray[np.int64], free: NDArray[np.bool_], most: int
+    path: NDArray[np.float64], segment: NDArray[np.int64], free: NDArray[np.bool_], count: int
 ) -> NDArray[np.bool_]:
-    """Choose nodes to be let go, so that those that stay lie evenly along the path; ends of segments stay.
+    """Return the nodes to retain, so that they lie evenly along the path; ends of segments are retained.
 
     Parameters
     ----------
     path : numpy.ndarray
-        (n,) how far along the path each node lies, in their order.
+        (n,) path up to each node, in their order.
     segment : numpy.ndarray
         (n,) of the tracker.
     free : numpy.ndarray
-        (n,) bool: which may be let go.
-    most : int
-        How many shall be left, if there are enough that may go.
+        (n,) bool: True for nodes that may be marginalised.
+    count : int
+        Number of nodes to retain, if enough are free.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def retained_nodes(
     [True, False, False, False, True, True, True]
     """
     stays = np.ones(len(path), bool)
-    surplus = len(path) - most
+    surplus = len(path) - count
     while surplus > 0:
         left = np.flatnonzero(stays)
         before, here, after = left[:-2], left[1:-1], left[2:]
@@ -65,7 +65,7 @@ def retained_nodes(
 def linked_anew(
     chain: Sequence[Edge], loops: Sequence[Edge], stays: NDArray[np.bool_]
 ) -> tuple[list[Edge], list[Edge]]:
-    """Link the nodes that stay by what linked all of them; of links between the same two the surest is kept.
+    """Return the edges between retained nodes; of several between the same two the most accurate is kept.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def linked_anew(
     loops : sequence of Edge
         Others, from earlier to later nodes.
     stays : numpy.ndarray
-        (n,) bool: which nodes stay. The first and the last of each segment do.
+        (n,) bool: True for retained nodes. The first and the last of each segment are.
 
     Returns
     -------
@@ -93,18 +93,18 @@ def linked_anew(
     for edge in reversed(chain):
         if not stays[edge.earlier]:
             onwards[edge.earlier] = edge if stays[edge.later] else joined(edge, onwards[edge.later])
-    surest: dict[tuple[int, int], Edge] = {}
+    best: dict[tuple[int, int], Edge] = {}
     for edge in loops:
         whole = edge if stays[edge.earlier] else joined(up_to[edge.earlier], edge)
         whole = whole if stays[edge.later] else joined(whole, onwards[edge.later])
         ends = whole.earlier, whole.later
-        if ends not in surest or np.trace(whole.covariance) < np.trace(surest[ends].covariance):
-            surest[ends] = whole
-    return left, list(surest.values())
+        if ends not in best or np.trace(whole.covariance) < np.trace(best[ends].covariance):
+            best[ends] = whole
+    return left, list(best.values())
 
 
 def joined(first: Edge, second: Edge) -> Edge:
-    """Return what two links, one after the other, say of the frames at their ends.
+    """Return the composition of two edges, one after the other.
 
     Parameters
     ----------

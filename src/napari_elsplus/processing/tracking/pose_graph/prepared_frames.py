@@ -1,4 +1,4 @@
-"""Prepared views of many frames, of which memory holds the few that were asked for last."""
+"""Cache of prepared frames: the ones that were used last."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ if TYPE_CHECKING:
 
 
 class RecentFrames:
-    """The views that were asked for last; used by one thread.
+    """The prepared frames that were used last; used by one thread.
 
     Parameters
     ----------
     registrar : Registrar
         Prepares them.
-    most : int
-        How many are held; the memory of the one that was not asked for longest is used again.
+    limit : int
+        How many are held; the memory of the least recently used one is used again.
     """
 
-    def __init__(self, registrar: Registrar, most: int) -> None:
-        self._registrar, self._most = registrar, most
+    def __init__(self, registrar: Registrar, limit: int) -> None:
+        self._registrar, self._limit = registrar, limit
         self._views: OrderedDict[int, PreparedFrame] = OrderedDict()
 
     def get(self, index: int) -> PreparedFrame | None:
-        """Return a frame's view if it is held.
+        """Return a prepared frame if it is held.
 
         Parameters
         ----------
@@ -43,7 +43,7 @@ class RecentFrames:
         return self._views[index]
 
     def add(self, index: int, fill: Callable[[NDArray[np.float32]], object]) -> PreparedFrame:
-        """Prepare and hold the view of a frame, whose image `fill` writes into an array.
+        """Prepare and hold a frame whose image `fill` writes into an array.
 
         Parameters
         ----------
@@ -52,7 +52,7 @@ class RecentFrames:
         fill : callable
             Writes its image into an array.
         """
-        view = self._views.popitem(last=False)[1] if len(self._views) >= self._most else self._registrar.view()
+        view = self._views.popitem(last=False)[1] if len(self._views) >= self._limit else self._registrar.view()
         fill(view.image)
         self._views[index] = self._registrar.prepare(view)
         return view

@@ -1,4 +1,4 @@
-"""A finished track made better: loops closed, segments joined, errors shared out, nothing left that was guessed."""
+"""Pose graph of a finished track: loops closed, segments joined, predicted frames interpolated."""
 
 from __future__ import annotations
 
@@ -8,8 +8,14 @@ import numpy as np
 
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
-from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, Place, least_squares, least_squares_places
-from napari_elsplus.processing.tracking.pose_graph.loop_closure import LINK_STRETCH_PX, LoopCloser, edge_covariance
+from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
+from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector
+from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, Place, least_squares
+from napari_elsplus.processing.tracking.pose_graph.node_registration import (
+    LINK_STRETCH_PX,
+    FrameRegistration,
+    edge_covariance,
+)
 from napari_elsplus.processing.tracking.pose_graph.rotation_review import review_rotation, turned_links
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
@@ -23,87 +29,125 @@ if TYPE_CHECKING:
         Registrar,
     )
 
+    Links = Sequence[tuple[int, int, Displacement, PairRegistration]]
+    """Earlier and later frame, displacement in the later one's orientation, and registration."""
+
 _NOWHERE: Final = Velocity(np.nan, np.nan)
+_SOLVED_AT: Final = 1.1
+"""Factor by which the number of nodes grows between two solutions; chosen, so that their cost stays linear."""
 
 
 def refine(
     poses: Sequence[Pose],
-    links: Sequence[tuple[int, int, Displacement, PairRegistration]],
+    links: Links,
     registrar: Registrar,
     view: Callable[[int], PreparedFrame],
-    rung: MotionModel = MotionModel.TRANSLATION,
+    model: MotionModel = MotionModel.TRANSLATION,
 ) -> list[Pose]:
-    """Close loops, join segments and solve for all positions at once.
+    """Return the poses of the solved pose graph: loops closed, segments joined.
 
     Parameters
     ----------
     poses : sequence of Pose
-        What the tracker made of every frame.
+        As tracked, one for every frame.
     links : sequence of tuple
-        The tracker's links.
+        The tracker's registrations.
     registrar : Registrar
         Of the same grid.
     view : callable
-        Returns the prepared view of a frame by its index.
-    rung : MotionModel
-        What the frames asked for while they came. All links are asked once more, and if the probe turned, those from
+        Returns the prepared frame of an index.
+    model : MotionModel
+        As selected while frames came. All registrations are tested once more, and if the probe turned, those from
         before that was noticed are corrected.
 
     Returns
     -------
     list of Pose
-        One for every frame. Segments that were recognised as one carry the earlier one's number; predicted frames lie
+        One for every frame. Segments that were joined carry the number of the first; predicted frames are interpolated
         between tracked ones, and those after the last of a segment are lost.
     """
     settled = with_origins(settle(poses, links), links, registrar.grid.shutter)
-    tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is TrackingState.TRACKED}
+    if model is MotionModel.TRANSLATION:
+        model = review_rotation(links, registrar, view)
+    if model is not MotionModel.TRANSLATION:
+        links = turned_links(links, settled, registrar, view, model)
     stretch = LINK_STRETCH_PX / registrar.grid.shutter.line_periods_per_frame
-    if rung is MotionModel.TRANSLATION:
-        rung = review_rotation(links, registrar, view)
-    if rung is not MotionModel.TRANSLATION:
-        links = turned_links(links, settled, registrar, view, rung)
+    tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is TrackingState.TRACKED}
     edges = [
         Edge(a, b, (moved.row, moved.col), edge_covariance(link, stretch), link.turn, link.zoom, link.turn_sigma)
         for a, b, moved, link in links
         if tracked.get(a, -1) == tracked.get(b, -2)
     ]
-    if rung is not MotionModel.TRANSLATION:
-        settled = _relaid(settled, edges, tracked)
-    closer = LoopCloser(registrar, view, settled, rung)
-    segments = sorted(set(tracked.values()))
-    belongs = {segment: segment for segment in segments}
-    for n, segment in enumerate(segments):
-        edges += closer.close(segment)
-        for earlier in segments[:n]:
-            bridge = closer.join(earlier, segment)
-            if bridge:
-                edges += bridge
-                belongs[segment] = belongs[earlier]
-                break
+    if model is not MotionModel.TRANSLATION:
+        settled = relocated(settled, edges, model)
+    graph = finished_graph(settled, links, registrar, view, model)
+    joined = [pose._replace(segment=graph.correction(pose.segment).segment) for pose in settled]
+    return interpolate(relocated(joined, [*edges, *graph.loops], model))
+
+
+def finished_graph(
+    poses: Sequence[Pose],
+    links: Links,
+    registrar: Registrar,
+    view: Callable[[int], PreparedFrame],
+    model: MotionModel = MotionModel.TRANSLATION,
+) -> PoseGraph:
+    """Return the pose graph of a finished track, all its nodes registered.
+
+    Parameters
+    ----------
+    poses, links, registrar, view, model
+        As of :func:`refine`, the poses with velocities and angles of all tracked frames.
+    """
+    graph = PoseGraph(registrar.grid, FrameRegistration(registrar), lambda number: view(graph.nodes[number].frame))
+    selector = KeyframeSelector(registrar.grid)
+    registered = {later: (earlier, later, link) for earlier, later, _, link in links}
+    solved = 0
+    for frame, pose in enumerate(poses):
+        if pose.state is not TrackingState.TRACKED:
+            continue
+        for node in selector.add(frame, pose, registered.get(frame)):
+            graph.add(node, model)
+        if len(graph.nodes) > _SOLVED_AT * solved:
+            graph.solve()
+            solved = len(graph.nodes)
+    graph.register_deferred()
+    return graph
+
+
+def relocated(poses: Sequence[Pose], edges: Sequence[Edge], model: MotionModel) -> list[Pose]:
+    """Return poses solved for by edges: segments counted from 0, the first frame of each at (0, 0) and upright.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        One for every frame.
+    edges : sequence of Edge
+        Between tracked frames of the same segment.
+    model : MotionModel
+        Model beside translations.
+    """
+    firsts: dict[int, int] = {}
+    for k, pose in enumerate(poses):
+        if pose.state is TrackingState.TRACKED:
+            firsts.setdefault(pose.segment, k)
+    number = {segment: k for k, segment in enumerate(sorted(firsts))}
     places: dict[int, Place] = {}
-    for group in set(belongs.values()):
-        first = min(k for k, segment in tracked.items() if belongs[segment] == group)
-        places |= least_squares(edges, first, rung)
-    number = {group: n for n, group in enumerate(sorted(set(belongs.values())))}
-    moved = [_moved(pose, places.get(k), number, belongs) for k, pose in enumerate(settled)]
-    return interpolate(moved)
-
-
-def _relaid(poses: Sequence[Pose], edges: Sequence[Edge], tracked: dict[int, int]) -> list[Pose]:
-    """Lay each segment by its own links, now that all of them tell how the probe turned."""
-    result = list(poses)
-    for segment in set(tracked.values()):
-        first = min(k for k, other in tracked.items() if other == segment)
-        for frame, place in least_squares_places([e for e in edges if tracked[e.earlier] == segment], first).items():
-            result[frame] = result[frame]._replace(**place._asdict())
+    for segment, first in firsts.items():
+        places |= least_squares([e for e in edges if poses[e.earlier].segment == segment], first, model)
+    result, segment = [], 0
+    for k, pose in enumerate(poses):
+        segment = number.get(pose.segment, segment)
+        place = places.get(k)
+        result.append(pose._replace(segment=segment, **({} if place is None else place._asdict())))
     return result
 
 
-def settle(poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, PairRegistration]]) -> list[Pose]:
-    """Call lost what has no place among the others, now that it is known what came after.
+def settle(poses: Sequence[Pose], links: Links) -> list[Pose]:
+    """Return the poses with frames lost that no registration locates.
 
-    That is what was predicted and never linked to a later frame of its segment; and a first frame to which nothing was
-    linked, where anything was to another: the probe was lifted then, or elsewhere.
+    These are predicted frames after the last tracked one of their segment, and a first frame to which none is
+    registered where others are: the probe was lifted then, or elsewhere.
 
     Parameters
     ----------
@@ -123,13 +167,11 @@ def settle(poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, 
     ]
 
 
-def with_origins(
-    poses: Sequence[Pose], links: Sequence[tuple[int, int, Displacement, PairRegistration]], shutter: RollingShutter
-) -> list[Pose]:
-    """Return the poses with velocity and place, from their first link, of the frames from which segments started.
+def with_origins(poses: Sequence[Pose], links: Links, shutter: RollingShutter) -> list[Pose]:
+    """Return the poses with those of the frames from which segments started, derived from their first registration.
 
-    While frames came in nothing was known of them. One that is lost becomes the segment's first frame if another lost
-    frame comes before it, so that segments stay apart.
+    While frames came their velocity and position were not known. One that is lost becomes the segment's first frame if
+    another lost frame comes before it, so that segments stay apart.
 
     Parameters
     ----------
@@ -155,7 +197,7 @@ def with_origins(
 
 
 def interpolate(poses: Sequence[Pose]) -> list[Pose]:
-    """Put predicted frames onto the line between the tracked frames around them.
+    """Return the poses with predicted ones interpolated linearly between the tracked ones around them.
 
     Parameters
     ----------
@@ -176,9 +218,3 @@ def interpolate(poses: Sequence[Pose]) -> list[Pose]:
         angle = poses[a].angle + part * (poses[b].angle - poses[a].angle)
         result[k] = pose._replace(row=row, col=col, velocity=velocity, angle=angle)
     return result
-
-
-def _moved(pose: Pose, place: Place | None, number: dict[int, int], belongs: dict[int, int]) -> Pose:
-    group = belongs.get(pose.segment)
-    segment = pose.segment if group is None else number[group]
-    return pose._replace(segment=segment) if place is None else pose._replace(segment=segment, **place._asdict())

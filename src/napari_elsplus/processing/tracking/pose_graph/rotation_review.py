@@ -1,7 +1,7 @@
-"""Whether the probe turned, asked once more of all links when the track is finished, and what it did to them.
+"""Test for rotation over all registrations of a finished track, and their correction for it.
 
-While frames come in, rotation is asked for now and then and modelled from when it shows. At the end a turn can be seen
-that was too slow to show, and the links from before it showed can be told how far they were turned.
+While frames come, rotation is tested for now and then and modelled from when it is found. At the end a rotation can be
+found that was too slow, and the angles of the registrations from before are estimated.
 """
 
 from __future__ import annotations
@@ -27,26 +27,29 @@ if TYPE_CHECKING:
     Found = tuple[int, int, Displacement, PairRegistration]
 
 LARGE_TURN: Final = 0.004
-"""Angle, in radians, from which a link is made anew instead of being corrected by a linear step."""
-_MOST_ASKED: Final = 600
+"""Angle from which frames are registered anew instead of being corrected by a linear step, radians; derived: half a
+pixel at the rim."""
+_MAX_TESTED: Final = 600
+"""Registrations that are tested; chosen: some 0.2 s."""
 _LOOSE: Final = (0.01, 0.01)
+"""Standard deviations of stretch and shear; chosen, above what velocities leave open."""
 
 
 def review_rotation(links: Sequence[Found], registrar: Registrar, view: Callable[[int], PreparedFrame]) -> MotionModel:
-    """Return what all links together ask for.
+    """Return the motion model that all registrations together select.
 
     Parameters
     ----------
     links : sequence of tuple
-        The tracker's links; at most 600 of them are asked, evenly chosen.
+        The tracker's registrations; at most :data:`_MAX_TESTED` of them are tested, evenly chosen.
     registrar : Registrar
         Of the same grid.
     view : callable
-        Returns the prepared view of a frame by its index.
+        Returns the prepared frame of an index.
     """
     keys = {earlier for earlier, _, _, _ in links}
-    between = [found for found in links if found[1] in keys]  # those to other frames share a key frame, and its errors
-    chosen = between[:: -(-len(between) // _MOST_ASKED) or 1]
+    between = [found for found in links if found[1] in keys]  # others share a keyframe, and its errors
+    chosen = between[:: -(-len(between) // _MAX_TESTED) or 1]
     asked = [(registrar.remainder(view(a), view(b), link.warp, _LOOSE), link) for a, b, _, link in chosen]
     every = [found for found, _ in asked if found is not None]
     sure = [found for found, link in asked if found is not None and link.tells_turn]
@@ -58,9 +61,9 @@ def turned_links(
     poses: list[Pose],
     registrar: Registrar,
     view: Callable[[int], PreparedFrame],
-    rung: MotionModel,
+    model: MotionModel,
 ) -> list[Found]:
-    """Tell links that were made without it how far they are turned; correct their later frames' velocities.
+    """Return the registrations with their angles; correct the velocities of their later frames.
 
     Parameters
     ----------
@@ -72,11 +75,11 @@ def turned_links(
         Of the same grid.
     view : callable
         Returns the prepared frame of an index.
-    rung : MotionModel
+    model : MotionModel
         Model beside translations.
     """
     scratch = registrar.view()
-    return [_turned(found, poses, registrar, view, rung, scratch) for found in links]
+    return [_turned(found, poses, registrar, view, model, scratch) for found in links]
 
 
 def _turned(
@@ -84,7 +87,7 @@ def _turned(
     poses: list[Pose],
     registrar: Registrar,
     view: Callable[[int], PreparedFrame],
-    rung: MotionModel,
+    model: MotionModel,
     scratch: PreparedFrame,
 ) -> Found:
     earlier, later, moved, link = found
@@ -95,12 +98,12 @@ def _turned(
     more = registrar.remainder(before, after, link.warp, _LOOSE)
     if more is None:
         return found
-    warp, form = composed(link.warp, more.step[rung])
+    warp, form = composed(link.warp, more.step[model])
     turned = link._replace(warp=warp, turn=-angle_of(form), zoom=1 / scale_of(form), turn_sigma=float(more.sigma[0]))
     if abs(turned.turn) > LARGE_TURN:
         velocities = poses[earlier].velocity, poses[later].velocity
         anew = registrar.turned_link(
-            before, after, (*moved, turned.turn, turned.zoom), velocities, _LOOSE, rung, scratch
+            before, after, (*moved, turned.turn, turned.zoom), velocities, _LOOSE, model, scratch
         )
         turned = turned if anew is None or not anew.observed else anew
     if later == earlier + 1:

@@ -10,10 +10,11 @@ import pytest
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
-from napari_elsplus.processing.tracking.pose_graph import live_graph
+from napari_elsplus.processing.tracking.pose_graph import graph as pose_graph
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction, Corrections
+from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector, Node
-from napari_elsplus.processing.tracking.pose_graph.live_graph import LiveGraph
+from napari_elsplus.processing.tracking.pose_graph.node_registration import FrameRegistration
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
 from recordings import Truth, record, texture
@@ -41,11 +42,11 @@ def spoilt(pose: Pose, frame: int) -> Pose:
 def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
     lifted: bool, few: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live_graph, "MOST_NODES", 6 if few else 1000)
+    monkeypatch.setattr(pose_graph, "MAX_NODES", 6 if few else 1000)
     front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
     tracker, trail = Tracker(front_end.grid), KeyframeSelector(front_end.grid)
     registrar, views, images = Registrar(front_end.grid), {}, {}
-    graph = LiveGraph(registrar, lambda number: views[graph.nodes[number].frame])
+    graph = PoseGraph(front_end.grid, FrameRegistration(registrar), lambda number: views[graph.nodes[number].frame])
     found: list[tuple[int, Pose]] = []
     recognised = 0
     for k, frame in enumerate(truth().frames):
@@ -57,13 +58,12 @@ def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
         if pose.state is not TrackingState.TRACKED:
             continue
         found.append((k, pose))
-        node = trail.add(k, pose, (*tracker.links[-1][:2], tracker.links[-1][3]) if tracker.links else None)
-        if node is not None:
+        for node in trail.add(k, pose, (*tracker.links[-1][:2], tracker.links[-1][3]) if tracker.links else None):
             views[node.frame] = view = registrar.view()
             view.image[:] = images[node.frame]
             registrar.prepare(view)
             recognised += graph.add(node)
-            graph.thin(lambda node: node.frame < 12)
+            graph.marginalise(lambda node: node.frame < 12)
     assert len(graph.nodes) == len(views) if not few else len(graph.nodes) < 8 < len(views)
     assert len(views) < len(found) / 3
     assert recognised
@@ -84,7 +84,7 @@ def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
     )
     np.testing.assert_allclose(np.stack(whole[1:3], 1), [(place.row, place.col) for place in placed])
     if not lifted:
-        graph.forget(0)
+        graph.remove(0)
         assert graph.corrections.of(*found[-1]) == found[-1][1]
         assert not graph.solve()
 
@@ -115,8 +115,7 @@ def test_the_longer_the_way_between_two_nodes_the_less_it_is_trusted() -> None:
     nodes: list[Node] = []
     for k, frame in enumerate(truth().frames):
         front_end.image(frame, tracker.slot())
-        node = trail.add(k, tracker.add(), (*tracker.links[-1][:2], tracker.links[-1][3]) if tracker.links else None)
-        nodes += [] if node is None else [node]
+        nodes += trail.add(k, tracker.add(), (*tracker.links[-1][:2], tracker.links[-1][3]) if tracker.links else None)
     gone = np.array([node.gone_px for node in nodes[1:]])
     assert (gone >= 0.25 * grid.diameter).all()
     assert gone.max() < 0.25 * grid.diameter + 2 * SPEED
@@ -130,11 +129,9 @@ def test_the_node_at_which_a_turn_was_noticed_does_not_say_how_far_the_probe_tur
     trail = KeyframeSelector(grid)
     link = PairRegistration(Warp(1.0, -2.0, 0.0, 0.0), np.eye(4) * 1e4, 0.95, 0.9, 1.0, turn=0.01, turn_sigma=1e-3)
     pose = Pose(1, 0.0, 0.0, Velocity(2.0, 0.0), 0.9, 0.1, TrackingState.TRACKED)
-    first = trail.add(0, pose, (0, 1, link))
-    assert first is not None
-    assert trail.add(1, pose._replace(row=2.0), (1, 2, link)) is None
-    node = trail.add(2, pose._replace(row=4.0, angle=0.1), (2, 3, link))
-    assert node is not None
+    assert len(trail.add(0, pose, (0, 1, link))) == 1
+    assert not trail.add(1, pose._replace(row=2.0), (1, 2, link))
+    (node,) = trail.add(2, pose._replace(row=4.0, angle=0.1), (2, 3, link))
     assert node.upright == (1, pose._replace(row=2.0))
     assert node.turn_sigma == 1.0
-    assert trail.add(3, pose._replace(row=6.0, angle=0.11), (3, 4, link)) is None
+    assert not trail.add(3, pose._replace(row=6.0, angle=0.11), (3, 4, link))

@@ -1,0 +1,157 @@
+"""Registration of two nodes of the pose graph, beside each other or at a place that was recognised."""
+
+from __future__ import annotations
+
+from math import hypot, isfinite
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+
+from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge
+from napari_elsplus.processing.tracking.registration.low_texture import LowTextureFallback
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.motion.pose import Pose
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
+    from napari_elsplus.processing.tracking.registration.pair_registration import (
+        PairRegistration,
+        PreparedFrame,
+        Registrar,
+    )
+
+    Views = tuple[PreparedFrame, PreparedFrame]
+
+LINK_STRETCH_PX: Final = 0.2
+"""Standard deviation of the velocity of a later frame that a tracker's registration leaves, pixels per frame period."""
+MIN_JOIN_OVERLAP: Final = 0.2
+"""Smallest overlap that joins segments, fraction of the disc; chosen: below it right shifts are seldom found."""
+FALL_OF_CORRELATION: Final = 0.08
+"""Largest fall of the correlation of frames of two segments below that of successive ones. Without it pairs of
+different scenes are accepted in 2 of 20 sparse ones, with falls of 0.1 to 0.17."""
+_VELOCITY_SIGMA: Final = 0.5
+"""Standard deviation of the velocities of tracked frames, pixels per frame period; chosen, above that of a track."""
+_SEARCHED_PX: Final = 16.0
+"""Scale of the prior about the shift of two thumbnails, grid pixels: two of their cells."""
+_FLOOR_PX: Final = 0.01
+"""Standard deviation of a displacement that no registration undercuts, grid pixels: what the core pattern leaves."""
+
+
+class NodeRegistration(Protocol):
+    """Registers two nodes, given as (earlier, later) numbers, poses and prepared frames."""
+
+    def beside(
+        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float,
+        model: MotionModel,
+    ) -> Edge | None:  # fmt: skip
+        """Register two nodes about an expected displacement; None where the frames do not determine it.
+
+        Parameters
+        ----------
+        numbers : tuple of int
+            Earlier and later node.
+        poses : tuple of Pose
+            Theirs, of which velocities and scales are used.
+        views : tuple of PreparedFrame
+            Their frames.
+        expected : Displacement
+            Of the later node from the earlier one, in the later one's orientation.
+        turn : float
+            Expected angle of the later one less that of the earlier one, radians.
+        model : MotionModel
+            Model beside translations.
+        """
+
+    def anywhere(
+        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float,
+        model: MotionModel,
+    ) -> Edge | None:  # fmt: skip
+        """Register two nodes by a search over all shifts, with a wide prior; parameters as of :meth:`beside`."""
+
+
+class FrameRegistration:
+    """Registers nodes that are frames of the probe; implements :class:`NodeRegistration`.
+
+    Parameters
+    ----------
+    registrar : Registrar
+        Registers two views; of this thread's own.
+    """
+
+    def __init__(self, registrar: Registrar) -> None:
+        self._registrar = registrar
+        self._shutter = registrar.grid.shutter
+        self._fallback = LowTextureFallback(registrar)
+        self._scratch = registrar.view()
+
+    def beside(
+        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float,
+        model: MotionModel,
+    ) -> Edge | None:  # fmt: skip
+        """Register two nodes about an expected displacement: :meth:`NodeRegistration.beside`."""
+        link: PairRegistration | None
+        if model is MotionModel.TRANSLATION:
+            warp = self._shutter.warp(poses[0].velocity, poses[1].velocity, expected)
+            link = self._registrar.link(*views, warp, self._spread)
+        else:
+            link = self._turned(poses, views, expected, turn, model, None)
+        return self._edge(numbers, poses, views, link)
+
+    def anywhere(
+        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float,
+        model: MotionModel,
+    ) -> Edge | None:  # fmt: skip
+        """Register two nodes by a search over all shifts: :meth:`NodeRegistration.anywhere`."""
+        if model is MotionModel.TRANSLATION:
+            warp = self._shutter.warp(poses[0].velocity, poses[1].velocity, expected)
+            link = self._registrar.search(*views, warp, self._spread, _SEARCHED_PX)
+        else:
+            link = self._turned(poses, views, expected, turn, model, _SEARCHED_PX)
+        if link is None or link.overlap < MIN_JOIN_OVERLAP:
+            return None
+        scores = [pose.score for pose in poses if isfinite(pose.score)]
+        if link.correlation < min(scores, default=0.0) - FALL_OF_CORRELATION:
+            return None
+        return self._edge(numbers, poses, views, link)
+
+    def _turned(
+        self, poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float, model: MotionModel,
+        reach_px: float | None,
+    ) -> PairRegistration | None:  # fmt: skip
+        a, b = poses
+        return self._registrar.turned_link(
+            *views, (*expected, turn, b.scale / a.scale), (a.velocity, b.velocity), self._spread, model,
+            self._scratch, reach_px,
+        )  # fmt: skip
+
+    def _edge(
+        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: Views, link: PairRegistration | None
+    ) -> Edge | None:
+        if link is not None:
+            velocities = poses[0].velocity, poses[1].velocity
+            link = self._fallback.confirmed(link, *views, velocities, _VELOCITY_SIGMA, self._scratch)
+        if link is None or not link.observed:
+            return None
+        moved = self._shutter.displacement(link.warp, poses[1].velocity)
+        covariance = edge_covariance(link, self._spread[0])
+        return Edge(*numbers, (moved.row, moved.col), covariance, link.turn, link.zoom, link.turn_sigma, link.certainty)
+
+    @property
+    def _spread(self) -> tuple[float, float]:
+        return (_VELOCITY_SIGMA / self._shutter.line_periods_per_frame + 1e-9,) * 2
+
+
+def edge_covariance(link: PairRegistration, stretch_sigma: float) -> NDArray[np.float64]:
+    """Return the covariance (2, 2) of a displacement: of the shift, of the later frame's velocity, and a floor.
+
+    Parameters
+    ----------
+    link : PairRegistration
+        Registration of the two frames.
+    stretch_sigma : float
+        Standard deviation of the stretch that the later velocity leaves open.
+    """
+    stretched = hypot(link.warp.b * stretch_sigma, _FLOOR_PX)
+    return link.covariance + stretched**2 * np.eye(2)

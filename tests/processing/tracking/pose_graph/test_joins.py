@@ -1,0 +1,93 @@
+"""Segments are joined by the places that they share, however short they are, and by no others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
+from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
+from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
+from napari_elsplus.processing.tracking.pose_graph.node_registration import FrameRegistration
+from napari_elsplus.processing.tracking.pose_graph.place_recognition import PlaceIndex
+from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
+from recordings import Truth, fibres, record, texture
+
+
+def seen_at(scene: np.ndarray, places: list[tuple[float, float]], speed: tuple[float, float] = (9.0, 14.0)) -> Truth:
+    """Return frames of a probe that jumps between places, camera pixels, and moves evenly within each frame."""
+    starts = np.concatenate([np.add(place, [(0, 0), speed]) for place in places])
+    truth = record(scene, starts)  # the odd frames are the jumps
+    return replace(truth, frames=truth.frames[::2], positions=truth.positions[::2], starts=starts)
+
+
+def segments_of_one(truths: list[Truth], speed: tuple[float, float] = (9.0, 14.0)) -> tuple[PoseGraph, np.ndarray]:
+    """Return a graph of one segment for each frame, and the true positions, grid pixels."""
+    front_end = FrontEnd(truths[0].calibration, truths[0].frames.shape[1:])
+    registrar = Registrar(front_end.grid)
+    views: list[PreparedFrame] = []
+    graph = PoseGraph(front_end.grid, FrameRegistration(registrar), lambda number: views[number])
+    velocity = Velocity(*np.divide(speed, front_end.grid.binning))
+    for number, frame in enumerate(np.concatenate([truth.frames for truth in truths])):
+        view = registrar.view()
+        front_end.image(frame, view.image)
+        views.append(registrar.prepare(view))
+        pose = Pose(number, 0.0, 0.0, velocity, 0.97, 0.1, TrackingState.TRACKED)
+        graph.add(Node(number, pose, 0.0, np.eye(2), 1.0))
+    graph.solve()
+    return graph, np.concatenate([truth.positions for truth in truths]) / front_end.grid.binning
+
+
+def test_segments_of_one_frame_that_overlap_are_joined() -> None:
+    places = [(200.0, 200.0), (400.0, 420.0), (280.0, 230.0), (350.0, 320.0)]  # the last one connects the others
+    graph, true = segments_of_one([seen_at(texture(700, 8), places)])
+    assert [place.segment for place in graph.places] == [0, 0, 0, 0]
+    found = np.array([(place.row, place.col) for place in graph.places])
+    np.testing.assert_allclose(found, true - true[0], atol=0.15)
+
+
+def joined(scenes: list[np.ndarray], seed: int) -> int:
+    """Return how many segments join frames of different scenes."""
+    rng = np.random.default_rng(seed)
+    graph, _ = segments_of_one([seen_at(scene, list(map(tuple, rng.uniform(200, 400, (2, 2))))) for scene in scenes])
+    scene = np.repeat(np.arange(len(scenes)), 2)
+    segment = np.array([place.segment for place in graph.places])
+    return sum(len(set(scene[segment == one])) > 1 for one in set(segment))
+
+
+def test_different_places_are_not_joined() -> None:
+    assert joined([texture(600, seed) for seed in (31, 32)] + [fibres(600, 12, seed) for seed in (33, 34)], 1) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [6, 12, 60])
+def test_no_false_join_among_twenty_scenes_of_fibres(count: int) -> None:
+    assert joined([fibres(600, count, seed) for seed in range(100, 120)], 2) == 0
+
+
+def test_a_thumbnail_finds_its_place_among_others_in_spite_of_motion() -> None:
+    scene = texture(900, 5)
+    rng = np.random.default_rng(4)
+    places = [tuple(rng.uniform(200, 700, 2)) for _ in range(30)]
+    there = seen_at(scene, places, (0.0, 0.0))
+    again = seen_at(scene, [tuple(np.add(places[7], (60.0, -30.0)))], (30.0, -25.0))
+    front_end = FrontEnd(there.calibration, there.frames.shape[1:])
+    registrar = Registrar(front_end.grid)
+    index, view = PlaceIndex(front_end.grid), registrar.view()
+
+    def thumbnail(frame: np.ndarray, velocity: tuple[float, float]):
+        front_end.image(frame, view.image)
+        pose = Pose(0, 0.0, 0.0, Velocity(*velocity), 1.0, 0.1, TrackingState.TRACKED)
+        return index.thumbnail(registrar.prepare(view), pose)
+
+    for number, frame in enumerate(there.frames):
+        index.add(number, thumbnail(frame, (0.0, 0.0)))
+    best = index.candidates(thumbnail(again.frames[0], (30.0, -25.0)), range(len(places)), 3)[0]
+    assert best.odds > 5
+    np.testing.assert_allclose(best.displacement, again.positions[0] - there.positions[best.frame], atol=12)
+    index.retain({best.frame})
+    assert len(index.candidates(thumbnail(again.frames[0], (30.0, -25.0)), [best.frame], 3)) == 1
