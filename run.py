@@ -6,6 +6,7 @@ python3 run.py test          lint, types and tests
 python3 run.py test --all    the same, with the slow accuracy sweeps
 python3 run.py bench NAME    speed against accuracy: a benchmark's table, CSV and chart; ``bench --help`` lists all
 python3 run.py bench docs    every chart and table of the documentation, measured anew
+python3 run.py screens       a picture of every panel in both themes and two sizes, and a list of clipped text
 
 What is installed goes into ``.venv`` beside this file; the first run takes some minutes, the next ones seconds.
 """
@@ -259,6 +260,20 @@ def bench(arguments: list[str]) -> int:
     return run([python(), "-m", "benchmarks", *arguments], folder=Path.cwd(), PYTHONPATH=str(ROOT))
 
 
+def screens(arguments: list[str]) -> int:
+    """Draw every panel, on a virtual screen, so that nothing appears on a desk and the sizes are what was asked for."""
+    prepare()
+    command = [python(), "-m", "benchmarks.screens", *arguments]
+    if sys.platform.startswith("linux"):
+        missing = missing_packages(virtual_screen=True)
+        if missing:
+            system_packages(missing, "drawing the windows")
+        command = ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1920x1200x24", *command]
+    with tempfile.TemporaryDirectory() as folder:
+        settings = str(Path(folder, "settings.yaml"))
+        return run(command, folder=Path.cwd(), PYTHONPATH=str(ROOT), NAPARI_CONFIG=settings)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Do what the command line asks and give the exit code."""
     if sys.version_info < OLDEST_PYTHON:
@@ -270,16 +285,19 @@ def main(arguments: list[str] | None = None) -> int:
         )
         return 1
     parser = argparse.ArgumentParser(prog="run.py", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    commands = parser.add_subparsers(dest="command", metavar="test | bench")
+    commands = parser.add_subparsers(dest="command", metavar="test | bench | screens")
     testing = commands.add_parser("test", help="lint, types and tests")
     testing.add_argument("--all", action="store_true", help="with the slow accuracy sweeps")
     commands.add_parser("bench", help="speed against accuracy", add_help=False)
+    commands.add_parser("screens", help="a picture of every panel", add_help=False)
     options, rest = parser.parse_known_args(arguments)
-    if rest and options.command != "bench":
+    if rest and options.command not in ("bench", "screens"):
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     try:
         if options.command == "bench":
             return bench(rest)
+        if options.command == "screens":
+            return screens(rest)
         return test(options.all) if options.command == "test" else start()
     except Stop as stop:
         print(stop, file=sys.stderr)

@@ -252,6 +252,17 @@ def test_windows_are_tested_on_a_virtual_screen_where_there_is_none(
     assert recorder.commands[-1][0] == run.python()
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux has Xvfb")
+def test_screens_are_drawn_on_a_virtual_screen_with_settings_of_their_own(
+    run: ModuleType, recorder: Recorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "missing_packages", lambda virtual_screen: [])
+    assert run.main(["screens", "--out", "pictures"]) == 0
+    assert recorder.commands[-1][0] == "xvfb-run"
+    assert recorder.commands[-1][-5:] == [run.python(), "-m", "benchmarks.screens", "--out", "pictures"]
+    assert not Path(recorder.environments[-1]["NAPARI_CONFIG"]).exists()
+
+
 @pytest.mark.parametrize(
     "words", [["list"], ["line", "--out", "results", "--quick"], ["docs", "--only", "line"], ["--help"]]
 )

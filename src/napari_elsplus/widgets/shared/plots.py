@@ -39,6 +39,8 @@ DASHES: Final = {
 }
 EXPORT_WIDTH_PX: Final = 1600
 """Width of an exported picture, pixels: 300 dpi over 135 mm, a page's text width."""
+MARGINS_PX: Final = (2, 8, 12, 2)
+"""Left, top, right, bottom: half a tick label reaches over the end of its axis."""
 _SHORT_NAME: Final = 8
 """Characters; legends of names no longer than this fit three columns into a dock of 280 px."""
 
@@ -118,6 +120,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         self._lines: list[Any] = []
         self._regions: list[Any] = []
         self.hideButtons()
+        self.plotItem.layout.setContentsMargins(*MARGINS_PX)
         self._legend = pg.LegendItem(colCount=4, labelTextSize="8pt", verSpacing=-4)
         self.plotItem.layout.addItem(self._legend, 4, 1)  # below the curves, where it hides none
         self.plotItem.legend = self._legend

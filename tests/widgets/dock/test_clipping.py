@@ -1,0 +1,66 @@
+"""No text of any panel is clipped, in the windows of a laptop and of a desk."""
+
+from __future__ import annotations
+
+import pytest
+from qtpy.QtWidgets import QLabel, QPushButton, QVBoxLayout, QWidget
+
+from benchmarks.screens.__main__ import SIZES, THEMES
+from benchmarks.screens.clipping import clipped_texts
+from napari_elsplus.widgets.analysis.axial import MANUAL, SIMULATED
+from napari_elsplus.widgets.dock.panel import PANELS
+
+pytestmark = pytest.mark.checkout
+PLUGIN = "napari-elsplus"
+
+
+@pytest.fixture
+def dock(small_engine, make_napari_viewer_proxy, qtbot):
+    """The dock in a visible window, every tab built."""
+    viewer = make_napari_viewer_proxy(show=True)
+    _, dock = viewer.window.add_plugin_dock_widget(PLUGIN, "ELS+")
+    qtbot.waitUntil(lambda: all(tab.built for tab in dock.by_title.values()), timeout=30_000)
+    return dock
+
+
+def test_the_measurement_finds_what_is_clipped(qtbot):
+    panel = QWidget()
+    qtbot.addWidget(panel)
+    layout = QVBoxLayout(panel)
+    narrow, whole, wrapped = QPushButton("a button with a long name"), QPushButton("short"), QLabel("many words " * 9)
+    for widget in (narrow, whole, wrapped):
+        layout.addWidget(widget)
+    narrow.setFixedWidth(40)
+    wrapped.setWordWrap(True)
+    wrapped.setFixedSize(100, 20)
+    panel.show()
+    found = clipped_texts(panel)
+    assert len(found) == 2
+    assert "a button with a long name" in found[0] + found[1]
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("theme", THEMES)
+def test_no_text_of_any_panel_is_clipped(dock, qtbot, size, theme):
+    viewer = dock.viewer
+    viewer.theme = theme
+    viewer.window.resize(*size)
+    window = dock.window()
+    qtbot.waitUntil(lambda: window.width() == size[0], timeout=10_000)
+    clipped = []
+    for kind in PANELS:
+        dock.show_tab(kind.title)
+        panel = dock.by_title[kind.title].panel
+        qtbot.waitUntil(panel.isVisible, timeout=10_000)
+        choices = {"Calibration": panel.form.steps if kind.title == "Calibration" else {}, "Axial response": SCANS}
+        for choice in choices.get(kind.title, [""]):
+            if kind.title == "Calibration":
+                panel.choose(choice)
+            elif kind.title == "Axial response":
+                panel.source.value = choice
+            qtbot.wait(50)
+            clipped += [f"{kind.title} {choice}: {text}" for text in clipped_texts(dock)]
+    assert clipped == []
+
+
+SCANS = (MANUAL, SIMULATED)
