@@ -157,7 +157,7 @@ def mosaic(
             "mode": "finished" if finished else shown.value,
             "insertion": Insertion(insertion).value,
         },
-        notes + ((UNLINKED,) if _count_tracked(pipeline) < 2 else ()),
+        notes + _uneven_light(pipeline) + ((UNLINKED,) if _count_tracked(pipeline) < 2 else ()),
     )
 
 
@@ -231,6 +231,15 @@ def _tracked(
             confocal, residual = pairs(index)
             add(confocal, frame, np.nan if times_s is None else float(times_s[frame]), residual)
     return pipeline, calibration, (note,) if note else ()
+
+
+def _uneven_light(pipeline: Pipeline) -> tuple[str, ...]:
+    """Return a note on the light that was taken out of the mosaics; empty where it was even."""
+    light = pipeline.line_light
+    if light is None or not light.uneven:
+        return ()
+    low, high = (100 * float(part) for part in np.percentile(light.relative, (5, 95)))
+    return (f"uneven light along the line, {low:.0f} to {high:.0f} % of its mean, was taken out",)
 
 
 def _count_tracked(pipeline: Pipeline) -> int:

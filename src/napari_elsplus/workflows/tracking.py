@@ -11,6 +11,7 @@ from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.mosaicing.line_light import estimate_line_light
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.finished.field import FinishedField
 from napari_elsplus.processing.tracking.finished.tracking import FinishedTracking
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.mosaicing.line_light import LineLight
     from napari_elsplus.processing.mosaicing.tiles import TileStore
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.methods import TrackingMethod
@@ -67,6 +69,8 @@ class Pipeline:
         The track so far, a row for every frame.
     mosaics : dict of int to Mosaic
         One for each segment.
+    line_light : LineLight or None
+        Light along the laser line, as :meth:`finish` estimated it; taken out of its mosaics where it is uneven.
 
     Raises
     ------
@@ -100,6 +104,7 @@ class Pipeline:
         self.rows: list[TrackPoint] = []
         self.poses: list[Pose] = []
         self.mosaics: dict[int, Mosaic] = {}
+        self.line_light: LineLight | None = None
 
     @property
     def grid(self) -> Grid:
@@ -273,8 +278,11 @@ class Pipeline:
         """
         self.refine(raw_pair)
         self.mosaics = {}
+        self.line_light = estimate_line_light(lambda index: self.image(*raw_pair(index)), self.poses, self.grid)
+        light = self.line_light.relative if self.line_light is not None and self.line_light.uneven else None
         for index in progress([k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]):
-            self.insert(self.image(*raw_pair(index)), self.poses[index])
+            image = self.image(*raw_pair(index))
+            self.insert(image if light is None else image / light, self.poses[index])
 
     def _note(self, pose: Pose, frame: int, time_s: float) -> None:
         self.poses.append(pose)

@@ -16,6 +16,7 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.processing.images.elsa import FRAMES_PER_IMAGE, elsa_frames
 from napari_elsplus.processing.images.fused import FusedSections
+from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.resampling import Resampler
 from napari_elsplus.processing.images.warping import WarpedResampler, polynomial_terms, within_frame
 
@@ -160,7 +161,8 @@ class Sectioner:
         if not self.seen[self.inside].all():
             self.subtracted = self.seen & _line_within_bundle(calibration, self.side)
         residual_brightness[self.inside & ~self.subtracted] = np.nan
-        background = calibration.background
+        self._hot_pixels = HotPixels(calibration.background)
+        background = None if calibration.background is None else self._hot_pixels.mended(calibration.background)
         confocal_resampler = Resampler(grid_to_confocal[:2], self.side)
         residual_resampler = self._residual_resampler(calibration, grid_to_residual[:2])
         self._confocal = _View(confocal_resampler, confocal_brightness, frame_shape, background)
@@ -239,6 +241,9 @@ class Sectioner:
         ls, residual, els : numpy.ndarray, optional
             (n, n) float32, filled: the two views, and the confocal minus the residual view.
         """
+        same = raw_residual is raw
+        raw = self._hot_pixels.mended(raw)
+        raw_residual = raw if same else self._hot_pixels.mended(raw_residual)
         if self._fused is not None:
             self._fused(raw, raw_residual, ls, residual, els)
             return

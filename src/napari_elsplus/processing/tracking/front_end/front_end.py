@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
 from napari_elsplus.processing.tracking.front_end.binning import is_blank, scratch, subtract_views
 from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels, rectangle_within
@@ -72,6 +73,7 @@ class FrontEnd:
             weights = np.maximum(_smooth(inside * self._binned_flat(calibration.flat)), _LOWEST_FLAT * weights)
         self._scale = np.divide(inside, weights, out=np.zeros_like(inside), where=inside > 0)
         self._offset = np.zeros_like(inside)
+        self._hot_pixels = HotPixels(calibration.background)
         if calibration.background is not None:
             if calibration.background.shape != tuple(frame_shape):
                 raise CalibrationError(
@@ -107,9 +109,10 @@ class FrontEnd:
                     "all frames of a recording must have one size",
                 )
         confocal, residual = self._confocal, self._residual
+        raw = self._hot_pixels.mended(raw)
         subtract_views(
             raw,
-            raw if raw_residual is None else raw_residual,
+            raw if raw_residual is None else self._hot_pixels.mended(raw_residual),
             confocal.matrix,
             residual.matrix,
             (confocal.weight, residual.weight),

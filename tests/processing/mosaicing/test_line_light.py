@@ -1,0 +1,56 @@
+"""Light along the line is estimated from overlapping frames of moving tissue, and even light is left as it is."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.mosaicing.line_light import LineLight, estimate_line_light
+from napari_elsplus.processing.tracking.front_end.grid import Grid
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
+
+SIDE = 120
+GRID = Grid(SIDE, 1, (0, 0), ((SIDE - 1) / 2,) * 2, 116.0, RollingShutter(np.inf))
+LIGHT = 1 + 0.15 * np.sin(np.linspace(-2, 4, SIDE))
+
+
+def scanned(
+    light: np.ndarray, seed: int = 0, haze: float = 0.0, flicker: float = 0.02, across: float = 1.0
+) -> LineLight | None:
+    """Estimate the light from 60 frames on a loop, with a share `across` of its motion along the line."""
+    random = np.random.default_rng(seed)
+    noise = random.normal(size=(420, 420)).astype(np.float32)
+    scene = np.exp(1.2 * cv2.GaussianBlur(noise, (0, 0), 2.5) / 0.11)
+    angle = np.linspace(0, 2 * np.pi, 60)
+    places = np.rint(np.stack([70 * np.sin(angle), across * 70 * np.cos(angle)], axis=1)).astype(int)
+    static = haze * np.linspace(0, 1, SIDE)
+    images, poses = [], []
+    for down, across_px in places:
+        seen = scene[150 + down :, 150 + across_px :][:SIDE, :SIDE] * light * random.normal(1, flicker)
+        images.append((seen + static + random.normal(0, 0.05, seen.shape)).astype(np.float32))
+        poses.append(Pose(0, float(down), float(across_px), Velocity(0.0, 0.0), 1.0, 0.01, TrackingState.TRACKED))
+    return estimate_line_light(lambda index: images[index], poses, GRID)
+
+
+@pytest.mark.parametrize("haze", [0.0, 1.0])
+def test_uneven_light_is_found_whatever_haze_stands_still(haze: float) -> None:
+    found = scanned(LIGHT, haze=haze)
+    assert found is not None
+    assert found.uneven
+    field = slice(8, SIDE - 8)
+    ratio = found.relative[field] / LIGHT[field]
+    assert ratio.std() / ratio.mean() < 0.02
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_even_light_is_left_as_it_is(seed: int) -> None:
+    found = scanned(np.ones(SIDE), seed, haze=0.5)
+    assert found is not None
+    assert not found.uneven
+    assert found.departure < 4 * found.uncertainty + 0.01
+
+
+def test_motion_across_the_line_alone_gives_no_evidence() -> None:
+    assert scanned(LIGHT, across=0.0) is None
