@@ -29,6 +29,7 @@ from napari_elsplus.instrument.calibration import Calibration
 LINE_PERIOD_S = 1 / 130_750.6
 PARK_V = -0.7
 PERIOD_S = 1 / 240
+WIDTH_S = 3 * LINE_PERIOD_S
 
 
 @dataclass
@@ -40,7 +41,7 @@ class CardBench:
     limits: GalvoLimits = field(default_factory=GalvoLimits)
 
     def strobe_now(self) -> StrobeTrain:
-        train = StrobeTrain(time.perf_counter() + 1e-3, PERIOD_S)
+        train = StrobeTrain(time.perf_counter() + 1e-3, PERIOD_S, width_s=WIDTH_S)
         self.card.strobe(train)
         return train
 

@@ -264,7 +264,7 @@ def test_a_parked_galvo_is_left_alone_while_another_program_uses_the_input_that_
     bench = cards()
     with DaqScanner(bench.settings, bench.limits) as scanner:
         other = bench.card.create_task("other")
-        bench.card.add_input(other, "Dev1/_ao0_vs_aognd")
+        bench.card.add_channel(other, "input", "Dev1/_ao0_vs_aognd")
         bench.card.start_task(other)
         version = bench.card.version
         time.sleep(3 * COMPARE_EVERY_S)

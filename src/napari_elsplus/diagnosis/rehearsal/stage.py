@@ -179,7 +179,7 @@ class Stage:
         self.fault_s = self.switch(name, *arguments, **options)
 
     def card_fault(self, **faults: Any) -> None:
-        """Inject a fault of the card; see `napari_elsplus.hardware.virtual.card.card.CardFaults`."""
+        """Inject a fault of the card; see `napari_elsplus.hardware.virtual.card.faults.CardFaults`."""
         self.fault_s = time.perf_counter()
         self.log.card.inject(**faults)
 

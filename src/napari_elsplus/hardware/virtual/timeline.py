@@ -48,12 +48,16 @@ class BenchClock:
 
 @dataclass(frozen=True, slots=True)
 class StrobeTrain:
-    """Edges on the strobe's line: one every `period_s` from `start_s` to `end_s`, except those `missing`."""
+    """Pulses on the strobe's line: one every `period_s` from `start_s` to `end_s`, except those `missing`.
+
+    The line falls when a pulse begins, and rises `width_s` later.
+    """
 
     start_s: float
     period_s: float
     end_s: float = inf
     missing: frozenset[int] = frozenset()
+    width_s: float = 0.0
 
     def first_after(self, time_s: float) -> int:
         """Index of the first edge at or after a time in seconds."""
@@ -80,6 +84,8 @@ class Program:
         Edges that start bursts.
     begun : int
         Samples that were put out before `since_s`, whole bursts.
+    limit : int, optional
+        Samples after which the output stands; None: without end.
     """
 
     since_s: float
@@ -89,6 +95,7 @@ class Program:
     rate_hz: float = 1.0
     strobe: StrobeTrain | None = None
     begun: int = 0
+    limit: int | None = None
 
     def samples_by(self, times_s: Times) -> NDArray[np.int64]:
         """Count the samples put out by each time.
@@ -126,6 +133,7 @@ class Program:
         edge_s = train.start_s + edge * train.period_s
         in_burst = np.clip(np.floor((times_s - edge_s) * self.rate_hz + 1e-6).astype(np.int64) + 1, 0, self.burst)
         done = self.begun + np.where(count > 0, (count - 1) * self.burst + in_burst, 0)
+        done = done if self.limit is None else np.minimum(done, self.limit)
         return done, np.where(count > 0, edge_s + (in_burst - 1) / self.rate_hz, self.since_s)
 
 

@@ -167,7 +167,8 @@ class VirtualCamera:
                 self._frame = 0
                 delay_s = self.make.strobe_delay_s(WIRED_LINE)
                 if delay_s is not None and not self.faults.strobe_off and not self.sensor.settings.trigger:
-                    self._wired = StrobeTrain(self._train.start_s + delay_s, period_s)
+                    width_s = self.sensor.settings.exposure_s
+                    self._wired = StrobeTrain(self._train.start_s + delay_s, period_s, width_s=width_s)
                 self.bench.strobe(self._wired)
                 return
             self._end_strobe()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from nidaqmx._lib import DaqFunctionImporter, lib_importer
 
-from napari_elsplus.hardware.virtual.card.card import MESSAGES, CardError
+from napari_elsplus.hardware.virtual.card.tasks import MESSAGES, CardError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -127,10 +127,10 @@ class VirtualLibrary:
         self._card.add_output(handle, channel, low, high)
 
     def _CreateAIVoltageChan(self, handle: int, channel: str, *_: object) -> None:
-        self._card.add_input(handle, channel)
+        self._card.add_channel(handle, "input", channel)
 
     def _CreateDOChan(self, handle: int, line: str, *_: object) -> None:
-        self._card.add_line(handle, line)
+        self._card.add_channel(handle, "line", line)
 
     def _CreateCOPulseChanFreq(
         self, handle: int, counter: str, _: str, __: int, ___: int, ____: float, freq: float, *_____: object
@@ -138,24 +138,22 @@ class VirtualLibrary:
         self._card.add_counter(handle, counter, freq)
 
     def _CfgSampClkTiming(self, handle: int, source: str, rate: float, _: int, mode: int, samples: int) -> None:
-        task = self._card.task(handle)
-        task.clock, task.rate_hz, task.mode, task.samples = source, rate, mode, samples
+        self._card.task(handle).time_by_clock(source, rate, mode, samples)
 
     def _CfgImplicitTiming(self, handle: int, mode: int, samples: int) -> None:
-        task = self._card.task(handle)
-        task.mode, task.samples = mode, samples
+        self._card.task(handle).time_implicitly(mode, samples)
 
-    def _CfgDigEdgeStartTrig(self, handle: int, source: str, _: int) -> None:
-        self._card.task(handle).trigger = source
+    def _CfgDigEdgeStartTrig(self, handle: int, source: str, edge: int) -> None:
+        self._card.task(handle).start_by_edge(source, edge)
 
-    def _SetTrigAttribute(self, handle: int, _: int, value: int) -> None:
-        self._card.task(handle).retriggerable = bool(value)
+    def _SetTrigAttribute(self, handle: int, attribute: int, value: int) -> None:
+        self._card.task(handle).set_attribute(attribute, value)
 
-    def _SetChanAttribute(self, handle: int, *_: object) -> None:
-        self._card.task(handle)
+    def _SetChanAttribute(self, handle: int, _: str, attribute: int, value: int) -> None:
+        self._card.task(handle).set_attribute(attribute, value)
 
-    def _SetWriteAttribute(self, handle: int, *_: object) -> None:
-        self._card.task(handle)
+    def _SetWriteAttribute(self, handle: int, attribute: int, value: int) -> None:
+        self._card.task(handle).set_attribute(attribute, value)
 
     def _GetWriteAttribute(self, handle: int, attribute: int, out: Any) -> None:
         out.value = self._card.samples_done(handle) if attribute == SAMPLES_DONE else 1

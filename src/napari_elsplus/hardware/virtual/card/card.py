@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from napari_elsplus.hardware.virtual.card.faults import CardFaults
+from napari_elsplus.hardware.virtual.card.tasks import CONTINUOUS, FALLING, FINITE, ON_DEMAND, CardError, VirtualTask
 from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain, volts_at
 
 if TYPE_CHECKING:
@@ -17,84 +19,21 @@ POWER_ON_V: Final = 0.0
 """Volts of the output when the card is switched on."""
 MAX_PROGRAMS: Final = 64
 """Programs kept; chosen: more than a frame of holds, 1 ms each."""
-ON_DEMAND, CONTINUOUS, FINITE = 10390, 10123, 10178
-"""Sample modes of NIDAQmx.h."""
-MESSAGES: Final = {
-    -50103: "The specified resource is reserved. The operation could not be completed as specified.",
-    -200088: "Task specified is invalid or does not exist.",
-    -200170: "Physical channel specified does not exist on this device.",
-    -200220: "Device identifier is invalid.",
-    -200077: "Requested value is not a supported value for this property.",
-    -200290: "The generation has stopped to prevent the regeneration of old samples.",
-    -200479: "Specified operation cannot be performed while the task is running.",
-    -200478: "Specified operation cannot be performed when there are no channels in the task.",
-    -200561: "Attempted writing analog data that is too large or too small.",
-    -200621: "Onboard device memory underflow.",
-    -201003: "Device cannot be accessed. It may have been disconnected.",
+STROBE: Final = "PFI0"
+"""Terminal to which the camera's strobe is wired: low while the sensor is exposed, so that it falls first."""
+OUTPUT: Final = "ao0"
+"""Output to which the galvo is wired."""
+CHANNELS: Final = {
+    "output": ("ao0", "ao1"),
+    "counter": ("ctr0", "ctr1"),
+    "input": ("_ao0_vs_aognd", "_ao1_vs_aognd"),
+    "line": ("port0/line0", "port0/line1"),
 }
-"""NI's text of each status code."""
-
-
-class CardError(Exception):
-    """A DAQmx status code, as the driver would return it."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(MESSAGES.get(code, "unknown"))
-        self.code = code
-
-
-@dataclass
-class VirtualTask:
-    """One DAQmx task."""
-
-    name: str
-    kind: str = ""
-    """``output``, ``counter``, ``input`` or ``line``: what the task reserves while it runs."""
-    low_v: float = -10.0
-    high_v: float = 10.0
-    mode: int = ON_DEMAND
-    rate_hz: float = 0.0
-    samples: int = 1
-    clock: str = ""
-    trigger: str = ""
-    retriggerable: bool = False
-    volts: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    running: bool = False
-
-
-@dataclass(frozen=True)
-class CardFaults:
-    """Faults to inject, and how the card behaves on a reset.
-
-    Parameters
-    ----------
-    refuse_until_s : float
-        Every call of the driver is refused (-50103) until then, on the bench's clock.
-    clear_errors : int
-        So many calls of ClearTask fail, and leave their task running.
-    reset_to_power_up : bool
-        A reset sets the output to `POWER_ON_V`, as on NI's M, C and X Series; False: it keeps its voltage, as on E and
-        S Series.
-    reset_s : float
-        Seconds that a reset takes.
-    strobe_unwired : bool
-        The camera's strobe is not wired to the card.
-    reads_back : bool
-        The card has an internal channel that measures its output.
-    stuck : bool
-        Writes succeed and leave the output as it is.
-    hangs : bool
-        Calls on tasks do not return until a reset aborts them.
-    """
-
-    refuse_until_s: float = -np.inf
-    clear_errors: int = 0
-    reset_to_power_up: bool = True
-    reset_s: float = 0.0
-    strobe_unwired: bool = False
-    reads_back: bool = True
-    stuck: bool = False
-    hangs: bool = False
+"""Physical channels of the card by kind."""
+ENDLESS: Final = 1 << 60
+"""Clocks of a counter that does not stop."""
+FOREVER_S: Final = 1e9
+"""Period of edges of which only the first matters."""
 
 
 class VirtualCard:
@@ -118,6 +57,8 @@ class VirtualCard:
         self._tasks: dict[int, VirtualTask] = {}
         self._last_handle = 0
         self._strobe: StrobeTrain | None = None
+        self._clock: VirtualTask | None = None
+        """Counter that clocks the running program."""
         self._programs = [Program(self.clock.now_s(), POWER_ON_V)]
         self._fault = 0
         self.version = 0
@@ -130,9 +71,10 @@ class VirtualCard:
             if self.faults.strobe_unwired:
                 train = None
             self._strobe = train
-            running = self._programs[-1]
-            if not len(running.samples):
+            running, clock = self._programs[-1], self._clock
+            if not len(running.samples) or clock is None or not clock.trigger:
                 return
+            train = self._edges(clock, running.since_s)
             if train is None or running.strobe is None or train.start_s == running.strobe.start_s:
                 self._programs[-1] = replace(running, strobe=train)
                 self.version += 1
@@ -207,8 +149,25 @@ class VirtualCard:
         except KeyError:
             raise CardError(-200088) from None
 
+    def add_channel(self, handle: int, kind: str, channel: str) -> VirtualTask:
+        """Add a channel to a task, and return the task.
+
+        Parameters
+        ----------
+        handle : int
+            The task.
+        kind : str
+            One of `CHANNELS`.
+        channel : str
+            Its name with the device.
+        """
+        name = self._find(channel, CHANNELS[kind] if kind != "input" or self.faults.reads_back else ())
+        task = self.task(handle)
+        task.add(kind, name)
+        return task
+
     def add_output(self, handle: int, channel: str, low_v: float, high_v: float) -> None:
-        """Add the analog output to a task.
+        """Add an analog output to a task.
 
         Parameters
         ----------
@@ -219,14 +178,13 @@ class VirtualCard:
         low_v, high_v : float
             Range in volts.
         """
-        self._find(channel, "ao0")
         if not -10 <= low_v < high_v <= 10:
             raise CardError(-200077)
-        task = self.task(handle)
-        task.kind, task.low_v, task.high_v = "output", low_v, high_v
+        task = self.add_channel(handle, "output", channel)
+        task.low_v, task.high_v = low_v, high_v
 
     def add_counter(self, handle: int, channel: str, rate_hz: float) -> None:
-        """Add the counter's pulses to a task.
+        """Add a counter's pulses to a task.
 
         Parameters
         ----------
@@ -237,56 +195,24 @@ class VirtualCard:
         rate_hz : float
             Pulses per second.
         """
-        self._find(channel, "ctr0")
-        task = self.task(handle)
-        task.kind, task.rate_hz = "counter", rate_hz
-
-    def add_input(self, handle: int, channel: str) -> None:
-        """Add the input that measures the output to a task.
-
-        Parameters
-        ----------
-        handle : int
-            The task.
-        channel : str
-            ``device/_ao0_vs_aognd``.
-        """
-        self._find(channel, "_ao0_vs_aognd" if self.faults.reads_back else "")
-        self.task(handle).kind = "input"
-
-    def add_line(self, handle: int, line: str) -> None:
-        """Add the digital line to the laser to a task.
-
-        Parameters
-        ----------
-        handle : int
-            The task.
-        line : str
-            ``device/port0/line0``.
-        """
-        self._find(line, "port0/line0")
-        self.task(handle).kind = "line"
+        self.add_channel(handle, "counter", channel).pulse_hz = rate_hz
 
     def start_task(self, handle: int) -> None:
         """Start the task of a handle; bursts begin once both the output and its clock run."""
         with self._lock:
             task = self.task(handle)
             self._reach()
-            if not task.kind:
-                raise CardError(-200478)
-            busy = any(t.running and t.kind == task.kind for t in self._tasks.values() if t is not task)
+            if task.running:
+                return
+            task.verify(self._terminals())
+            busy = any(t.running and t.channel == task.channel for t in self._tasks.values() if t is not task)
             if busy or self._fault == -50103:
                 raise CardError(-50103)
             task.running = True
-            clock = next(
-                (t for t in self._tasks.values() if t.running and t.kind == "counter" and t.retriggerable), None
-            )
-            ramp = next(
-                (t for t in self._tasks.values() if t.running and t.kind == "output" and t.mode == CONTINUOUS), None
-            )
-            if clock and ramp and ramp.clock.endswith("InternalOutput"):
-                now, resting = self.clock.now_s(), self.last_volts
-                self._append(Program(now, resting, ramp.volts.copy(), clock.samples, clock.rate_hz, self._strobe))
+            if task.channel == OUTPUT and task.mode == ON_DEMAND:
+                self._put_out(task)
+            elif task.kind in ("output", "counter"):
+                self._begin_clocked_output()
 
     def stop_task(self, handle: int) -> None:
         """Stop the task of a handle; the output keeps its voltage."""
@@ -309,13 +235,11 @@ class VirtualCard:
         with self._lock:
             task = self.task(handle)
             self._reach()
-            if not (np.all(volts >= task.low_v) and np.all(volts <= task.high_v)):
-                raise CardError(-200561)
-            task.volts = np.array(volts, np.float64)
+            task.write(volts, auto_start)
             if auto_start and not task.running:
                 self.start_task(handle)
-            if task.mode == ON_DEMAND and task.running and not self.faults.stuck:
-                self._append(Program(self.clock.now_s(), float(task.volts[-1])))
+            elif task.channel == OUTPUT and task.mode == ON_DEMAND:
+                self._put_out(task)
             return len(volts)
 
     def is_done(self, handle: int) -> bool:
@@ -323,7 +247,9 @@ class VirtualCard:
         with self._lock:
             self._reach()
             task = self.task(handle)
-            return not task.running or task.mode == ON_DEMAND
+            if task.kind == "counter":  # a retriggerable one is never done
+                return not task.running or (task.mode == ON_DEMAND and not task.trigger)
+            return not task.running or task.mode == ON_DEMAND or self._samples_out(task) == task.limit
 
     def read(self, handle: int) -> float:
         """Measure the output by the task of a handle, in volts."""
@@ -344,14 +270,14 @@ class VirtualCard:
     def samples_done(self, handle: int) -> int:
         """Count the samples that the task of a handle put out."""
         with self._lock:
-            self.task(handle)
+            task = self.task(handle)
             self._reach()
-            return int(self._programs[-1].samples_by(np.array([self.clock.now_s()]))[0])
+            return self._samples_out(task)
 
     def reset(self, device: str) -> None:
         """Abort every task of the device; output and line go to their power-up state, or the output stays."""
         with self._lock:
-            self._find(device, "")
+            self._find(device, ("",))
             self._refuse()
             if self._fault == -201003:
                 raise CardError(-201003)
@@ -365,12 +291,67 @@ class VirtualCard:
             self._resets.notify_all()
         self.clock.wait_until(self.clock.now_s() + self.faults.reset_s)
 
-    def _find(self, channel: str, wanted: str) -> None:
-        device, _, terminal = channel.strip("/").partition("/")
+    def _find(self, channel: str, known: tuple[str, ...]) -> str:
+        """Return the name of a channel without the device."""
+        device, _, name = channel.strip("/").partition("/")
         if device != self.device:
             raise CardError(-200220)
-        if terminal != wanted:
+        if name not in known:
             raise CardError(-200170)
+        return name
+
+    def _terminals(self) -> list[str]:
+        names = [*(f"PFI{number}" for number in range(16)), "Ctr0InternalOutput", "Ctr1InternalOutput"]
+        return [f"/{self.device}/{name}" for name in names]
+
+    def _put_out(self, task: VirtualTask) -> None:
+        if len(task.volts) and not self.faults.stuck:
+            self._append(Program(self.clock.now_s(), float(task.volts[-1])))
+
+    def _begin_clocked_output(self) -> None:
+        """Begin the program of a timed output that runs, if its clock runs as well."""
+        running = [task for task in self._tasks.values() if task.running]
+        ramp = next((task for task in running if task.channel == OUTPUT and task.mode != ON_DEMAND), None)
+        if ramp is None or len(self._programs[-1].samples):
+            return
+        now = self.clock.now_s()
+        if ramp.clock == "OnboardClock":
+            clock, burst, rate_hz = None, ENDLESS, ramp.rate_hz
+            edges: StrobeTrain | None = StrobeTrain(now, FOREVER_S)
+        else:
+            names = {f"/{self.device}/{task.channel.capitalize()}InternalOutput": task for task in running}
+            clock = names.get(ramp.clock)
+            if clock is None:
+                return
+            burst = {FINITE: clock.samples, CONTINUOUS: ENDLESS}.get(clock.mode, 1)
+            edges, rate_hz = self._edges(clock, now), clock.pulse_hz
+        self._clock = clock
+        self._append(Program(now, self.last_volts, ramp.volts.copy(), burst, rate_hz, edges, limit=ramp.limit))
+
+    def _edges(self, clock: VirtualTask, since_s: float) -> StrobeTrain | None:
+        """Return the edges that start a counter: of its terminal, the wired polarity, the first only or all."""
+        if not clock.trigger:
+            return StrobeTrain(since_s, FOREVER_S)
+        train = self._strobe if clock.trigger == f"/{self.device}/{STROBE}" else None
+        if train is None:
+            return None
+        if clock.edge != FALLING:
+            train = replace(train, start_s=train.start_s + train.width_s)
+        if not clock.retriggerable:
+            first_s = train.start_s + train.first_after(since_s) * train.period_s
+            train = replace(train, end_s=min(train.end_s, first_s + train.period_s / 2))
+        return train
+
+    def _samples_out(self, task: VirtualTask) -> int:
+        """Count the samples that a task put out; raise what has stopped it."""
+        if task.channel != OUTPUT or not task.running:
+            return 0
+        if task.mode != ON_DEMAND and not task.on_board_only and self.faults.host_stalls:
+            raise CardError(-200621)
+        done = int(self._programs[-1].samples_by(np.array([self.clock.now_s()]))[0])
+        if not task.regenerates and done == task.limit and task.mode == CONTINUOUS:
+            raise CardError(-200290)
+        return done
 
     def _refuse(self) -> None:
         if self.clock.now_s() < self.faults.refuse_until_s:
@@ -387,11 +368,12 @@ class VirtualCard:
             raise CardError(code)
 
     def _stop(self, task: VirtualTask) -> None:
-        if task.running and (task.kind == "counter" or task.mode == CONTINUOUS):
+        if task.running and (task is self._clock or (task.channel == OUTPUT and task.mode != ON_DEMAND)):
             self._halt()
         task.running = False
 
     def _halt(self) -> None:
+        self._clock = None
         if len(self._programs[-1].samples):
             self._append(Program(self.clock.now_s(), self.last_volts))
 

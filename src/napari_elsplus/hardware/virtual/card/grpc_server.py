@@ -12,7 +12,7 @@ import numpy as np
 from nidaqmx._stubs import nidaqmx_pb2 as pb
 from session_pb2 import Session
 
-from napari_elsplus.hardware.virtual.card.card import CardError
+from napari_elsplus.hardware.virtual.card.tasks import CardError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -63,9 +63,6 @@ class DaemonPool(futures.Executor):
 def answers(card: VirtualCard) -> dict[str, tuple[type, Callable[[Any], Any]]]:
     """Return the RPCs by name, each with its request and the function of the card that answers it."""
 
-    def done(response: type) -> Callable[[Any], Any]:
-        return lambda _: response()
-
     def create_task(request: Any) -> Any:
         handle = card.create_task(request.session_name)
         return pb.CreateTaskResponse(task=Session(id=handle), new_session_initialized=True)
@@ -94,31 +91,40 @@ def answers(card: VirtualCard) -> dict[str, tuple[type, Callable[[Any], Any]]]:
         return pb.CreateCOPulseChanFreqResponse()
 
     def add_input(request: Any) -> Any:
-        card.add_input(request.task.id, request.physical_channel)
+        card.add_channel(request.task.id, "input", request.physical_channel)
         return pb.CreateAIVoltageChanResponse()
 
     def add_line(request: Any) -> Any:
-        card.add_line(request.task.id, request.lines)
+        card.add_channel(request.task.id, "line", request.lines)
         return pb.CreateDOChanResponse()
 
     def sample_clock(request: Any) -> Any:
-        task = card.task(request.task.id)
-        task.mode, task.rate_hz = request.sample_mode_raw or request.sample_mode, request.rate
-        task.samples, task.clock = request.samps_per_chan, request.source
+        mode = request.sample_mode_raw or request.sample_mode
+        card.task(request.task.id).time_by_clock(request.source, request.rate, mode, request.samps_per_chan)
         return pb.CfgSampClkTimingResponse()
 
     def implicit_timing(request: Any) -> Any:
-        task = card.task(request.task.id)
-        task.mode, task.samples = request.sample_mode_raw or request.sample_mode, request.samps_per_chan
+        mode = request.sample_mode_raw or request.sample_mode
+        card.task(request.task.id).time_implicitly(mode, request.samps_per_chan)
         return pb.CfgImplicitTimingResponse()
 
     def start_trigger(request: Any) -> Any:
-        card.task(request.task.id).trigger = request.trigger_source
+        edge = request.trigger_edge_raw or request.trigger_edge
+        card.task(request.task.id).start_by_edge(request.trigger_source, edge)
         return pb.CfgDigEdgeStartTrigResponse()
 
     def trigger_bool(request: Any) -> Any:
-        card.task(request.task.id).retriggerable = request.value
+        card.task(request.task.id).set_attribute(request.attribute_raw or request.attribute, request.value)
         return pb.SetTrigAttributeBoolResponse()
+
+    def channel_bool(request: Any) -> Any:
+        card.task(request.task.id).set_attribute(request.attribute_raw or request.attribute, request.value)
+        return pb.SetChanAttributeBoolResponse()
+
+    def write_number(request: Any) -> Any:
+        value = request.value_raw or request.value
+        card.task(request.task.id).set_attribute(request.attribute_raw or request.attribute, value)
+        return pb.SetWriteAttributeInt32Response()
 
     def write_scalar(request: Any) -> Any:
         card.write(request.task.id, np.array([request.value]), request.auto_start)
@@ -172,8 +178,8 @@ def answers(card: VirtualCard) -> dict[str, tuple[type, Callable[[Any], Any]]]:
         "CfgImplicitTiming": (pb.CfgImplicitTimingRequest, implicit_timing),
         "CfgDigEdgeStartTrig": (pb.CfgDigEdgeStartTrigRequest, start_trigger),
         "SetTrigAttributeBool": (pb.SetTrigAttributeBoolRequest, trigger_bool),
-        "SetChanAttributeBool": (pb.SetChanAttributeBoolRequest, done(pb.SetChanAttributeBoolResponse)),
-        "SetWriteAttributeInt32": (pb.SetWriteAttributeInt32Request, done(pb.SetWriteAttributeInt32Response)),
+        "SetChanAttributeBool": (pb.SetChanAttributeBoolRequest, channel_bool),
+        "SetWriteAttributeInt32": (pb.SetWriteAttributeInt32Request, write_number),
         "WriteAnalogScalarF64": (pb.WriteAnalogScalarF64Request, write_scalar),
         "WriteAnalogF64": (pb.WriteAnalogF64Request, write_many),
         "ReadAnalogScalarF64": (pb.ReadAnalogScalarF64Request, read_scalar),
