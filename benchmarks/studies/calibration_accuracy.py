@@ -13,7 +13,7 @@ import numpy as np
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 from napari_elsplus.processing.calibration.calibrate import measure
-from napari_elsplus.processing.calibration.lag import measure_lag
+from napari_elsplus.processing.calibration.scan.lag import measure_lag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -158,7 +158,7 @@ def _calibrated(rig: Rig, voltages: int) -> Errors | str:
             bundle=rig.bundle(),
             background=rig.background(10),
         )
-        lag = measure_lag(lambda lead_s: rig.scanned_signal(lead_s * LINE_RATE_HZ), 1 / LINE_RATE_HZ)
+        lag = measure_lag(lambda lead_s, shift: rig.scanned_signal(lead_s * LINE_RATE_HZ + shift), 1 / LINE_RATE_HZ)
     except ElsPlusError as error:
         return str(error)
     late = lag.lag_s * LINE_RATE_HZ - rig.lag_rows

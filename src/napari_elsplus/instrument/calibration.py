@@ -20,8 +20,8 @@ FORMAT = "napari-elsplus/calibration"
 VERSION = 2
 """Highest version of the file format that is read."""
 
-ARRAYS = ("background", "flat", "distortion")
-"""Names of the arrays, which lie in the .npz beside the file."""
+ARRAYS = {"background": 2, "flat": 2, "distortion": 2, "scan_correction": 1}
+"""Dimensions of the arrays, which lie in the .npz beside the file, by name."""
 DISTORTION_SHAPE = (2, 10)
 """Row and column, and the ten coefficients of a polynomial of third degree in two variables."""
 
@@ -75,7 +75,8 @@ class OffsetSection(Section):
 class GalvoSection(Section):
     """Galvo map: voltage that puts the line onto a row of the confocal view, at the confocal centre's column.
 
-    ``lag_s`` is None where it was not measured; files of version 1 with exactly 0 are read as that.
+    ``lag_s`` is None where it was not measured; files of version 1 with exactly 0 are read as that. ``natural_hz`` and
+    ``damping`` are the galvo's resonance (Hz) and damping ratio, None unless they were fitted to the scan.
     """
 
     volts_per_row: Finite
@@ -86,6 +87,8 @@ class GalvoSection(Section):
     park_v: Finite | None = None
     volts_per_row_uncertainty: NonNegative | None = None
     volts_at_row_zero_uncertainty: NonNegative | None = None
+    natural_hz: Positive | None = None
+    damping: Positive | None = None
 
     @field_validator("lag_s")
     @classmethod
@@ -181,6 +184,9 @@ class Calibration(Section):
         (2, 10), px: row and column by which the residual view departs from the inverse of `residual_to_confocal`, as
         coefficients of 1, r, c, r^2, rc, c^2, r^3, r^2 c, r c^2, c^3 of the position (r, c) about the confocal centre
         over half the diameter. With it the version is 2; without it, 1.
+    scan_correction : numpy.ndarray, optional
+        Rows added to the line's path while each row of the frame is exposed, shape (rows,), float32; learned at the
+        frame rate of `acquired_with`.
 
     Examples
     --------
@@ -206,9 +212,10 @@ class Calibration(Section):
     background: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
     flat: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
     distortion: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
+    scan_correction: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
 
     def __eq__(self, other: object) -> bool:
-        """Return True if all sections and both arrays are equal."""
+        """Return True if all sections and arrays are equal."""
         if not isinstance(other, Calibration):
             return NotImplemented
         pairs = [(getattr(self, name), getattr(other, name)) for name in ARRAYS]
@@ -285,19 +292,19 @@ class Calibration(Section):
         Returns
         -------
         dict of str to str
-            Reason by the name of the section, or `background`.
+            Reason by the name of the section, `background` or `scan_correction`.
         """
         stale: dict[str, str] = {}
         if frame is not None and self.frame is not None and frame.shape != self.frame.shape:
             reason = f"frame {self.frame.shape} became {frame.shape}"
-            stale |= dict.fromkeys(("offset", "galvo", "bundle", "background"), reason)
+            stale |= dict.fromkeys(("offset", "galvo", "bundle", "background", "scan_correction"), reason)
         if self.acquired_with is None:
             return stale
         affected = {
-            "objective": ("offset", "galvo", "bundle", "optics", "background"),
+            "objective": ("offset", "galvo", "bundle", "optics", "background", "scan_correction"),
             "slit_rows": ("background",),
             "gain_db": ("background",),
-            "frame_rate_hz": ("optics",),
+            "frame_rate_hz": ("optics", "scan_correction"),
         }
         for name, sections in affected.items():
             then, now = getattr(self.acquired_with, name), getattr(settings, name)

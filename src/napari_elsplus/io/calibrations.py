@@ -1,4 +1,4 @@
-"""Calibration files: NAME.json for the numbers, NAME.npz beside it for background, flat field and distortion."""
+"""Calibration files: NAME.json for the numbers, NAME.npz beside it for arrays."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
 
 
 def write_calibration(path: str | os.PathLike[str], calibration: Calibration, force: bool = False) -> Path:
-    """Write a calibration as NAME.json and, if it has a background, flat field or distortion, NAME.npz beside it.
+    """Write a calibration as NAME.json and, if it has arrays, NAME.npz beside it.
 
     Parameters
     ----------
@@ -181,6 +181,12 @@ def _read_arrays(path: Path, calibration: Calibration) -> dict[str, NDArray[np.f
             f"{path.name}: the background is {background.shape}, the frame {frame.shape}",
             "it belongs to another calibration: calibrate again",
         )
+    correction = arrays.get("scan_correction")
+    if frame is not None and correction is not None and len(correction) != frame.shape[0]:
+        raise CalibrationError(
+            f"{path.name}: the scan correction has {len(correction)} rows, the frame {frame.shape[0]}",
+            "it belongs to another calibration: calibrate again",
+        )
     return arrays
 
 
@@ -197,7 +203,7 @@ def _refuse_forged_header(archive: zipfile.ZipFile, member: str) -> None:
 
 
 def _checked(path: Path, name: str, array: NDArray[Any]) -> NDArray[np.float32]:
-    if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "uif":
+    if array.ndim != ARRAYS[name] or array.size == 0 or array.dtype.kind not in "uif":
         raise CalibrationError(
             f"{path.name}: the {name} has shape {array.shape} and type {array.dtype}", "calibrate again"
         )

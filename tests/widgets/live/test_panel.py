@@ -25,7 +25,7 @@ from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration, recall
-from napari_elsplus.processing.calibration.lag import ScanLag
+from napari_elsplus.processing.calibration.scan.lag import ScanLag
 from napari_elsplus.widgets.live.form import DEFAULT_LIMIT_S, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers
 from napari_elsplus.widgets.shared.calibration_state import AMBER

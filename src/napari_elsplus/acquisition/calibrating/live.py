@@ -16,6 +16,7 @@ from napari_elsplus.acquisition.calibrating.capture import (
     take_scanning,
     take_sweep,
 )
+from napari_elsplus.acquisition.calibrating.trial_scans import TrialScans
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.instrument.optics import BUNDLE_UM, preset
 from napari_elsplus.processing.calibration.draft import Draft, Setup
@@ -25,8 +26,6 @@ from napari_elsplus.processing.calibration.steps import calibration_steps
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.engine.engine import Engine
     from napari_elsplus.processing.calibration.measurements import SlitOffset
@@ -111,8 +110,7 @@ class LiveMeasurement:
                 inputs = StepInputs(take_scanning(engine, step.frames), setup)
             case Capture.LEADS:
                 with streaming(engine):
-                    scan = self._scan_with_lead(step, draft)
-                    return step.estimate(StepInputs((), setup, scan_with_lead=scan, progress=progress), draft)
+                    return step.estimate(StepInputs((), setup, scans=TrialScans(engine), progress=progress), draft)
         return step.estimate(inputs, draft)
 
     def middle_v(self, draft: Draft) -> float:
@@ -137,16 +135,6 @@ class LiveMeasurement:
         if self._found_span is None:
             self._found_span = find_span(self._engine, self._progress("search for the bundle"))
         return self._found_span
-
-    def _scan_with_lead(self, step: CalibrationStep[Any], draft: Draft) -> Callable[[float], NDArray[np.uint8]]:
-        engine, known, galvo = self._engine, draft.calibration, draft.calibration.galvo
-        assert galvo is not None
-
-        def scan(lead_s: float) -> NDArray[np.uint8]:
-            engine.scan(known.model_copy(update={"galvo": galvo.model_copy(update={"lag_s": lead_s})}))
-            return settled_frames(engine, step.frames)
-
-        return scan
 
 
 def follow_offset(

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.streaming.faults import FaultLog
     from napari_elsplus.hardware.parking import ParkState
     from napari_elsplus.hardware.rig import Rig
+    from napari_elsplus.hardware.scan.timing import ScanTiming
     from napari_elsplus.hardware.scan.waveform import Waveform
     from napari_elsplus.instrument.calibration import Calibration
 
@@ -71,7 +72,12 @@ class GalvoController:
         """
         if calibration is None or calibration.galvo is None or calibration.bundle is None:
             return None
-        return els_waveform(calibration, self._setup.timing(self._strobe), self.limits)
+        return els_waveform(calibration, self.timing, self.limits)
+
+    @property
+    def timing(self) -> ScanTiming:
+        """Exposure times of the rows, relative to the strobe."""
+        return self._setup.timing(self._strobe)
 
     def follow(self, waveform: Waveform | None) -> None:
         """Scan by a waveform; without one, park a galvo that scans.

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.scan.correction import PathCorrection
 from napari_elsplus.hardware.scan.path import LEAD_IN_S, TURN_S, ScanPath
 from napari_elsplus.processing.images.elsa import FRAMES_PER_IMAGE, elsa_frames
 
@@ -172,7 +173,7 @@ def els_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLimi
     rows = exposed_rows(calibration.bundle)
     offset = calibration.bundle.residual_centre[0] - calibration.bundle.confocal_centre[0]
     _refuse_without_time(calibration.galvo, rows[1] - rows[0], offset, timing, limits)
-    return ramp_waveform(calibration.galvo, rows, timing, limits)
+    return ramp_waveform(calibration.galvo, rows, timing, limits, correction=calibration.scan_correction)
 
 
 def elsa_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLimits) -> Waveform:
@@ -201,7 +202,7 @@ def elsa_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLim
     rows = exposed_rows(calibration.bundle, residual=False)
     shifts_rows = [0.0] * FRAMES_PER_IMAGE
     shifts_rows[elsa_frames(0)[1]] = calibration.offset.rows
-    return ramp_waveform(calibration.galvo, rows, timing, limits, tuple(shifts_rows))
+    return ramp_waveform(calibration.galvo, rows, timing, limits, tuple(shifts_rows), calibration.scan_correction)
 
 
 def ramp_waveform(
@@ -210,13 +211,14 @@ def ramp_waveform(
     timing: ScanTiming,
     limits: GalvoLimits,
     shifts_rows: tuple[float, ...] = (0.0,),
+    correction: NDArray[np.floating] | None = None,
 ) -> Waveform:
     """Build ramps over given rows: the line on the slit, shifted by a number of rows, one ramp per shift.
 
     Parameters
     ----------
     galvo : GalvoSection
-        Volts per row, volts at row 0, and lag.
+        Volts per row, volts at row 0, lag, and the resonance if it was measured; else that of the limits is used.
     rows : tuple of float
         First and last exposed row.
     timing : ScanTiming
@@ -225,6 +227,8 @@ def ramp_waveform(
         From the rig.
     shifts_rows : tuple of float
         One shift per ramp.
+    correction : numpy.ndarray, optional
+        Rows added to the path at each row of the frame, shape (rows,).
 
     Raises
     ------
@@ -239,8 +243,9 @@ def ramp_waveform(
             f"take at least {MIN_SAMPLE_RATE_HZ * count / limits.card_samples:.3g} frames per second",
         )
     samples = floor((period - REARM_S) * rate + 1e-9)
-    natural = 2 * pi * limits.natural_hz if limits.natural_hz else None
-    carried = 2 * limits.damping / natural if natural else 0.0  # the lag that the resonance itself causes
+    natural_hz = galvo.natural_hz or limits.natural_hz
+    natural = 2 * pi * natural_hz if natural_hz else None
+    carried = 2 * (galvo.damping or limits.damping) / natural if natural else 0.0  # the lag of the resonance itself
     begin, end = timing.time_s(rows[0] - 0.5 * timing.slit_rows), timing.time_s(rows[1] + 0.5 * timing.slit_rows)
     spare = period - (end - begin) - TURN_S - LEAD_IN_S
     lag_s = galvo.lag_s or 0.0  # not measured: the line is late
@@ -250,6 +255,9 @@ def ramp_waveform(
     middles = (np.arange(fine) + 0.5) / rate  # a sample's value stands for its middle
     times = (np.arange(count)[:, None] * period + middles).ravel() + lag_s - carried
     where, speed, acceleration = path(times)
+    if correction is not None:
+        added = PathCorrection(correction, rows, timing)(times)
+        where, speed, acceleration = where + added[0], speed + added[1], acceleration + added[2]
     slope = galvo.volts_per_row
     drive = where + (carried * speed + acceleration / natural**2 if natural else 0.0)
     drive = _bridge(drive.reshape(count, fine), samples, period * rate).ravel()

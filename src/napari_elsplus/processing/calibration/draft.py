@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from napari_elsplus.instrument.calibration import AcquiredWith, Calibration, FrameSection, OpticsSection
 from napari_elsplus.processing.calibration.galvo import GalvoMap
-from napari_elsplus.processing.calibration.lag import ScanLag
 from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
+from napari_elsplus.processing.calibration.scan.lag import ScanLag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -109,7 +109,7 @@ class Draft:
         if given:
             update["optics"] = (known.optics or OpticsSection()).model_copy(update=given)
         if known.frame is not None and known.frame.shape != setup.frame.shape:
-            update |= {"background": None, "flat": None, "quality": None}
+            update |= dict.fromkeys(("background", "flat", "scan_correction", "quality"))
         return replace(self, calibration=known.model_copy(update=update))
 
     def with_bundle_um(self, bundle_um: float | None) -> Draft:

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.calibration.galvo import GalvoMap
-    from napari_elsplus.processing.calibration.lag import ScanLag
     from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
+    from napari_elsplus.processing.calibration.scan.lag import ScanLag
 
     Image = NDArray[np.float32]
 
@@ -60,7 +60,11 @@ def apply_galvo(draft: Draft, galvo: GalvoMap) -> Calibration:
         r_squared=galvo.r_squared,
         rms_rows=galvo.rms_rows,
         park_v=park_v,
-        **({} if before is None else {"lag_s": before.lag_s}),
+        **(
+            {}
+            if before is None
+            else {"lag_s": before.lag_s, "natural_hz": before.natural_hz, "damping": before.damping}
+        ),
     )
     return known.model_copy(update={"galvo": section})
 
@@ -103,7 +107,7 @@ def apply_pair(draft: Draft, pair: BundlePair) -> Calibration:
 
 
 def apply_lag(draft: Draft, lag: ScanLag) -> Calibration:
-    """Return the draft's calibration with a scan lag.
+    """Return the draft's calibration with a scan lag, and the galvo's response and correction if a ramp was learned.
 
     Raises
     ------
@@ -113,8 +117,14 @@ def apply_lag(draft: Draft, lag: ScanLag) -> Calibration:
     known = draft.calibration
     if known.galvo is None:
         raise InputError("a scan's lag belongs to a galvo map", "measure the galvo map first")
-    update = {"lag_s": lag.lag_s, "lag_uncertainty_s": lag.uncertainty_s}
-    return known.model_copy(update={"galvo": known.galvo.model_copy(update=update)})
+    update: dict[str, float | None] = {"lag_s": lag.lag_s, "lag_uncertainty_s": lag.uncertainty_s}
+    update |= {"natural_hz": None, "damping": None}
+    correction = None
+    if lag.ramp is not None and lag.ramp.correction is not None:
+        update |= {"natural_hz": lag.ramp.response.natural_hz, "damping": lag.ramp.response.damping}
+        correction = lag.ramp.correction.astype(np.float32)
+    galvo = known.galvo.model_copy(update=update)
+    return known.model_copy(update={"galvo": galvo, "scan_correction": correction})
 
 
 def apply_background(draft: Draft, background: Background) -> Calibration:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Draft, Setup
+    from napari_elsplus.processing.calibration.scan.learned_ramp import Scans
     from napari_elsplus.processing.images.sectioning import Frames
 
 T = TypeVar("T")
@@ -66,8 +67,8 @@ class StepInputs:
         Settings with which they were taken.
     volts : numpy.ndarray, optional
         A voltage per frame, for ``Capture.SWEEP``.
-    scan_with_lead : callable, optional
-        Takes frames of a scan with a lead in seconds, for ``Capture.LEADS``.
+    scans : Scans, optional
+        Takes frames of scans by trial calibrations, for ``Capture.LEADS``.
     progress : callable
         Wraps the numbers of the parts of a long estimate.
     """
@@ -75,7 +76,7 @@ class StepInputs:
     frames: Frames
     setup: Setup
     volts: NDArray[np.floating] | None = None
-    scan_with_lead: Callable[[float], Frames] | None = None
+    scans: Scans | None = None
     progress: ProgressWrapper = iter
 
 

@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.calibration import sections, summaries
-from napari_elsplus.processing.calibration.lag import ScanLag, measure_lag
 from napari_elsplus.processing.calibration.measurements import (
     map_galvo,
-    mean_frame,
     measure_background,
     measure_flat_field,
     measure_offset,
     measure_pair,
 )
+from napari_elsplus.processing.calibration.scan.measure import measure_scan
 from napari_elsplus.processing.calibration.step import REGISTERED, CalibrationStep, Capture, Target, register
-from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,6 +27,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.calibration.galvo import GalvoMap
     from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
+    from napari_elsplus.processing.calibration.scan.lag import ScanLag
     from napari_elsplus.processing.calibration.step import StepInputs
 
 register_step = register
@@ -118,16 +117,9 @@ def _lag_is_measured(draft: Draft) -> bool:
 
 
 def _estimate_lag(inputs: StepInputs, draft: Draft) -> ScanLag:
-    scan, period_s = inputs.scan_with_lead, inputs.setup.line_period_s
-    if scan is None or period_s is None:
+    if inputs.scans is None or inputs.setup.line_period_s is None:
         raise InputError("the scan lag cannot be estimated from a file", "connect the rig and measure it live")
-    sectioner = Sectioner(draft.calibration, inputs.setup.frame.shape)
-    inside = disc(sectioner.side, 0.9 * sectioner.diameter_px)
-
-    def signal_at(lead_s: float) -> float:
-        return float(sectioner.ls(mean_frame(scan(lead_s)))[inside].mean())
-
-    return measure_lag(signal_at, period_s, inputs.progress)
+    return measure_scan(inputs.scans, draft.calibration, inputs.setup, LAG.frames, inputs.progress)
 
 
 def _estimate_background(inputs: StepInputs, _draft: Draft) -> Background:
@@ -196,15 +188,15 @@ LAG: Final = register(
     CalibrationStep(
         key="lag",
         title="scan lag",
-        explanation="Delay of the line at full speed: the lead at which most light passes the slit.",
+        explanation="Delay of the line at full speed, and the error of each row, by which a ramp is learned.",
         preparation=_EVEN,
         target=Target.FLUORESCENT,
         capture=Capture.LEADS,
-        frames=4,
+        frames=3,
         estimate=_estimate_lag,
         apply=sections.apply_lag,
         summarize=summaries.summarize_lag,
-        section="lag",
+        section="scan_correction",
         measured=_lag_is_measured,
         needs=("galvo", "pair"),
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT, measure_alignment_errors
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
+from napari_elsplus.processing.calibration.scan.measure import DEFAULT_SLIT_ROWS
 from napari_elsplus.processing.calibration.step import StepSummary
 
 if TYPE_CHECKING:
@@ -17,14 +18,13 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.bundle.location import Disc
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.galvo import GalvoMap
-    from napari_elsplus.processing.calibration.lag import ScanLag
     from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
+    from napari_elsplus.processing.calibration.scan.lag import ScanLag
+    from napari_elsplus.processing.calibration.scan.learned_ramp import LearnedRamp
 
 MAX_OFFSET_DIFFERENCE_ROWS: Final = 0.5
 """Between the slit offset and that of the bundle images, above which one is out of date; chosen, five times the
 uncertainty of a bundle's centre."""
-DEFAULT_SLIT_ROWS: Final = 3.0
-"""Slit width where the setup does not contain it: that of the presets."""
 
 
 def with_uncertainty(value: float, uncertainty: float) -> str:
@@ -132,12 +132,38 @@ def seen_share(disc: Disc, frame_shape: tuple[int, ...]) -> float:
 
 
 def summarize_lag(lag: ScanLag, _draft: Draft, setup: Setup) -> StepSummary:
-    """Summarize a scan lag: microseconds and rows; see :class:`CalibrationStep`."""
-    lines = []
+    """Summarize a scan lag: microseconds and rows, row errors, learned ramp; see :class:`CalibrationStep`."""
+    lines: list[str] = []
+    warnings: list[str] = []
     if setup.line_period_s is not None:
         rows = with_uncertainty(lag.lag_s / setup.line_period_s, lag.uncertainty_s / setup.line_period_s)
         lines.append(f"{rows} rows by which the scan leads the slit")
-    return StepSummary(f"{with_uncertainty(1e6 * lag.lag_s, 1e6 * lag.uncertainty_s)} µs", lines)
+    if lag.row_errors is not None:
+        lines.append(f"row error at most {lag.row_errors.largest_rows:.2f} rows")
+    if lag.ramp is not None:
+        _add_ramp(lag.ramp, lines, warnings)
+    return StepSummary(f"{with_uncertainty(1e6 * lag.lag_s, 1e6 * lag.uncertainty_s)} µs", lines, warnings)
+
+
+def _add_ramp(ramp: LearnedRamp, lines: list[str], warnings: list[str]) -> None:
+    """Add what a learned ramp corrects, and what the galvo cannot do."""
+    galvo = f"galvo of {ramp.response.natural_hz:.0f} Hz, damping {ramp.response.damping:.2f}"
+    if ramp.correction is not None:
+        lines.append(
+            f"ramp learned in {ramp.frames} frames: {ramp.off_before} rows missed the slit by more than "
+            f"{ramp.limit_rows:g} rows before, {ramp.off} after"
+        )
+        lines.append(f"{galvo}, as far as this scan shows")
+    if ramp.highest_rate_hz is not None:
+        remedy = f"{ramp.highest_rate_hz:.0f} frames per second fit" if ramp.highest_rate_hz else "no frame rate fits"
+        warnings.append(
+            f"{ramp.off} rows miss the slit by more than {ramp.limit_rows:g} rows, and the {galvo}, cannot follow a "
+            f"better ramp within the rig's limits: {remedy}"
+        )
+    elif ramp.off:
+        warnings.append(
+            f"{ramp.off} rows miss the slit by more than {ramp.limit_rows:g} rows: choose a lower frame rate"
+        )
 
 
 def summarize_background(background: Background, _draft: Draft, _setup: Setup) -> StepSummary:

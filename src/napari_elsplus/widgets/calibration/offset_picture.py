@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.calibration.summaries import DEFAULT_SLIT_ROWS
+from napari_elsplus.processing.calibration.scan.measure import DEFAULT_SLIT_ROWS
 from napari_elsplus.widgets.calibration.picture import Picture, Plot
 from napari_elsplus.widgets.shared.plots import Band, Curve
 from napari_elsplus.workflows.sectioning_performance import line_as_seen, predict_performance

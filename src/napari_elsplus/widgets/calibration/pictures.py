@@ -17,12 +17,14 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.galvo import GalvoMap
-    from napari_elsplus.processing.calibration.lag import ScanLag
     from napari_elsplus.processing.calibration.measurements import Background, BundlePair
+    from napari_elsplus.processing.calibration.scan.lag import ScanLag
     from napari_elsplus.processing.calibration.step import CalibrationStep
 
 BAND_PX: Final = 5
 """Pixels to either side of the middle that are averaged in a profile; chosen: about two cores."""
+_SHOWN_ERROR_ROWS: Final = 10.0
+"""Largest row error that is drawn for a scan without a correction; chosen: more would flatten the corrected one."""
 
 
 def picture(step: CalibrationStep[Any], found: Any, draft: Draft, setup: Setup, target_um: float) -> Picture:
@@ -88,7 +90,16 @@ def _lag(found: ScanLag) -> Sequence[Plot]:
     order = np.argsort(found.leads_s)
     curve = Curve("signal", 1e6 * found.leads_s[order], found.signal[order], "blue", marks=True, listed=False)
     mark = (1e6 * found.lag_s, "orange", f"{1e6 * found.lag_s:.1f} µs")
-    return (Plot("lead / µs", "confocal signal / grey levels", [curve], [mark]),)
+    plots = [Plot("lead / µs", "confocal signal / grey levels", [curve], [mark])]
+    if found.row_errors is not None:
+        rows = np.arange(float(len(found.row_errors.rows)))
+        curves = [Curve("row error", rows, found.row_errors.rows, "blue", listed=found.ramp is not None)]
+        if found.ramp is not None:
+            before = found.ramp.before.rows
+            near = np.where(np.abs(before) < _SHOWN_ERROR_ROWS, before, np.nan)
+            curves.append(Curve("before the correction", rows, near, "orange", "dotted"))
+        plots.append(Plot("row", "line minus slit / rows", curves))
+    return plots
 
 
 def _background(found: Background) -> Sequence[Plot]:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.calibration.lag import fit_lag, measure_lag
+from napari_elsplus.processing.calibration.scan.lag import fit_lag, measure_lag
 
 LINE_S = 7.648e-6
 
@@ -23,7 +23,10 @@ def signal(leads_s: np.ndarray, lag_s: float, width_rows: float = 4.0) -> np.nda
 @given(lag_rows=st.floats(2, 95), width_rows=st.floats(2.5, 8))
 @settings(max_examples=30, deadline=None)
 def test_any_lag_that_a_galvo_may_have_is_found(lag_rows: float, width_rows: float) -> None:
-    found = measure_lag(lambda lead_s: float(signal(np.array(lead_s), lag_rows * LINE_S, width_rows)), LINE_S)
+    def signal_at(lead_s: float, shift_rows: float) -> float:
+        return float(signal(np.array(lead_s + shift_rows * LINE_S), lag_rows * LINE_S, width_rows))
+
+    found = measure_lag(signal_at, LINE_S)
     assert found.lag_s / LINE_S == pytest.approx(lag_rows, abs=0.01)
     assert found.leads_s[np.argmax(found.signal)] == pytest.approx(found.lag_s, abs=LINE_S)
 
@@ -31,7 +34,7 @@ def test_any_lag_that_a_galvo_may_have_is_found(lag_rows: float, width_rows: flo
 def test_lags_of_random_rigs_are_found_and_their_uncertainty_holds() -> None:
     """Within 0.3 rows, the aim; with a halo, a tilted line and light that flickers."""
     rigs = [Rig.draw(seed) for seed in range(600, 640)]
-    found = [measure_lag(lambda lead_s, rig=rig: rig.scanned_signal(lead_s / LINE_S), LINE_S) for rig in rigs]
+    found = [measure_lag(lambda lead, rows, of=rig: of.scanned_signal(lead / LINE_S + rows), LINE_S) for rig in rigs]
     errors = np.array([lag.lag_s / LINE_S - rig.lag_rows for lag, rig in zip(found, rigs, strict=True)])
     stated = np.array([lag.uncertainty_s / LINE_S for lag in found])
     assert np.abs(errors).max() < 0.15
@@ -50,7 +53,7 @@ def test_the_search_is_watched_and_can_be_given_up() -> None:
             yield number
 
     with pytest.raises(InputError, match="cancelled"):
-        measure_lag(lambda lead_s: float(signal(np.array(lead_s), 3e-4)), LINE_S, impatient)
+        measure_lag(lambda lead_s, shift: float(signal(np.array(lead_s + shift * LINE_S), 3e-4)), LINE_S, impatient)
     assert numbers == [0, 1, 2, 3, 4]
 
 

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.calibration.scan.learned_ramp import LearnedRamp
+    from napari_elsplus.processing.calibration.scan.row_errors import RowErrors
+
     Floats = NDArray[np.float64]
 
 _FIT_RANGE_ROWS: Final = 13.0
@@ -29,10 +32,8 @@ MAX_LAG_S: Final = 0.8e-3
 """Longest lead that is tried; chosen, above the lag of galvos of 1 kHz with their triggers."""
 _COARSE_STEP_ROWS: Final = 5.0
 """Chosen: narrower than the line with its slit, so that one lead meets it."""
-_FINE_STEP_ROWS: Final = 1.5
-"""Chosen: several leads across the line."""
-_FINE_STEPS: Final = 8
-"""To either side of the best coarse lead; derived: they cover the range of the fit."""
+FINE_SHIFTS: Final = 1.5 * np.arange(-8.0, 9.0)
+"""Shifts in rows about the best coarse lead; chosen: several across the line, over the range of the fit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,23 +46,31 @@ class ScanLag:
         The lag and its standard deviation.
     leads_s, signal : numpy.ndarray
         Mean confocal grey level at each lead, shape (n,).
+    row_errors : RowErrors, optional
+        Of the scan by this result.
+    ramp : LearnedRamp, optional
+        Correction, if the lag alone left rows off the slit.
     """
 
     lag_s: float
     uncertainty_s: float
     leads_s: Floats
     signal: Floats
+    row_errors: RowErrors | None = None
+    ramp: LearnedRamp | None = None
 
 
 def measure_lag(
-    signal_at: Callable[[float], float], line_period_s: float, progress: Callable[[Iterable[int]], Iterable[int]] = iter
+    signal_at: Callable[[float, float], float],
+    line_period_s: float,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> ScanLag:
-    """Measure the scan lag with leads that are coarse over the range of galvos and fine about the best.
+    """Measure the scan lag with coarse leads over the range of galvos, and fine shifts about the best.
 
     Parameters
     ----------
     signal_at : callable
-        Scans with a lead in seconds, and returns the mean confocal grey level.
+        Scans with a lead in seconds and a shift in rows, and returns the mean confocal grey level.
     line_period_s : float
         Seconds from one row to the next.
     progress : callable, optional
@@ -76,14 +85,30 @@ def measure_lag(
     MeasurementError
         If the signal has no maximum within the leads.
     """
+    return fit_lag(*take_leads(signal_at, line_period_s, progress), line_period_s)
+
+
+def take_leads(
+    signal_at: Callable[[float, float], float],
+    line_period_s: float,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+) -> tuple[Floats, Floats]:
+    """Return the leads in seconds and the signal at each, shape (n,): the last ``len(FINE_SHIFTS)`` are fine shifts.
+
+    Parameters are those of :func:`measure_lag`. A shift by a row acts on the signal as a lead by a line period.
+    """
     leads = np.arange(0.0, MAX_LAG_S, _COARSE_STEP_ROWS * line_period_s).tolist()
-    coarse, fine = len(leads), np.arange(-_FINE_STEPS, _FINE_STEPS + 1) * _FINE_STEP_ROWS * line_period_s
+    coarse, best = len(leads), 0.0
     signal: list[float] = []
-    for number in progress(range(coarse + len(fine))):
+    for number in progress(range(coarse + len(FINE_SHIFTS))):
+        if number < coarse:
+            signal.append(signal_at(leads[number], 0.0))
+            continue
         if number == coarse:
-            leads += (leads[int(np.argmax(signal))] + fine).tolist()
-        signal.append(signal_at(leads[number]))
-    return fit_lag(np.array(leads), np.array(signal), line_period_s)
+            best = leads[int(np.argmax(signal))]
+            leads += (best + FINE_SHIFTS * line_period_s).tolist()
+        signal.append(signal_at(best, float(FINE_SHIFTS[number - coarse])))
+    return np.array(leads), np.array(signal)
 
 
 def fit_lag(leads_s: Floats, signal: Floats, line_period_s: float) -> ScanLag:

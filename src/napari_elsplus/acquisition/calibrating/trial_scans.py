@@ -1,0 +1,48 @@
+"""Scans of a running engine by trial calibrations, for the steps that estimate the scan itself."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from napari_elsplus.acquisition.calibrating.capture import SETTLED_S
+from napari_elsplus.hardware.scan.following import drive_of, highest_rate_hz
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from napari_elsplus.acquisition.engine.engine import Engine
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.calibration.scan.galvo_response import Drive
+
+
+class TrialScans:
+    """Scans by trial calibrations; see :class:`napari_elsplus.processing.calibration.scan.learned_ramp.Scans`.
+
+    Parameters
+    ----------
+    engine : Engine
+        Streaming.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def frames(self, calibration: Calibration, count: int) -> NDArray[np.uint8]:
+        """Take a count of frames, (count, rows, cols), without the first ramp, to which the galvo comes from rest."""
+        self._engine.scan(calibration)
+        first_ramp_s = self._engine.galvo.timing.frame_period_s
+        return self._engine.fresh_frames(count, time.perf_counter() + max(SETTLED_S, first_ramp_s))
+
+    def drive(self, calibration: Calibration) -> Drive:
+        """Return the drive of a scan; raise an InputError if the galvo's limits do not allow it."""
+        calibration.require("galvo", "bundle")
+        waveform = self._engine.galvo.waveform(calibration)
+        assert waveform is not None
+        assert calibration.galvo is not None
+        return drive_of(waveform, calibration.galvo, self._engine.galvo.timing)
+
+    def highest_rate_hz(self, calibration: Calibration) -> float:
+        """Return the highest frame rate at which the galvo's limits allow a scan; 0 for none."""
+        return highest_rate_hz(calibration, self._engine.galvo.timing, self._engine.galvo.limits)
