@@ -30,13 +30,13 @@ class TrialScans:
         self._engine = engine
 
     def frames(self, calibration: Calibration, count: int) -> NDArray[np.uint8]:
-        """Take a count of frames, (count, rows, cols), without the first ramp, to which the galvo comes from rest."""
+        """Take a count of frames (count, rows, cols) by a calibration, without the first ramp, which begins at rest."""
         self._engine.scan(calibration)
         first_ramp_s = self._engine.galvo.timing.frame_period_s
         return self._engine.fresh_frames(count, time.perf_counter() + max(SETTLED_S, first_ramp_s))
 
     def drive(self, calibration: Calibration) -> Drive:
-        """Return the drive of a scan; raise an InputError if the galvo's limits do not allow it."""
+        """Return the drive of a scan by a calibration; raise an InputError if the galvo's limits do not allow it."""
         calibration.require("galvo", "bundle")
         waveform = self._engine.galvo.waveform(calibration)
         assert waveform is not None
@@ -44,5 +44,5 @@ class TrialScans:
         return drive_of(waveform, calibration.galvo, self._engine.galvo.timing)
 
     def highest_rate_hz(self, calibration: Calibration) -> float:
-        """Return the highest frame rate at which the galvo's limits allow a scan; 0 for none."""
+        """Return the highest frame rate at which the galvo's limits allow a scan by a calibration; 0 for none."""
         return highest_rate_hz(calibration, self._engine.galvo.timing, self._engine.galvo.limits)
