@@ -19,6 +19,8 @@ from benchmarks.harness.registry import MODULES, benchmark
 from benchmarks.harness.running import run
 from benchmarks.harness.table import breakdowns, header, lines, markdown, write_csv
 from benchmarks.harness.verdict import verdict
+from benchmarks.imperfect import study, survey
+from benchmarks.imperfect.cases import CASES
 from benchmarks.studies import line_fit
 from napari_elsplus.cli import run_program
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
@@ -59,6 +61,7 @@ def list_benchmarks() -> None:
     for name in MODULES:
         click.echo(f"{name:19} {benchmark(name).question}")
     click.echo(f"{'paper':19} The paper's figures on the simulated rig")
+    click.echo(f"{'imperfect':19} What each imperfection of a rig costs, with and without its correction")
 
 
 @bench.command()
@@ -79,6 +82,29 @@ def paper_figures(out: Path, quick: bool, force: bool) -> None:
         tables = paper.make(out, quick=quick, force=force, report=status.update)
     for name, table in tables.items():
         click.echo(f"{name}\n{table}\n")
+
+
+@bench.command(name="imperfect")
+@click.option("--out", type=FILE, required=True, help="Folder for imperfect.csv, imperfect.png and imperfect-rigs.csv.")
+@click.option("--quick", is_flag=True, help="A few cases: a check that it runs.")
+@click.option("--rigs", type=click.IntRange(min=0), default=0, show_default=True, help="Rigs drawn at random, too.")
+@click.option("--only-rigs", is_flag=True, help="No cases, only the rigs.")
+@force_option
+def imperfect(out: Path, quick: bool, rigs: int, only_rigs: bool, force: bool) -> None:
+    """Disturb the simulated rig by each imperfection, with and without its correction, and draw rigs at random."""
+    files = {name: out / f"imperfect{name}" for name in (".csv", ".png", "-rigs.csv")}
+    refuse_outputs(*files.values(), force=force)
+    out.mkdir(parents=True, exist_ok=True)
+    with Console(stderr=True).status("imperfect") as status:
+        if not only_rigs:
+            outcomes = study.run_cases(study.quick_cases() if quick else CASES, status.update)
+            study.write_outcomes(outcomes, files[".csv"], force=force)
+            save_figure(study.draw_outcomes(outcomes), files[".png"], force=force)
+            click.echo(study.markdown(outcomes))
+        if rigs:
+            surveyed = survey.survey(rigs, status.update)
+            survey.write_survey(surveyed, files["-rigs.csv"], force=force)
+            click.echo(survey.markdown(surveyed))
 
 
 @bench.command()

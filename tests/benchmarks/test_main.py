@@ -13,7 +13,7 @@ def test_the_list_names_every_benchmark_and_its_question(bench_program) -> None:
     run = bench_program("list")
     lines = run.out.splitlines()
     assert run.code == 0
-    assert [line.split()[0] for line in lines] == [*MODULES, "paper"]
+    assert [line.split()[0] for line in lines] == [*MODULES, "paper", "imperfect"]
     assert all(len(line.split()) > 3 for line in lines)
 
 

@@ -1,0 +1,184 @@
+"""Quality of images and of calibrations on an imperfect rig, judged by the truth."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.processing.images.sectioning import Sectioner, disc
+from napari_elsplus.processing.images.warping import polynomial_terms
+from napari_elsplus.simulation.calibration_scenes import background, line_volts
+from napari_elsplus.simulation.rendering.views import views
+from napari_elsplus.simulation.specimen.scenes import Plane, Scene, nuclei
+from napari_elsplus.simulation.specimen.textures import Mottle, Nuclei
+from napari_elsplus.simulation.specimen.trajectories import trajectory
+from napari_elsplus.workflows.axial import measure_axial_response
+from napari_elsplus.workflows.tracking import Pipeline
+
+if TYPE_CHECKING:
+    from benchmarks.imperfect.rig import ImperfectRig, Rows
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.analysis.axial_response import AxialResponse
+
+JUDGED: Final = 0.9
+"""Part of the bundle's diameter in which images and maps are judged, as the paper judges alignment."""
+DEPTHS_UM: Final = np.r_[np.arange(0.0, 40, 8), np.arange(40, 200, 10), np.arange(200, 720, 40)]
+"""Depths of a scan, um; chosen: a quarter of a whole scan's."""
+
+_NEAR_UM: Final = 60.0
+"""Distance from the middle of the bundle, um, within which a parabola describes any distortion; chosen."""
+
+
+def hazy_nuclei(seed: int) -> Scene:
+    """Return dim nuclei under mottle at 150 um that is ten times brighter."""
+    return Scene((Plane(Nuclei(seed=seed), 0.0, 0.2), Plane(Mottle(seed=seed), 150.0, 2.0)))
+
+
+class Sectioning(NamedTuple):
+    """Correlation with the focal plane: of LS, and of ELS+."""
+
+    ls: float
+    els: float
+
+
+def sectioning(
+    rig: ImperfectRig, calibration: Calibration, scene: Scene, *, seed: int = 0, line_rows: Rows | None = None
+) -> Sectioning:
+    """Correlate LS and ELS+ of one frame with the focal plane alone, as the same view shows it without noise."""
+    renderer = rig.renderer(scene, seed=seed)
+    section = Sectioner(calibration, rig.instrument.frame_shape)
+    bare = Sectioner(calibration.model_copy(update={"background": None}), rig.instrument.frame_shape)
+    wanted = bare.ls(renderer.in_focus().render(0)).copy()
+    raw = renderer.render(0, line_rows=line_rows)
+    found = [image(raw).copy() for image in (section.ls, section.els)]
+    judged = disc(section.side, JUDGED * section.diameter_px)
+    return Sectioning(*(_correlation(image[judged], wanted[judged]) for image in found))
+
+
+def _correlation(one: np.ndarray, two: np.ndarray) -> float:
+    both = np.isfinite(one) & np.isfinite(two)
+    return float(np.corrcoef(one[both], two[both])[0, 1])
+
+
+class Misalignment(NamedTuple):
+    """Left-over of the view alignment over all cores, px RMS, and the standard deviation that is stated for it."""
+
+    left_over_px: float
+    stated_px: float
+
+
+def misalignment(rig: ImperfectRig, calibration: Calibration) -> Misalignment:
+    """Compare where the calibration expects each core in the residual view with where it is."""
+    bundle = calibration.bundle
+    assert bundle is not None
+    known, left, right = views(rig.instrument)
+    judged = np.hypot(known.rows_um, known.cols_um) < JUDGED * rig.instrument.bundle.radius_um
+    on_left = np.stack([left.rows_px, left.cols_px])[:, judged]
+    affine = np.vstack([bundle.residual_to_confocal, (0.0, 0.0, 1.0)])
+    expected = np.linalg.solve(affine, np.vstack([on_left, np.ones(on_left.shape[1])]))[:2]
+    if calibration.distortion is not None:
+        place = (on_left - np.reshape(bundle.confocal_centre, (2, 1))) / (bundle.diameter_px / 2)
+        expected = expected + calibration.distortion @ polynomial_terms(*place)
+    off = expected - np.stack([right.rows_px, right.cols_px])[:, judged]
+    return Misalignment(float(np.sqrt((off**2).sum(0).mean())), bundle.alignment_uncertainty_px or 0.0)
+
+
+class Error(NamedTuple):
+    """Error of a measured number, and the standard deviation that is stated for it."""
+
+    off: float
+    stated: float
+
+
+def offset_error(rig: ImperfectRig, calibration: Calibration) -> Error:
+    """Error of the slit offset, rows, where the line stood when it was measured."""
+    assert calibration.offset is not None
+    return Error(calibration.offset.rows - true_offset_rows(rig), calibration.offset.uncertainty_rows)
+
+
+def true_offset_rows(rig: ImperfectRig) -> float:
+    """Return the slit offset, rows, from where the views show the cores on the line, each at its centre's column."""
+    instrument = rig.instrument
+    um_per_px, radius_um = instrument.optics.um_per_px, instrument.bundle.radius_um
+    known, left, right = views(instrument)
+    near = np.hypot(known.rows_um, known.cols_um) < _NEAR_UM
+    terms = _quadratic(known.rows_um[near], known.cols_um[near])
+    line_row = float(instrument.line_row(line_volts(instrument)[0]))
+    across = np.linspace(-50.0, 50.0, 2001)  # um
+    tilt, bow = np.tan(np.deg2rad(instrument.line_tilt_deg)), instrument.imperfections.line_bow_rows * um_per_px
+    line = (line_row - instrument.confocal_centre[0]) * um_per_px + tilt * across + bow * (across / radius_um) ** 2
+    rows = []
+    for view in (left, right):
+        to_row, to_col = (np.linalg.lstsq(terms, axis[near], rcond=None)[0] for axis in (view.rows_px, view.cols_px))
+        seen = _quadratic(line, across)
+        rows.append(float(np.interp(to_col[0], seen @ to_col, seen @ to_row)))
+    return rows[1] - rows[0]
+
+
+def _quadratic(rows: Rows, cols: Rows) -> Rows:
+    return np.stack([np.ones_like(rows), rows, cols, rows**2, cols**2, rows * cols], axis=1)
+
+
+def galvo_error(rig: ImperfectRig, calibration: Calibration) -> Error:
+    """Error of the galvo map, rows, at the middle of the bundle."""
+    galvo, instrument = calibration.galvo, rig.instrument
+    assert galvo is not None
+    volt = float(galvo.volts(instrument.confocal_centre[0]))
+    stated = (galvo.volts_at_row_zero_uncertainty or 0.0) / abs(galvo.volts_per_row)
+    return Error(instrument.confocal_centre[0] - float(instrument.line_row(volt)), stated)
+
+
+class Scanned(NamedTuple):
+    """Line against slit over the exposed rows: rows off by more than a quarter slit, largest error, signal kept."""
+
+    off: int
+    largest_rows: float
+    signal: float
+
+
+def scanned(rig: ImperfectRig, line_rows: Rows) -> Scanned:
+    """Judge line positions on the rows of both views; the signal is that of an in-focus plane in the confocal view."""
+    instrument = rig.instrument
+    radius, rows = instrument.diameter_px / 2, np.arange(len(line_rows))
+    centres = instrument.confocal_centre[0], instrument.residual_centre[0]
+    exposed = (rows > min(centres) - radius) & (rows < max(centres) + radius)
+    error = np.abs(line_rows - rows)
+    on_left = np.abs(rows - centres[0]) < radius
+    sigma_rows = instrument.optics.rows(np.hypot(instrument.line.core_um, instrument.slit_um / np.sqrt(12)))
+    kept = np.exp(-0.5 * (error[on_left] / sigma_rows) ** 2)
+    chord = np.sqrt(radius**2 - (rows[on_left] - centres[0]) ** 2)
+    off = int((error[exposed] > instrument.slit_rows / 4).sum())
+    return Scanned(off, float(error[exposed].max()), float((kept * chord).sum() / chord.sum()))
+
+
+def axial(
+    rig: ImperfectRig, calibration: Calibration, *, line_rows: Rows | None = None, seed: int = 0
+) -> AxialResponse:
+    """Measure the axial response in a scan of depths; the background is taken in the light of the scan."""
+    scan = rig.axial_scan(DEPTHS_UM, seed=seed, line_rows=line_rows)
+    dark = calibration.model_copy(update={"background": background(scan.instrument, seed=seed + 1)})
+    return measure_axial_response(scan, dark, DEPTHS_UM)
+
+
+class Tracked(NamedTuple):
+    """Share of frames that were tracked in the first segment, and the RMS error of their positions, camera pixels."""
+
+    share: float
+    rms_px: float
+
+
+def tracked(rig: ImperfectRig, calibration: Calibration, frames: int, *, seed: int = 0) -> Tracked:
+    """Track a probe moved by hand over nuclei, and compare with its path."""
+    path, optics = trajectory("hand", speed_um_s=2000.0, seed=seed), rig.instrument.optics
+    renderer = rig.renderer(nuclei(seed), path, seed=seed)
+    pipeline = Pipeline(calibration, rig.instrument.frame_shape)
+    for k in range(frames):
+        pipeline.track(renderer.render(k), frame=k, time_s=k * optics.frame_period_s)
+    rows = [row for row in pipeline.rows if row.segment == pipeline.rows[0].segment and np.isfinite(row.row_px)]
+    middle = rig.instrument.confocal_centre[0] / optics.line_periods_per_frame
+    times_s = (np.array([row.frame for row in rows]) + middle) * optics.frame_period_s
+    truth = path.positions_um(times_s) / optics.um_per_px
+    found = np.array([(row.row_px, row.col_px) for row in rows])
+    off = found - truth
+    return Tracked(len(rows) / frames, float(np.sqrt(((off - off.mean(0)) ** 2).sum(1).mean())))

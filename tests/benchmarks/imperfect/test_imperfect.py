@@ -1,0 +1,79 @@
+"""Imperfect rigs against their truth: what the benchmark judges by, and its quick form."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.imperfect import measures
+from benchmarks.imperfect.cases import CASES, Case
+from benchmarks.imperfect.rig import ImperfectRig
+from benchmarks.imperfect.study import measure_case, quick_cases
+from benchmarks.imperfect.survey import CALIBRATED, DISTANCES, Surveyed, markdown
+from napari_elsplus.simulation.model.imperfections import Imperfections
+from napari_elsplus.simulation.truth import true_calibration
+
+
+def test_cases_name_imperfections_that_exist_and_each_once() -> None:
+    for case in CASES:
+        assert Imperfections.parse(case.imperfections).changed, case.name
+    assert len({(case.imperfections, case.preset, case.quantity.name) for case in CASES}) == len(CASES)
+
+
+def test_the_true_calibration_of_an_undistorted_rig_leaves_nothing_over() -> None:
+    rig = ImperfectRig.of("240hz")
+    found = measures.misalignment(rig, true_calibration(rig.instrument))
+    assert found.left_over_px < 1e-9
+    level = ImperfectRig.of("240hz", line_tilt_deg=0.0)
+    assert measures.true_offset_rows(level) == pytest.approx(level.instrument.offset_rows, abs=0.02)
+
+
+def test_a_line_on_its_slit_is_judged_perfect_and_a_late_one_is_not() -> None:
+    rig = ImperfectRig.of("240hz")
+    rows = np.arange(524.0)
+    assert measures.scanned(rig, rows) == (0, 0.0, 1.0)
+    off, largest, signal = measures.scanned(rig, rows + 3.0)
+    assert off > 480
+    assert largest == pytest.approx(3.0)
+    assert 0.6 < signal < 0.9
+
+
+def marked(case: Case) -> object:
+    marks = pytest.mark.slow if case.preset == "120hz" else ()
+    return pytest.param(case, marks=marks, id=f"{case.imperfections} {case.quantity.name}")
+
+
+@pytest.mark.parametrize("case", [marked(case) for case in quick_cases()])
+def test_the_quick_cases_are_measured_and_disturb_or_are_corrected(case: Case) -> None:
+    outcome = measure_case(case)
+    assert np.isfinite(outcome.clean)
+    assert outcome.holds or outcome.refused or outcome.disturbed != outcome.clean
+
+
+def test_a_survey_counts_refused_and_wrong_rigs() -> None:
+    good = dict.fromkeys((*CALIBRATED, *DISTANCES), measures.Error(0.0, 1.0))
+    bad = good | {"ELS+ 10 dB": measures.Error(12.0, 1.0)}
+    rigs = [
+        Surveyed(1, good, {"ELS+ 3 dB": 0.0, "ELS+ 10 dB": 0.0}),
+        Surveyed(2, bad, {"ELS+ 3 dB": 0.0, "ELS+ 10 dB": 0.1}),
+        Surveyed(3, refused="no line"),
+    ]
+    text = markdown(rigs)
+    assert "3 rigs drawn at random (seeds 1 to 3): 1 refused" in text
+    assert "1 with an ELS+ drop-off more than 3 % from the ideal rig's, 1 of them silently" in text
+
+
+def test_the_command_writes_table_and_chart(bench_program, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(
+        "benchmarks.imperfect.study.quick_cases", lambda: [case for case in quick_cases() if case.preset == "240hz"]
+    )
+    run = bench_program("imperfect", "--quick", "--out", tmp_path)
+    assert run.code == 0
+    with (tmp_path / "imperfect.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 1
+    assert (tmp_path / "imperfect.png").read_bytes().startswith(b"\x89PNG")
+    assert "aims are reached" in run.out
