@@ -103,6 +103,31 @@ def test_rigid_images_are_tracked_to_a_fraction_of_a_pixel() -> None:
     np.testing.assert_allclose(positions, np.subtract(places, places[0]), atol=0.25)
 
 
+def rigid(places: np.ndarray, seed: int) -> np.ndarray:
+    """Return images (T, 200, 200) uint8 of a rigid scene at positions (T, 2), with noise."""
+    rng = np.random.default_rng(seed)
+    scene = 100 + 20 * blurred(rng, int(places.max()) + 260, 2.5)
+    disc = np.hypot(*(np.mgrid[:200, :200] - 99.5)) < 98
+    seen = [cv2.getRectSubPix(scene, (200, 200), (col + 120, row + 120)) for row, col in places]
+    return np.array([np.clip((image + rng.normal(0, 6, image.shape)) * disc, 0, 255) for image in seen], np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("speed_px", "frames", "around", "limit_px"), [(1.5, 40, False, 0.1), (22.0, 60, True, 0.2)], ids=["slow", "loop"]
+)
+def test_errors_do_not_add_up_in_rigid_scenes(speed_px: float, frames: int, around: bool, limit_px: float) -> None:
+    angle = 2.4 * np.pi * np.arange(frames) / frames
+    radius = speed_px * frames / (2.4 * np.pi)
+    loop = radius * np.stack([1 + np.sin(angle), 1 - np.cos(angle)], 1)
+    places = loop if around else np.arange(frames)[:, None] * speed_px * np.array([0.6, 0.8])
+    largest = []
+    for seed in (5, 6):
+        positions, segments = tracked(rigid(places, seed))
+        assert set(segments) == {0}
+        largest.append(np.hypot(*(positions - positions[0] - places + places[0]).T).max())
+    assert np.mean(largest) < limit_px
+
+
 def test_repeated_frames_have_the_place_of_their_twin() -> None:
     tissue = soft_tissue(31, 9, 3.0, 0.0)
     alone, alone_segments = tracked(tissue.images)

@@ -47,9 +47,6 @@ MAX_CANDIDATES: Final = 3
 """Nodes of other segments that a node is registered with; chosen: the right one ranks first but for rare ties."""
 MAX_NODES: Final = 1500
 """Nodes from which on some are marginalised, down to two thirds; chosen: solving then takes some 0.1 s."""
-SURE: Final = 6.0
-"""Certainty from which one edge joins segments; below it two edges without a common node must agree. Of frames of
-different places the largest was 4.1, in 140 scenes of few fibres; of the same places the median is 10 and more."""
 _LANDMARK_SPACING: Final = 0.4
 """Distance between the nodes by which a segment is recognised, beside its ends, bundle diameters; chosen: a view within
 the segment overlaps one of them by half."""
@@ -318,7 +315,7 @@ class PoseGraph:
         agreed = [pair for pair in pairs if agree(pair, edge, self.places)]
         pairs.append(edge)
         disjoint = any({pair.earlier, pair.later}.isdisjoint({edge.earlier, edge.later}) for pair in agreed)
-        if not disjoint and edge.certainty < SURE:
+        if not disjoint and not edge.sure:
             return []
         self._join(edge)
         return [*agreed, edge]

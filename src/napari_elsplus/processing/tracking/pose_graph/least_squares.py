@@ -52,8 +52,8 @@ class Edge(NamedTuple):
         Scale of the later node over that of the earlier one.
     turn_sigma : float
         One standard deviation of the angle, and of the scale.
-    certainty : float
-        Evidence of the registration over what its acceptance needs.
+    sure : bool
+        True if this edge alone joins two segments.
     """
 
     earlier: int
@@ -63,7 +63,7 @@ class Edge(NamedTuple):
     turn: float = 0.0
     zoom: float = 1.0
     turn_sigma: float = 1.0
-    certainty: float = 1.0
+    sure: bool = False
 
 
 class Place(NamedTuple):

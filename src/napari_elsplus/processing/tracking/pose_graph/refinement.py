@@ -20,9 +20,10 @@ from napari_elsplus.processing.tracking.pose_graph.rotation_review import review
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter
+    from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
     from napari_elsplus.processing.tracking.registration.pair_registration import (
         PairRegistration,
         PreparedFrame,
@@ -80,39 +81,39 @@ def refine(
     ]
     if model is not MotionModel.TRANSLATION:
         settled = relocated(settled, edges, model)
-    graph = finished_graph(settled, links, registrar, view, model)
-    joined = [pose._replace(segment=graph.correction(pose.segment).segment) for pose in settled]
-    return interpolate(relocated(joined, [*edges, *graph.loops], model))
-
-
-def finished_graph(
-    poses: Sequence[Pose],
-    links: Links,
-    registrar: Registrar,
-    view: Callable[[int], PreparedFrame],
-    model: MotionModel = MotionModel.TRANSLATION,
-) -> PoseGraph:
-    """Return the pose graph of a finished track, all its nodes registered.
-
-    Parameters
-    ----------
-    poses, links, registrar, view, model
-        As of :func:`refine`, the poses with velocities and angles of all tracked frames.
-    """
     graph = PoseGraph(registrar.grid, FrameRegistration(registrar), lambda number: view(graph.nodes[number].frame))
     selector = KeyframeSelector(registrar.grid)
     registered = {later: (earlier, later, link) for earlier, later, _, link in links}
+    edges += add_all(graph, (node for k in tracked for node in selector.add(k, settled[k], registered.get(k))), model)
+    joined = [pose._replace(segment=graph.correction(pose.segment).segment) for pose in settled]
+    return interpolate(relocated(joined, edges, model))
+
+
+def add_all(graph: PoseGraph, nodes: Iterable[Node], model: MotionModel = MotionModel.TRANSLATION) -> list[Edge]:
+    """Add the nodes of a finished track to a pose graph; return its edges that close loops or join segments.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        Empty.
+    nodes : iterable of Node
+        In the order of their frames.
+    model : MotionModel
+        Model beside translations.
+
+    Returns
+    -------
+    list of Edge
+        Between the numbers of frames.
+    """
     solved = 0
-    for frame, pose in enumerate(poses):
-        if pose.state is not TrackingState.TRACKED:
-            continue
-        for node in selector.add(frame, pose, registered.get(frame)):
-            graph.add(node, model)
+    for node in nodes:
+        graph.add(node, model)
         if len(graph.nodes) > _SOLVED_AT * solved:
             graph.solve()
             solved = len(graph.nodes)
     graph.register_deferred()
-    return graph
+    return graph.loops
 
 
 def relocated(poses: Sequence[Pose], edges: Sequence[Edge], model: MotionModel) -> list[Pose]:
