@@ -10,6 +10,7 @@ import random
 import sys
 import threading
 import time
+import traceback
 from collections import Counter, deque
 from pathlib import Path
 
@@ -55,7 +56,7 @@ class Clicker:
     def click(self):
         """Act on a random control of a random panel that a hand could reach."""
         name, panel = self.rng.choice(list(self.panels.items()))
-        controls = [one for kind in KINDS for one in panel.findChildren(kind) if self.may(one)]
+        controls = [one for kind in KINDS for one in panel.findChildren(kind) if self.may(one, panel)]
         if not controls:
             return
         control = self.rng.choice(controls)
@@ -64,10 +65,10 @@ class Clicker:
         self.counts[name, type(control).__name__] += 1
         self.act(control)
 
-    def may(self, control):
+    def may(self, control, panel):
         inside = isinstance(control.parent(), QAbstractSpinBox | QComboBox)
         words = f"{control.text() if isinstance(control, QAbstractButton) else ''} {control.toolTip()}".lower()
-        return control.isEnabled() and not control.isHidden() and not inside and not any(w in words for w in NEVER)
+        return control.isEnabled() and control.isVisibleTo(panel) and not inside and not any(w in words for w in NEVER)
 
     def act(self, control):
         if isinstance(control, QComboBox):
@@ -90,8 +91,10 @@ class Clicker:
 def tracebacks(monkeypatch):
     """What was raised in any thread of this process."""
     found = []
-    monkeypatch.setattr(sys, "excepthook", lambda *error: found.append(error))
-    monkeypatch.setattr(threading, "excepthook", lambda error: found.append(error))
+    monkeypatch.setattr(sys, "excepthook", lambda *error: found.append("".join(traceback.format_exception(*error))))
+    monkeypatch.setattr(
+        threading, "excepthook", lambda error: found.append("".join(traceback.format_exception(*error[:3])))
+    )
     return found
 
 
@@ -133,7 +136,7 @@ def test_random_clicks_leave_no_traceback(make_napari_viewer_proxy, qtbot, tmp_p
             f"{clicks} clicks in {SECONDS:g} s, {live} of them while live, seed {SEED}: {dict(clicker.counts)}\n"
         )
     story = "\n".join(clicker.last)
-    assert not tracebacks, story
+    assert not tracebacks, "\n".join([*tracebacks, story])
     records = notification_manager.records[before:]
     assert [r.message for r in records if isinstance(r, ErrorNotification)] == [], story
     wild = [r.message for r in records if "Traceback" in r.message or "this is a defect" in r.message]

@@ -349,6 +349,22 @@ def test_what_is_filled_in_place_is_what_the_canvas_shows(make_napari_viewer_pro
     assert shown(80, whole=False) == pytest.approx(204, abs=2)
 
 
+def test_a_hidden_layer_of_another_preset_is_not_filled(make_napari_viewer_proxy):
+    """Before: a ValueError of shapes whenever an image that had been displayed at another preset was hidden."""
+    layers = LiveLayers(make_napari_viewer_proxy())
+    for rows, kinds in ((64, ["raw", "els"]), (128, ["els"]), (128, ["raw"])):
+        layout = display_layout((rows, 128), 32)
+        ring = Ring(bytearray(layout.nbytes), layout)
+        layers.arrange(kinds, ring, None, side_by_side=True)
+        slot = ring.acquire()
+        slot.arrays["raw"][...] = rows
+        ring.finalize(slot, frame_number=0, received_s=0.0, readout_start_s=0.0)
+        assert layers.update(ring, whole=True) is not None
+    raw = layers.images["raw"].data
+    assert raw.shape == (128, 128)
+    assert (raw == 128).all()
+
+
 def test_a_missing_scan_lag_is_amber_in_rig_and_live_and_measured_by_one_click(viewer, panel, qtbot, monkeypatch):
     _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
     advice = "scan lag not measured: the image is off the slit"
