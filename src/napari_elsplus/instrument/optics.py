@@ -23,6 +23,11 @@ BUNDLE_UM: Final = 620.0
 """Diameter of the imaged part of the bundle FIGH-30-650S, micrometres (the paper)."""
 CORE_PITCH_UM: Final = 3.2
 """Mean spacing of the bundle's cores, micrometres (the paper)."""
+HALO_UM: Final = 100.0
+"""Width of the halo around the lit bundle, micrometres: 2.6 standard deviations of that in the recordings (38.3 um)."""
+PARK_CLEARANCE_UM: Final = 1.2 * HALO_UM
+"""From the rim of the bundle to a parked line, micrometres; derived: the halo, and a fifth for the galvo's map beyond
+the bundle."""
 
 
 @dataclass(frozen=True, slots=True)

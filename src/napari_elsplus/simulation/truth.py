@@ -15,6 +15,7 @@ from napari_elsplus.instrument.calibration import (
     OffsetSection,
     OpticsSection,
 )
+from napari_elsplus.instrument.optics import PARK_CLEARANCE_UM
 from napari_elsplus.simulation.rendering.views import views
 
 if TYPE_CHECKING:
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.simulation.model.instrument import Instrument
     from napari_elsplus.simulation.specimen.trajectories import Trajectory
-
-PARK_CLEARANCE_UM = 100.0
-"""Distance between the parked line and the rim of the bundle, um: 2.6 standard deviations of the halo (38.3 um)."""
 
 
 def residual_to_confocal(instrument: Instrument) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

@@ -101,13 +101,13 @@ class GalvoController:
         Raises
         ------
         InputError
-            If it is outside the rig's limits, or on the bundle; the position before stays.
+            If it is outside the rig's limits, on the bundle or within its halo; the position before stays.
         DeviceError
             If the card fails.
         """
         galvo = calibration.galvo if calibration is not None else None
         volts = galvo.park_v if galvo is not None and galvo.park_v is not None else self._rig_park_v
-        check_parking(volts, calibration)
+        check_parking(volts, calibration, self.limits)
         self._scanner.park_at(volts)
 
     def hold(self, volts: float) -> None:

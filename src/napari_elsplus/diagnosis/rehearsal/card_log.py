@@ -11,7 +11,7 @@ from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.virtual.card.process import RemoteCard
 from napari_elsplus.hardware.virtual.galvo import STEP_S, GalvoModel
 from napari_elsplus.hardware.virtual.timeline import mean_volts, volts_at
-from napari_elsplus.simulation.truth import PARK_CLEARANCE_UM
+from napari_elsplus.instrument.optics import HALO_UM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,8 +25,8 @@ POLL_S: Final = 0.02
 """Seconds between two reads of the card's log; chosen: the card keeps 64 programs, those of 64 ms of slow motion."""
 GRID_S: Final = 1e-4
 """Seconds between the times at which the output is evaluated first; chosen: a fortieth of a frame."""
-CLEARANCE_UM: Final = 0.9 * PARK_CLEARANCE_UM
-"""Distance of the line from the rim at which it counts as clear; derived: a galvo settles onto the parked position."""
+CLEARANCE_UM: Final = HALO_UM
+"""Distance of the line from the rim at which it counts as clear; of the promises."""
 
 
 class CardLog:

@@ -57,9 +57,8 @@ def simulated_rig(name: str, simulation: Simulation, held: ExitStack) -> Rig:
     held.callback(lambda: when_parked(opened[0], release) if opened else release())  # the card is needed until then
     optics = OpticalBench(simulation, card, clock)
     plug = Plug(VirtualCamera(optics, serial=SERIAL))
-    park_v = min(park_volts(optics.instrument(preset)) for preset in PRESETS.values())
     limits = simulation.stated_limits
-    settings = CardSettings(park_v, address=address)
+    settings = CardSettings(parking_voltage(optics), address=address)
     device = choose_camera(SERIAL, VirtualBus(plug))
     camera = held.enter_context(U3vCamera(device, Flea3, wait_for_reader=not simulation.real_time))
     scanner = DaqScanner(settings, limits, now_s=clock.now_s)
@@ -67,6 +66,11 @@ def simulated_rig(name: str, simulation: Simulation, held: ExitStack) -> Rig:
     guardian = guard_scanner(scanner, held, virtual=True) if simulation.own_process else None
     bench = VirtualBench(optics, card, plug)
     return Rig(name, camera, scanner, limits, StrobePhase.EXPOSURE, guardian, bench)
+
+
+def parking_voltage(optics: OpticalBench) -> float:
+    """Return the voltage at which the line on a bench is clear of the bundle in every preset."""
+    return min(park_volts(optics.instrument(preset)) for preset in PRESETS.values())
 
 
 def _card(simulation: Simulation, clock: BenchClock) -> tuple[VirtualCard | RemoteCard, str, Callable[[], None]]:

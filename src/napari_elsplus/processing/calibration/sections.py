@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from napari_elsplus.instrument.calibration import (
     OpticsSection,
     QualitySection,
 )
-from napari_elsplus.instrument.optics import BUNDLE_UM
+from napari_elsplus.instrument.optics import BUNDLE_UM, PARK_CLEARANCE_UM
 from napari_elsplus.processing.calibration.bundle.cancellation import measure_alignment_errors
 from napari_elsplus.processing.calibration.bundle.gain import darkness
 from napari_elsplus.processing.calibration.measurements import measure_flat_field, offset_at
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.scan.lag import ScanLag
 
     Image = NDArray[np.float32]
-
-PARK_CLEARANCE_UM: Final = 120.0
-"""From the rim to the parked line; derived from the halo's width, 100 um, and a fifth for the map beyond the bundle."""
 
 
 def apply_offset(draft: Draft, offset: SlitOffset) -> Calibration:
