@@ -119,6 +119,14 @@ class Stage:
         self.call("configure", self.settings)
         self.call("use", self.calibration())
 
+    def connect(self) -> None:
+        """Start another engine from the same window, after :meth:`close`."""
+        self._ask("connect")
+
+    def copy_images(self) -> None:
+        """Let the window copy every image of the engine until it is closed."""
+        self.wait_for(lambda: self._ask("copy_images"), "image in the window")
+
     def kill_engine(self) -> None:
         """Kill the engine's process, if it is there."""
         pid, self.engine_pid = self.engine_pid, 0

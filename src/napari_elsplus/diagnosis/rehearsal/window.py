@@ -6,8 +6,12 @@ Run as ``python -m napari_elsplus.diagnosis.rehearsal.window``.
 from __future__ import annotations
 
 import sys
+import threading
+import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.diagnosis.rehearsal.messages import report_to_rehearsal
@@ -18,6 +22,8 @@ if TYPE_CHECKING:
 
 ENGINE: Final = (sys.executable, "-m", "napari_elsplus.diagnosis.rehearsal.engine")
 """Starts the engine's process, with fault switches on the simulated devices."""
+COPY_EVERY_S: Final = 0.004
+"""Seconds between two copies; chosen: a frame period, four times as often as a live panel."""
 
 
 class Window:
@@ -32,6 +38,27 @@ class Window:
     def __init__(self, client: EngineClient) -> None:
         self._client = client
         self._futures: list[Future[Any]] = []
+        self._copied = 0
+
+    def connect(self) -> None:
+        """Start another engine, after the one before was closed."""
+        self._client = EngineClient(ENGINE)
+
+    def copy_images(self) -> int:
+        """Copy every image of the engine until it is closed, as a live panel does; return how many were copied."""
+        if not self._copied:
+            threading.Thread(target=self._copy, args=(self._client,), name="live images", daemon=True).start()
+        return self._copied
+
+    def _copy(self, client: EngineClient) -> None:
+        newest = -1
+        while (ring := client.display()) is not None:
+            out = {name: np.empty(shape, dtype) for name, shape, dtype in ring.layout.fields}
+            while (stamp := ring.newest_after(newest, out)) is not None or client.display() is ring:
+                if stamp is not None:
+                    newest, self._copied = stamp.sequence, self._copied + 1
+                time.sleep(COPY_EVERY_S)
+        self._copied = 0
 
     def call(self, name: str, *arguments: Any, **options: Any) -> int:
         """Send a command of that name; return the number by which `wait` finds its result."""
@@ -53,8 +80,8 @@ class Window:
 
 def run(connection: Connection[Any, Any]) -> None:
     """Execute requests until the connection ends."""
-    with EngineClient(ENGINE) as client:
-        window = Window(client)
+    window = Window(EngineClient(ENGINE))
+    try:
         with suppress(EOFError, OSError):
             while True:
                 name, arguments, options = connection.recv()
@@ -63,6 +90,8 @@ def run(connection: Connection[Any, Any]) -> None:
                 except Exception as error:  # noqa: BLE001 - the rehearsal judges it
                     answer = None, error
                 connection.send(answer)
+    finally:
+        window.close()
 
 
 if __name__ == "__main__":

@@ -6,11 +6,14 @@ import time
 
 from napari_elsplus.diagnosis.rehearsal.registry import fault
 from napari_elsplus.diagnosis.rehearsal.stage import Stage, ends_within
+from napari_elsplus.hardware.daq.interlock import NO_FRAMES_S
 
 SHORT_S, LONG_S = 0.3, 3.0
 """Seconds for which the card refuses every call."""
 PARKED_WITHIN_S = 0.5
 """Seconds in which the galvo has to be clear of the bundle; of the promises."""
+ENDLESS = 10**9
+"""Frames; more than any rehearsal lasts."""
 
 
 @fault("strobe-lost", "parked within 0.5 s, recording kept, reported", PARKED_WITHIN_S)
@@ -35,6 +38,18 @@ def _strobe_never_wired(stage: Stage, limit_s: float) -> None:
     stage.fault_s = stage.exposures.first_read_out_s
     stage.expect_parked(limit_s)
     stage.expect_reported("PFI", "strobe")
+
+
+@fault("ramps-without-frames", "parked within 0.5 s after 1 s without a frame, reported", NO_FRAMES_S + PARKED_WITHIN_S)
+def _ramps_without_frames(stage: Stage, limit_s: float) -> None:
+    """Let the camera expose, and its strobe run, and send no frame any more."""
+    stage.scan()
+    stage.note_exposures()
+    stage.fault("camera", drop_frames=ENDLESS)
+    stage.expect_parked(limit_s)
+    stage.expect_reported("no frame has come")
+    stage.call("stop")
+    stage.expect_recording()
 
 
 @fault("daq-underrun", "parked within 0.5 s, recording kept, reported", PARKED_WITHIN_S)

@@ -14,6 +14,8 @@ from napari_elsplus.diagnosis.rehearsal.stage import KILL, Stage, ends_within
 
 GUARDIAN_WITHIN_S: Final = 1.0
 """Seconds in which a guardian that was killed is replaced, or the galvo parked; of the promises."""
+DISCONNECTS: Final = 5
+"""Times that the window disconnects; chosen: some seconds each. The tests do so 300 times."""
 
 
 @fault("window-killed", "parked within 0.5 s, the recording finished, nothing left", 0.5)
@@ -30,6 +32,23 @@ def _window_killed(stage: Stage, limit_s: float) -> None:
     if ended:
         stage.engine_pid = 0
     stage.expect_recording()
+
+
+@fault("disconnect-while-live", "parked within 0.5 s, no crash of the window that copies images, every time", 0.5)
+def _disconnect_while_live(stage: Stage, limit_s: float) -> None:
+    """Disconnect while the window copies every image, and connect again, several times."""
+    parked_s = []
+    for number in range(DISCONNECTS):
+        if number:
+            stage.connect()
+        stage.scan(record=False)
+        stage.copy_images()
+        stage.fault_s = time.perf_counter()
+        stage.close()
+        stage.expect_parked(limit_s)
+        stage.expect(ends_within(stage.engine_pid, 5.0), "the engine's process did not end")
+        parked_s.append(stage.parked_s or 0.0)
+    stage.parked_s = max(parked_s)
 
 
 @fault("engine-killed", "parked within 0.5 s by the guardian, whole frames kept, reported", 0.5)
