@@ -69,7 +69,7 @@ def simulated_rig(name: str, simulation: Simulation, held: ExitStack) -> Rig:
 
 
 def parking_voltage(optics: OpticalBench) -> float:
-    """Return the voltage at which the line on a bench is clear of the bundle in every preset."""
+    """Return the voltage at which the line on a bench of some `optics` is clear of the bundle in every preset."""
     return min(park_volts(optics.instrument(preset)) for preset in PRESETS.values())
 
 
