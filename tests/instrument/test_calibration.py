@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.instrument.calibration import AcquiredWith, Calibration, FrameSection
+from napari_elsplus.instrument.calibration import VERSION, AcquiredWith, Calibration, FrameSection
 
 RECORD: dict[str, Any] = {
     "format": "napari-elsplus/calibration",
@@ -63,7 +63,7 @@ def test_unmeasured_sections_are_absent_and_asked_for() -> None:
     [
         ([], "no napari-elsplus/calibration"),
         ({"format": "other"}, "no napari-elsplus/calibration"),
-        (RECORD | {"version": 2}, "version 2"),
+        (RECORD | {"version": VERSION + 1}, f"version {VERSION + 1}"),
         (RECORD | {"version": "new"}, "new"),
         (changed("bundle", confocal_centre=[float("nan"), 1]), "confocal_centre"),
         (changed("bundle", diameter_px=-4), "-4"),
