@@ -253,6 +253,7 @@ def test_themes_and_loading(viewer, panel, qtbot, open_recording, tmp_path):
     panel.save(tmp_path / "cal.json")
     panel.form.undo.click()
     panel.load(tmp_path / "cal.json")
+    panel.choose("offset")
     assert state(panel, "offset") is StepState.DONE
     assert "from a file" in panel.form.headline.text()
     panel.form.undo.click()
@@ -411,3 +412,40 @@ def test_closing_with_an_unsaved_calibration_asks(viewer, panel, qtbot, open_rec
     assert window.isVisible()
     panel.save(tmp_path / "cal.json")
     assert panel.unsaved() == ""
+
+
+def test_accepting_goes_on_to_the_next_step_that_is_not_done(panel, qtbot, open_recording):
+    from_file(qtbot, panel, "pair", open_recording / "transmission.tif")
+    panel.form.accept.click()
+    assert panel.key == "lag"
+    from_file(qtbot, panel, "offset", open_recording / "line.tif")
+    panel.form.accept.click()
+    assert panel.key == "galvo"
+
+
+def test_voltages_beside_a_sweep_are_found(panel, qtbot, open_recording):
+    from_file(qtbot, panel, "galvo", open_recording / "sweep.tif")
+    assert panel.candidate.source.volts == open_recording / "sweep_volts.csv"
+    assert panel.candidate.found.r_squared > 0.999
+
+
+def test_steps_are_measured_from_layers(viewer, panel, qtbot, open_recording, said):
+    panel.choose("offset")
+    panel.form.from_layer.click()
+    assert "select one" in said()[-1][1]
+    viewer.open(str(open_recording / "line.tif"), plugin=PLUGIN)
+    viewer.layers.selection.active = viewer.layers[-1]
+    panel.form.from_layer.click()
+    idle(qtbot, panel)
+    assert panel.candidate.source.path == open_recording / "line.tif"
+    by_layer = panel.candidate.found.rows
+    from_file(qtbot, panel, "offset", open_recording / "line.tif")
+    assert by_layer == panel.candidate.found.rows
+
+
+def test_the_report_has_a_page_for_each_measured_step(panel, qtbot, open_recording, tmp_path):
+    assert not panel.form.report.isEnabled()
+    from_file(qtbot, panel, "offset", open_recording / "line.tif")
+    panel.form.accept.click()
+    panel.save_report(tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").read_bytes().count(b"/Type /Page ") == 2

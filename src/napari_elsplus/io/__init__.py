@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from napari_elsplus.io.atomic import refuse_existing, replacing, replacing_all
     from napari_elsplus.io.calibration_lookup import beside, calibration_beside, existing_beside
     from napari_elsplus.io.calibrations import read_calibration, write_calibration
-    from napari_elsplus.io.columns import read_depths_um, read_volts, write_column, write_table
+    from napari_elsplus.io.columns import read_depths_um, read_volts, volts_beside, write_column, write_table
     from napari_elsplus.io.formats.ome_tiff import write_mosaic, write_stack
     from napari_elsplus.io.formats.registry import FileFormat, register_format
     from napari_elsplus.io.formats.source import FrameSource
@@ -25,7 +25,7 @@ _MODULES = {
     "atomic": ("refuse_existing", "replacing", "replacing_all"),
     "calibration_lookup": ("beside", "calibration_beside", "existing_beside"),
     "calibrations": ("read_calibration", "write_calibration"),
-    "columns": ("read_depths_um", "read_volts", "write_column", "write_table"),
+    "columns": ("read_depths_um", "read_volts", "volts_beside", "write_column", "write_table"),
     "formats.ome_tiff": ("write_mosaic", "write_stack"),
     "formats.registry": ("FileFormat", "register_format"),
     "formats.source": ("FrameSource",),
@@ -55,6 +55,7 @@ __all__ = [
     "register_format",
     "replacing",
     "replacing_all",
+    "volts_beside",
     "write_calibration",
     "write_column",
     "write_mosaic",

@@ -50,6 +50,13 @@ def read_volts(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     return read_column(path, VOLTS)
 
 
+def volts_beside(sweep: str | os.PathLike[str]) -> Path | None:
+    """Return the table of voltages beside the recording of a sweep, ``NAME_volts.csv``; None if there is none."""
+    sweep = Path(sweep)
+    table = sweep.with_name(f"{sweep.name.partition('.')[0]}_volts.csv")
+    return table if table.is_file() else None
+
+
 def read_column(path: str | os.PathLike[str], header: str) -> NDArray[np.float64]:
     """Read a CSV file of one column under the header given; see :func:`read_depths_um`."""
     path = Path(path)

@@ -35,6 +35,8 @@ class MeasurementSource:
         Key of the step.
     path, volts : Path, optional
         The recording, and the table of a sweep's voltages; none if it was measured live.
+    layer : str
+        Name of the layer, if it was measured from a layer that has no file.
     rig, preset : str
         The rig on which it was measured live, and its preset.
     voltages : int
@@ -44,6 +46,7 @@ class MeasurementSource:
     step: str
     path: Path | None = None
     volts: Path | None = None
+    layer: str = ""
     rig: str = ""
     preset: str = ""
     voltages: int = 0
@@ -66,10 +69,12 @@ def calibration_script(
     Raises
     ------
     InputError
-        If no step was measured here, or on more than one rig.
+        If no step was measured here, on more than one rig, or from a layer without a file.
     """
     if not sources:
         raise InputError("no step was measured here", "measure and accept one first")
+    if unsaved := [source.layer for source in sources if source.layer]:
+        raise InputError(f"the layer {unsaved[0]} has no file", "save it, and measure from the file")
     live = {(source.rig, source.preset) for source in sources if source.path is None}
     if len(live) > 1:
         raise InputError(f"steps were measured on {len(live)} rigs", "measure them on one, or copy them one by one")

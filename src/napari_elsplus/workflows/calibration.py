@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.io import open_recording, read_volts
+from napari_elsplus.io import open_recording, read_volts, volts_beside
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.workflows.progress import without_display
 
@@ -48,7 +48,8 @@ def calibrate(
     sweep : path-like or Frames, optional
         A raw frame for each of `volts`, the line standing: the galvo map.
     volts : path-like or sequence of float, optional
-        (T,) galvo voltages of the sweep, or a CSV file of them with the header ``volts``.
+        (T,) galvo voltages of the sweep, or a CSV file of them with the header ``volts``; by default ``NAME_volts.csv``
+        beside the recording ``NAME.tif`` of the sweep.
     bundle : path-like or Frames, optional
         Raw frames of the bundle lit from its far end: where both views are, and how they align.
     background : path-like or Frames, optional
@@ -80,6 +81,8 @@ def calibrate(
     MeasurementError
         If a step finds no line or no pair of bundle images.
     """
+    if volts is None and isinstance(sweep, str | os.PathLike):
+        volts = volts_beside(sweep)
     sources = {"line": line, "sweep": sweep, "bundle": bundle, "background": background, "flat": flat, **added}
     with ExitStack() as stack:
 

@@ -52,6 +52,27 @@ def test_a_whole_calibration_is_true(elsplus: Elsplus, open_recording: Path, tmp
     assert "+-" in ran.out
 
 
+def test_the_report_is_written_beside_the_calibration(elsplus: Elsplus, open_recording: Path, tmp_path: Path) -> None:
+    line = ("calibrate", "--line", open_recording / "line.tif", "-o", tmp_path / "cal.json", "--report")
+    assert elsplus(*line, tmp_path / "cal.txt").code == 2
+    assert not list(tmp_path.iterdir())
+    ran = elsplus(*line, tmp_path / "cal.pdf")
+    assert ran.code == 0, ran.err
+    assert "cal.pdf: 2 pages" in ran.out
+    assert (tmp_path / "cal.pdf").read_bytes().startswith(b"%PDF")
+    assert elsplus(*line, tmp_path / "cal.pdf").code == 2
+
+
+def test_a_sweep_without_its_voltages_given_takes_the_table_beside_it(
+    elsplus: Elsplus, open_recording: Path, tmp_path: Path
+) -> None:
+    ran = elsplus("calibrate", "--sweep", open_recording / "sweep.tif", "-o", tmp_path / "cal.json")
+    assert ran.code == 0, ran.err
+    galvo = read_calibration(tmp_path / "cal.json").galvo
+    assert galvo is not None
+    assert galvo.r_squared > 0.999
+
+
 def test_the_parked_line_clears_the_bundle(elsplus: Elsplus, open_recording: Path, tmp_path: Path) -> None:
     assert elsplus("calibrate", *all_inputs(open_recording), "-o", tmp_path / "cal.json").code == 0
     found = read_calibration(tmp_path / "cal.json")

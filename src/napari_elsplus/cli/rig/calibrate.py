@@ -18,6 +18,7 @@ from napari_elsplus.io import write_calibration
 from napari_elsplus.processing.calibration.draft import Setup
 from napari_elsplus.processing.calibration.steps import calibration_steps
 from napari_elsplus.workflows.calibration import calibrate
+from napari_elsplus.workflows.calibration_report.report import refuse_other_than_pdf, save_calibration_report
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -40,7 +41,11 @@ def _step_options(command: Callable[..., None]) -> Callable[..., None]:
 
 @click.command()
 @_step_options
-@click.option("--volts", type=FILE, help="CSV with header `volts`, a line per frame of the sweep.")
+@click.option(
+    "--volts",
+    type=FILE,
+    help="CSV: header `volts`, a line per frame  [default: NAME_volts.csv beside the sweep]",
+)
 @click.option("--um-per-px", type=POSITIVE, help="Micrometres at the bundle for one camera pixel.")
 @click.option("--bundle-um", type=POSITIVE, help="The bundle image's diameter in micrometres, instead of --um-per-px.")
 @click.option("--line-period-s", type=POSITIVE, help="Seconds from one row's readout to the next.")
@@ -48,6 +53,7 @@ def _step_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.option("--rig", help="Measure everything live on this rig instead; `simulated` runs unattended.")
 @click.option("--preset", type=click.Choice(list(PRESETS)), default="240hz", show_default=True, help="With --rig.")
 @click.option("-o", "--output", type=FILE, required=True, help="Calibration file to write, NAME.json.")
+@click.option("--report", type=FILE, help="PDF to write, too: every number, fit, residual and picture, and the date.")
 @force_option
 def command(
     rig: str | None,
@@ -58,13 +64,17 @@ def command(
     line_period_s: float | None,
     rows_per_frame: float | None,
     output: Path,
+    report: Path | None,
     force: bool,
     **files: Path | None,
 ) -> None:
     """Measure a calibration from any subset of the inputs, or live on a rig; print the results with uncertainties."""
     options = {step.option: files[step.key] for step in calibration_steps() if step.option}
     given = {option: path for option, path in options.items() if path}
-    refuse_outputs(output, output.with_suffix(".npz"), force=force, inputs=(volts, *given.values()))
+    outputs = (output, output.with_suffix(".npz"), *((report,) if report is not None else ()))
+    refuse_outputs(*outputs, force=force, inputs=(volts, *given.values()))
+    if report is not None:
+        refuse_other_than_pdf(report)
     if rig is not None:
         if given:
             raise InputError(f"both --rig and --{next(iter(given))}", "measure live or from files, not both")
@@ -89,6 +99,9 @@ def command(
     for line in summary(draft, setup):
         click.echo(line)
     click.echo(f"wrote {output}")
+    if report is not None:
+        pages = save_calibration_report(draft, report, force=force)
+        click.echo(f"wrote {report}: {pages} pages")
 
 
 def _live(rig_name: str, preset: str, bundle_um: float | None) -> tuple[Draft, Setup]:

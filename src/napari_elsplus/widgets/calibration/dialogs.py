@@ -6,19 +6,22 @@ from typing import TYPE_CHECKING, Any
 
 from qtpy.QtWidgets import QFileDialog
 
+from napari_elsplus.io import volts_beside
 from napari_elsplus.io.formats.registry import CALIBRATION, PICTURE, TABLE, dialog_filter, recordings_filter
 from napari_elsplus.processing.calibration.step import Capture
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from qtpy.QtWidgets import QWidget
 
     from napari_elsplus.processing.calibration.step import CalibrationStep
 
 
 def recording_for(panel: QWidget, step: CalibrationStep[Any]) -> tuple[str, str]:
-    """Return the chosen recording of a step of the panel, and the table of voltages where it needs one."""
+    """Return the chosen recording of a step of the panel, and the table of voltages where none lies beside it."""
     frames, _ = QFileDialog.getOpenFileName(panel, f"Frames for the {step.title}", "", recordings_filter())
-    if not frames or step.capture is not Capture.SWEEP:
+    if not frames or step.capture is not Capture.SWEEP or volts_beside(frames) is not None:
         return frames, ""
     volts, _ = QFileDialog.getOpenFileName(panel, "Voltages, one per frame", "", dialog_filter(TABLE))
     return frames, volts
@@ -37,3 +40,14 @@ def where_to_save(panel: QWidget) -> str:
 def where_to_save_plots(panel: QWidget, key: str) -> str:
     """Return the chosen file for the plots of a panel's step, by its key."""
     return QFileDialog.getSaveFileName(panel, "Save the plots", f"{key}.png", dialog_filter(PICTURE, TABLE))[0]
+
+
+def where_to_save_report(panel: QWidget) -> str:
+    """Return the chosen file for the report of a panel's calibration."""
+    return QFileDialog.getSaveFileName(panel, "Save the report", "calibration.pdf", "Reports (*.pdf)")[0]
+
+
+def act_on(path: str, act: Callable[[str], None]) -> None:
+    """Act on a path that was chosen in a dialog, if one was."""
+    if path:
+        act(path)

@@ -25,6 +25,8 @@ from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.calibration.step import Capture, StepState
 from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps
+from napari_elsplus.viewing.calibration_script import MeasurementSource
+from napari_elsplus.widgets.shared.choosing import preset_label
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.window.keys import key_name
 
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import OpticsSection
     from napari_elsplus.processing.calibration.step import CalibrationStep
-    from napari_elsplus.widgets.calibration.picture import Picture
+    from napari_elsplus.workflows.calibration_report.picture import Picture
 
 MARKS: Final = {
     StepState.DONE: "\N{CHECK MARK}",
@@ -69,7 +71,8 @@ class Form:
         self.rig, self.preset = QComboBox(), QComboBox()
         self.rig.addItems(rig_names())
         self.rig.setToolTip("Rigs with a rig file, and the simulated rig")
-        self.preset.addItems(list(PRESETS))
+        for name in PRESETS:
+            self.preset.addItem(preset_label(name), name)
         self.preset.setToolTip("Region of the camera and objective")
         self.connect_button = QPushButton()
         self.steps = {step.key: self._step_button(number, step) for number, step in enumerate(calibration_steps(), 1)}
@@ -87,11 +90,13 @@ class Form:
         self.line_period_us = _number("µs", 4, 1000, "Time from the readout of one row to that of the next")
         self.periods_per_frame = _number("", 2, 100_000, "Line periods from one frame to the next, idle time included")
         self.measure, self.follow_button, self.from_file = QPushButton(), QPushButton(), QPushButton("From file...")
+        self.from_layer = QPushButton("From layer")
         self.accept, self.discard, self.undo = QPushButton("Accept"), QPushButton("Discard"), QPushButton("Undo")
         self.next_step = QPushButton("Next step")
         self.next_step.setToolTip(f"Display the next step ({key_name('next step')})")
         self.load, self.save = QPushButton("Load..."), QPushButton("Save...")
         self.load.setToolTip("Read and activate a calibration")
+        self.report = QPushButton("Save report...")
         self.save_plots, self.script = QPushButton("Save plots..."), QPushButton("Copy as script")
         self.plots = [ThemedPlot("", "", theme) for _ in range(MAX_PLOTS)]
         self._lay_out(panel, work)
@@ -152,6 +157,10 @@ class Form:
         for number, plot in enumerate(shown, 1):
             plot.save(path if number == 1 else path.with_stem(f"{path.stem}-{number}"))
 
+    def live_source(self, step: str, rig: str) -> MeasurementSource:
+        """Return the source of a step's frames, by its key, that are taken on a rig, by its name."""
+        return MeasurementSource(step, rig=rig, preset=self.preset.currentData(), voltages=self.voltages.value())
+
     def show_optics(self, bundle_um: float | None, optics: OpticsSection | None) -> None:
         """Display the diameter of the bundle (micrometres) and the timing of the optics; unknown where absent."""
         line_period_s = None if optics is None else optics.line_period_s
@@ -167,7 +176,7 @@ class Form:
     def restore(self, rig: str, preset: str) -> None:
         """Choose the rig and preset of the last time, where they still exist."""
         self.rig.setCurrentText(rig)
-        self.preset.setCurrentText(preset)
+        self.preset.setCurrentIndex(max(self.preset.findData(preset), 0))
 
     def apply_theme(self, theme: str) -> None:
         """Use the colours of one of napari's themes."""
@@ -249,6 +258,7 @@ class Form:
         candidate: bool,
         past: bool,
         scripted: bool,
+        present: bool,
     ) -> None:
         """Enable the actions that are possible; the others have the reason as tooltip.
 
@@ -262,8 +272,8 @@ class Form:
             Steps that must come first, live and from a file; empty if none.
         connected, busy, following : bool
             A rig is connected; something is being measured; the slit offset is being followed.
-        candidate, past, scripted : bool
-            A result is not accepted yet; a step can be undone; a step was measured here.
+        candidate, past, scripted, present : bool
+            A result is not accepted yet; a step can be undone; a step was measured here; the calibration has a section.
         """
         self.connect_button.setText("Disconnect" if connected else "Connect")
         self.connect_button.setEnabled(not busy)
@@ -273,20 +283,22 @@ class Form:
         measured = "something is being measured" if busy else ""
         why = "connect to a rig first" if not connected else measured or missing[0]
         _allow(self.measure, why, f"Measure the {step.title} live")
-        self.follow_button.setVisible(step.key == OFFSET.key)
         self.follow_button.setText("Stop" if following else "Follow live")
         _allow(
             self.follow_button,
-            "" if following else why,
+            "" if following else why if step.key == OFFSET.key else "only the slit offset is followed",
             "Measure in frame after frame while you turn the tilt mirror; press again to stop",
         )
         live_only = "it can only be measured live" if not step.option else ""
         _allow(self.from_file, measured or live_only or missing[1], f"Measure the {step.title} from a recording")
+        _allow(self.from_layer, measured or live_only or missing[1], "Measure it from the frames of the selected layer")
         nothing = "nothing new was measured" if not candidate else "stop following first" if following else ""
         _allow(self.accept, nothing, "Accept the result into the calibration, and activate it")
         _allow(self.discard, nothing, "Discard the result; the calibration stays as it was")
         _allow(self.undo, "" if past else "nothing was accepted yet", "Go back to before the last step was accepted")
         _allow(self.save, "", "Write the calibration, for recordings that have none of their own")
+        unmeasured = "" if present else "no step is there yet: measure one, or load a calibration"
+        _allow(self.report, unmeasured, "Save a PDF with every number, fit, residual and picture, and the date")
         unplotted = "" if self.plots[0].curves else "nothing is plotted yet"
         _allow(self.save_plots, unplotted, "Save what is plotted as pictures (.png) or tables (.csv)")
         _allow(self.script, "" if scripted else "no step was measured here", "Copy Python that makes this calibration")
@@ -316,12 +328,13 @@ class Form:
         given.addRow("line period", self.line_period_us)
         given.addRow("line periods per frame", self.periods_per_frame)
         layout.addLayout(given)
+        layout.addLayout(_row(self.measure, self.follow_button, self.from_file, self.from_layer))
+        layout.addLayout(_row(self.accept, self.discard, self.undo, self.next_step))
         layout.addWidget(self.explanation)
         self._options = QFormLayout()
-        self._options.addRow("target", self.target)
+        self._options.addRow("target offset", self.target)
         self._options.addRow("voltages", self.voltages)
         layout.addLayout(self._options)
-        layout.addLayout(_row(self.measure, self.follow_button, self.from_file))
         layout.addWidget(work)
         layout.addWidget(self.headline)
         for plot in self.plots:
@@ -329,8 +342,7 @@ class Form:
             layout.addWidget(plot, PLOT_STRETCH)
         layout.addStretch(1)
         layout.addWidget(self.numbers)
-        layout.addLayout(_row(self.accept, self.discard, self.undo, self.next_step))
-        layout.addLayout(_row(self.load, self.save))
+        layout.addLayout(_row(self.load, self.save, self.report))
         layout.addLayout(_row(self.save_plots, self.script))
 
 

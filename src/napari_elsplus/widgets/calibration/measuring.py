@@ -11,13 +11,17 @@ from napari_elsplus.io import open_recording, read_volts
 from napari_elsplus.processing.calibration.draft import setup_of
 from napari_elsplus.processing.calibration.step import StepInputs
 from napari_elsplus.processing.calibration.steps import OFFSET, find_step
-from napari_elsplus.widgets.calibration.pictures import picture
 from napari_elsplus.widgets.calibration.session import ShownResult
+from napari_elsplus.workflows.calibration_report.plots import picture
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.calibration.step import ProgressWrapper
+    from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.viewing.calibration_script import MeasurementSource
 
 READING_INTERVAL_S: Final = 0.04
@@ -72,12 +76,47 @@ def measure_recorded(
         If it finds nothing.
     """
     assert source.path is not None
-    step, volts = find_step(source.step), None if source.volts is None else read_volts(source.volts)
+    volts = None if source.volts is None else read_volts(source.volts)
     with open_recording(source.path) as frames:
         if len(frames) == 0:
             raise InputError(f"{source.path.name} contains 0 frames", "choose another file")
-        setup = setup_of(frames)
-        found = step.estimate(StepInputs(frames, setup, volts, progress=progress), draft)
+        return measure_frames(source, frames, volts, draft, target_um, progress)
+
+
+def measure_frames(
+    source: MeasurementSource,
+    frames: Frames,
+    volts: NDArray[np.floating] | None,
+    draft: Draft,
+    target_um: float,
+    progress: ProgressWrapper,
+) -> ShownResult:
+    """Measure a step from raw frames, of an open recording or of a layer.
+
+    Parameters
+    ----------
+    source : MeasurementSource
+        Names the step.
+    frames : Frames
+        Raw frames (rows, cols).
+    volts : numpy.ndarray or None
+        A voltage per frame of a sweep.
+    draft : Draft
+        Results accepted so far.
+    target_um : float
+        Wanted slit offset in micrometres.
+    progress : callable
+        Wraps the numbers of the frames.
+
+    Raises
+    ------
+    InputError
+        If the step cannot be measured from frames.
+    MeasurementError
+        If it finds nothing.
+    """
+    step, setup = find_step(source.step), setup_of(frames)
+    found = step.estimate(StepInputs(frames, setup, volts, progress=progress), draft)
     return ShownResult(found, setup, picture(step, found, draft, setup, target_um), source)
 
 

@@ -15,24 +15,26 @@ from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.instrument.optics import BUNDLE_UM
-from napari_elsplus.io import read_calibration, write_calibration
+from napari_elsplus.io import read_calibration, volts_beside, write_calibration
 from napari_elsplus.io.settings import recall, remember, set_active_calibration
-from napari_elsplus.processing.calibration.step import StepState
+from napari_elsplus.processing.calibration.step import Capture, StepState
 from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps, find_step
 from napari_elsplus.viewing.calibration_script import MeasurementSource, calibration_script
 from napari_elsplus.viewing.outlines import summary
 from napari_elsplus.widgets.calibration import dialogs
 from napari_elsplus.widgets.calibration.bundle_layers import show_bundle
 from napari_elsplus.widgets.calibration.form import Form
-from napari_elsplus.widgets.calibration.measuring import OffsetFollowing, measure_live, measure_recorded
+from napari_elsplus.widgets.calibration.measuring import OffsetFollowing, measure_frames, measure_live, measure_recorded
 from napari_elsplus.widgets.calibration.session import Session, ShownResult
 from napari_elsplus.widgets.calibration.sharing import Sharing
+from napari_elsplus.widgets.shared.choosing import frames_of
 from napari_elsplus.widgets.shared.connection import join
 from napari_elsplus.widgets.shared.panel import Panel, copy_as_script
 from napari_elsplus.widgets.shared.problems import notify_errors, problems
 from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
 from napari_elsplus.widgets.shared.window.keys import bind_keys
 from napari_elsplus.widgets.shared.work import Work
+from napari_elsplus.workflows.calibration_report.report import save_calibration_report
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -100,15 +102,13 @@ class CalibrationPanel(Panel):
         """The newest result, neither accepted nor discarded yet."""
         return self.session.candidate
 
-    # actions of the buttons
-
     def connect_rig(self) -> None:
         """Connect to the chosen rig; disconnect if one is connected."""
         if self.connection.client is not None:
             self._setup = None
             self.work.begin(0, self.connection.disconnect, lambda _: None)
         else:
-            rig, settings = self.form.rig.currentText(), Settings(self.form.preset.currentText())
+            rig, settings = self.form.rig.currentText(), Settings(self.form.preset.currentData())
 
             def connect() -> Setup:
                 return GuidedCalibration(self.connection.connect(rig, settings)).setup()
@@ -156,18 +156,33 @@ class CalibrationPanel(Panel):
         path : path-like
             The recording.
         volts : path-like, optional
-            Table of a sweep's voltages.
+            Table of a sweep's voltages; by default the one beside the recording.
         """
-        source = MeasurementSource(self.key, Path(path), None if volts is None else Path(volts))
+        table = volts_beside(path) if volts is None and self.step.capture is Capture.SWEEP else volts
+        source = MeasurementSource(self.key, Path(path), None if table is None else Path(table))
         measured = partial(measure_recorded, source, self.draft, self.form.target_um, self.work.progress)
         self.work.begin(0, measured, self._found)
         self._refresh()
 
+    def measure_layer(self) -> None:
+        """Measure the step from the raw frames of the selected layer, in a thread of its own."""
+        with notify_errors(self):
+            stack, volts = frames_of(self.viewer.layers.selection.active)
+            path = stack.recording.path if stack.recording is not None else None
+            source = MeasurementSource(self.key, path, layer="" if path else stack.name)
+            frames = stack.planes
+            measured = partial(
+                measure_frames, source, frames, volts, self.draft, self.form.target_um, self.work.progress
+            )
+            self.work.begin(0, measured, self._found)
+        self._refresh()
+
     def accept(self) -> None:
-        """Accept the result into the calibration, and activate the calibration."""
+        """Accept the result into the calibration, activate the calibration, and display the next step to be done."""
         with notify_errors(self):
             if self.session.accept():
                 self.sharing.activate(self.draft.calibration)
+                self.key = self.session.next_undone(self.key)
         self._refresh()
 
     def discard(self) -> None:
@@ -205,6 +220,12 @@ class CalibrationPanel(Panel):
         with notify_errors(self):
             self.form.save_plots_to(Path(path), self.step.title)
 
+    def save_report(self, path: str | Path) -> None:
+        """Save a PDF of the calibration to a path, with every number, fit, residual and picture."""
+        with notify_errors(self):
+            pages = save_calibration_report(self.draft, Path(path), force=True)
+            show_info(f"saved {Path(path).name}: {pages} pages")
+
     def copy_script(self) -> None:
         """Copy Python that makes this calibration again to the clipboard."""
         with notify_errors(self):
@@ -228,8 +249,6 @@ class CalibrationPanel(Panel):
         self.connection.leave()
         super().cleanup()
 
-    # inside
-
     def _wire(self) -> None:
         form = self.form
         remembered = recall(SECTION)
@@ -240,13 +259,15 @@ class CalibrationPanel(Panel):
                 form.measure: self.measure,
                 form.follow_button: self.follow_offset,
                 form.from_file: self._choose_recording,
+                form.from_layer: self.measure_layer,
                 form.accept: self.accept,
                 form.discard: self.discard,
                 form.undo: self.undo,
                 form.next_step: self.next_step,
-                form.load: self._choose_file_to_load,
-                form.save: self._choose_file_to_save,
-                form.save_plots: self._choose_file_for_plots,
+                form.load: lambda: dialogs.act_on(dialogs.calibration_to_load(self), self.load),
+                form.save: lambda: dialogs.act_on(dialogs.where_to_save(self), self.save),
+                form.save_plots: lambda: dialogs.act_on(dialogs.where_to_save_plots(self, self.key), self.save_plots),
+                form.report: lambda: dialogs.act_on(dialogs.where_to_save_report(self), self.save_report),
                 form.script: self.copy_script,
             },
             step=self.choose,
@@ -262,13 +283,7 @@ class CalibrationPanel(Panel):
         self._refresh()
 
     def _live_source(self) -> MeasurementSource:
-        form = self.form
-        return MeasurementSource(
-            self.key,
-            rig=self.connection.rig or "",
-            preset=form.preset.currentText(),
-            voltages=form.voltages.value(),
-        )
+        return self.form.live_source(self.key, self.connection.rig or "")
 
     def _suppressing_cancellation(self, work: Callable[[], T]) -> Callable[[], T]:
         """Return work for the thread whose error is not displayed if the user has cancelled it or closed the panel."""
@@ -365,6 +380,7 @@ class CalibrationPanel(Panel):
             candidate=self.candidate is not None,
             past=self.session.past,
             scripted=bool(self.session.sources),
+            present=any(step.state(draft)[0] is not StepState.MISSING for step in calibration_steps()),
         )
         if shown is None and step.state(draft)[0] is not StepState.MISSING:
             form.show_headline("read from a file; measure it to display more")
@@ -378,15 +394,3 @@ class CalibrationPanel(Panel):
         frames, volts = dialogs.recording_for(self, self.step)
         if frames:
             self.measure_file(frames, volts or None)
-
-    def _choose_file_to_load(self) -> None:
-        if path := dialogs.calibration_to_load(self):
-            self.load(path)
-
-    def _choose_file_to_save(self) -> None:
-        if path := dialogs.where_to_save(self):
-            self.save(path)
-
-    def _choose_file_for_plots(self) -> None:
-        if path := dialogs.where_to_save_plots(self, self.key):
-            self.save_plots(path)

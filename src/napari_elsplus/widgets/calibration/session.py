@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from napari_elsplus.processing.calibration.draft import Draft
-from napari_elsplus.processing.calibration.steps import find_step
+from napari_elsplus.processing.calibration.step import StepState
+from napari_elsplus.processing.calibration.steps import calibration_steps, find_step
 
 if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Setup
     from napari_elsplus.viewing.calibration_script import MeasurementSource
-    from napari_elsplus.widgets.calibration.picture import Picture
+    from napari_elsplus.workflows.calibration_report.picture import Picture
 
 
 class ShownResult(NamedTuple):
@@ -66,6 +67,13 @@ class Session:
         self._accepted[step] = candidate
         self.draft, self.candidate = draft, None
         return True
+
+    def next_undone(self, key: str) -> str:
+        """Return the key of the next step after that with a key that is missing or stale; the same if none is."""
+        steps = calibration_steps()
+        at = [step.key for step in steps].index(key)
+        undone = (step.key for step in (*steps[at:], *steps[:at]) if step.state(self.draft)[0] is not StepState.DONE)
+        return next(undone, key)
 
     def undo(self) -> bool:
         """Restore the draft before its last change; return True if there was one."""

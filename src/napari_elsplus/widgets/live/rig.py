@@ -21,6 +21,7 @@ from napari_elsplus.io.formats.registry import CALIBRATION, dialog_filter
 from napari_elsplus.io.settings import recall, remember, set_active_calibration
 from napari_elsplus.widgets.live.rehearsal import Rehearsal
 from napari_elsplus.widgets.shared.calibration_state import calibration_lines, lag_advice, lag_button
+from napari_elsplus.widgets.shared.choosing import preset_label
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import button_row, form_layout
 from napari_elsplus.widgets.shared.problems import notify_errors
@@ -183,7 +184,7 @@ class RigPanel(EnginePanel):
             tooltip="Rig files, and the simulated rig; `napari-elsplus doctor` lists the devices found",
         )
         self.preset = ComboBox(
-            choices=[(_preset_label(name), name) for name in PRESETS],
+            choices=[(preset_label(name), name) for name in PRESETS],
             value=last.preset,
             label="preset",
             tooltip="Camera region and objective",
@@ -272,10 +273,3 @@ class RigPanel(EnginePanel):
         )
         if path:
             self.save(Path(path))
-
-
-def _preset_label(name: str) -> str:
-    """Return the display name of a preset: rate, magnification, objective."""
-    magnification = {"120hz": "high", "240hz": "low"}.get(name)
-    rate = name.replace("hz", " Hz")
-    return rate if magnification is None else f"{rate}, {magnification} magnification ({preset(name).objective})"

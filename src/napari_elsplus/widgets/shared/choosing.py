@@ -9,6 +9,7 @@ from napari.layers import Image
 
 from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.optics import preset
 
 LIVE: Final = "live"
 """Prefix of the metadata kind of layers that show live images."""
@@ -20,6 +21,10 @@ OPEN_RECORDING_FIRST: Final = (
 if TYPE_CHECKING:
     import napari.viewer
     from magicgui.widgets import ComboBox
+    from napari.layers import Layer
+    from numpy.typing import NDArray
+
+    from napari_elsplus.viewing.stack import Stack
 
 
 def calibrated_recordings(viewer: napari.viewer.Viewer) -> list[str]:
@@ -80,3 +85,30 @@ def chosen_image(viewer: napari.viewer.Viewer, choice: ComboBox, what: str) -> I
     layer = viewer.layers[choice.value]
     assert isinstance(layer, Image)
     return layer
+
+
+def frames_of(layer: Layer | None) -> tuple[Stack, NDArray[np.floating] | None]:
+    """Return the raw frames of a layer, and the voltages of a sweep where it contains them.
+
+    Parameters
+    ----------
+    layer : napari.layers.Layer or None
+        The selected layer.
+
+    Raises
+    ------
+    InputError
+        If it is not a layer of raw frames.
+    """
+    facts = {} if layer is None else layer.metadata.get("elsplus", {})
+    if facts.get("kind") != "raw" or facts.get("stack") is None:
+        name = "no layer is selected" if layer is None else f"{layer.name} is no layer of raw frames"
+        raise InputError(name, "select one; File > Open Sample > ELS+ endomicroscopy has a calibration set")
+    return facts["stack"], facts.get("volts")
+
+
+def preset_label(name: str) -> str:
+    """Return the display name of a preset: rate, magnification, objective."""
+    magnification = {"120hz": "high", "240hz": "low"}.get(name)
+    rate = name.replace("hz", " Hz")
+    return rate if magnification is None else f"{rate}, {magnification} magnification ({preset(name).objective})"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,11 +15,14 @@ from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing, write_table
+from napari_elsplus.workflows.pictures.curves import Band, Curve
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+
+__all__ = ["Band", "Curve", "ThemedPlot", "theme_colour"]
 
 PALETTE: Final = {
     "blue": ("#56b4e9", "#0072b2"),
@@ -56,44 +58,6 @@ def theme_colour(theme: str, colour: str) -> str:
         A key of `PALETTE`.
     """
     return PALETTE[colour][0 if get_theme(theme).type == "dark" else 1]
-
-
-@dataclass(frozen=True)
-class Curve:
-    """A line in a plot.
-
-    Attributes
-    ----------
-    name : str
-        Its entry in the legend, and its column in a CSV file.
-    x, y : numpy.ndarray
-        (m,) each.
-    colour : str
-        A key of `PALETTE`.
-    dash : str
-        A key of `DASHES`; distinguishes curves without colour.
-    marks : bool
-        Mark each point.
-    listed : bool
-        List it in the legend.
-    """
-
-    name: str
-    x: NDArray[np.floating]
-    y: NDArray[np.floating]
-    colour: str
-    dash: str = "solid"
-    marks: bool = False
-    listed: bool = True
-
-
-@dataclass(frozen=True)
-class Band:
-    """A shaded range of x, from one position to the other, in a colour of `PALETTE`."""
-
-    start: float
-    stop: float
-    colour: str
 
 
 class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]

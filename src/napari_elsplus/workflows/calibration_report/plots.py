@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from napari_elsplus.widgets.calibration.offset_picture import offset_picture
-from napari_elsplus.widgets.calibration.picture import Picture, Plot
-from napari_elsplus.widgets.shared.plots import Curve
+from napari_elsplus.workflows.calibration_report.offset import offset_picture
+from napari_elsplus.workflows.calibration_report.picture import Picture, Plot
+from napari_elsplus.workflows.pictures.curves import Curve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -27,7 +27,9 @@ _SHOWN_ERROR_ROWS: Final = 10.0
 """Largest row error that is drawn for a scan without a correction; chosen: more would flatten the corrected one."""
 
 
-def picture(step: CalibrationStep[Any], found: Any, draft: Draft, setup: Setup, target_um: float) -> Picture:
+def picture(
+    step: CalibrationStep[Any], found: Any, draft: Draft, setup: Setup, target_um: float | None = None
+) -> Picture:
     """Return the summary and the plots of a step's result.
 
     Parameters
@@ -40,7 +42,7 @@ def picture(step: CalibrationStep[Any], found: Any, draft: Draft, setup: Setup, 
         Results accepted before.
     setup : Setup
         Settings with which its frames were taken.
-    target_um : float
+    target_um : float, optional
         Wanted slit offset in micrometres, without its sign.
     """
     summary = step.summary(draft, found, setup)

@@ -1,4 +1,4 @@
-"""A step's result as the Calibration panel displays it: its summary, a number to read from a distance, plots."""
+"""A step's result as Calibration panel and report display it: its summary, a number to read from a distance, plots."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from napari_elsplus.processing.calibration.step import StepSummary
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from napari_elsplus.widgets.shared.plots import Band, Curve
+    from napari_elsplus.workflows.pictures.curves import Band, Curve
 
 
 @dataclass(frozen=True)

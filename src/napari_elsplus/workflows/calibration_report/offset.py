@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.calibration.scan.measure import DEFAULT_SLIT_ROWS
-from napari_elsplus.widgets.calibration.picture import Picture, Plot
-from napari_elsplus.widgets.shared.plots import Band, Curve
+from napari_elsplus.workflows.calibration_report.picture import Picture, Plot
+from napari_elsplus.workflows.pictures.curves import Band, Curve
 from napari_elsplus.workflows.sectioning_performance import line_as_seen, predict_performance
 
 if TYPE_CHECKING:
@@ -23,7 +23,9 @@ _FIT_WIDTHS: Final = 2.5
 """Standard deviations of the line to which its fit is drawn; chosen, the fit's height is then 4 %."""
 
 
-def offset_picture(found: SlitOffset, summary: StepSummary, draft: Draft, setup: Setup, target_um: float) -> Picture:
+def offset_picture(
+    found: SlitOffset, summary: StepSummary, draft: Draft, setup: Setup, target_um: float | None = None
+) -> Picture:
     """Return the picture of a slit offset.
 
     Parameters
@@ -36,7 +38,7 @@ def offset_picture(found: SlitOffset, summary: StepSummary, draft: Draft, setup:
         Results accepted before.
     setup : Setup
         Settings with which its frames were taken.
-    target_um : float
+    target_um : float, optional
         Wanted slit offset in micrometres, without its sign.
     """
     scale, far, good = draft.um_per_px or setup.um_per_px, f"{found.rows:.1f} rows", None
@@ -44,10 +46,11 @@ def offset_picture(found: SlitOffset, summary: StepSummary, draft: Draft, setup:
     if scale is not None:
         offset_um = found.rows * scale
         far = f"{offset_um:.1f} µm"
-        good = abs(abs(offset_um) - target_um) <= TOLERANCE_UM
-        sign = -1 if found.rows < 0 else 1
-        ends = sorted(sign * (target_um + side) / scale for side in (-TOLERANCE_UM, TOLERANCE_UM))
-        bands.append(Band(ends[0], ends[1], "green"))
+        if target_um is not None:
+            good = abs(abs(offset_um) - target_um) <= TOLERANCE_UM
+            sign = -1 if found.rows < 0 else 1
+            ends = sorted(sign * (target_um + side) / scale for side in (-TOLERANCE_UM, TOLERANCE_UM))
+            bands.append(Band(ends[0], ends[1], "green"))
         lines += _predicted_performance(found, draft, setup, scale)
     confocal = _profile("confocal", found.confocal, 0.0, "blue")
     residual = _profile("residual", found.residual, found.rows, "orange")

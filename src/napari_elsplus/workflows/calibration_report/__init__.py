@@ -1,0 +1,1 @@
+"""Plots of the calibration's steps, and the calibration report."""

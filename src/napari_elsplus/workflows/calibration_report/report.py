@@ -1,0 +1,254 @@
+"""Calibration report: one PDF with every number, fit, residual and picture of a calibration, for a lab's files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from napari_elsplus import __version__
+from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import FrameSection
+from napari_elsplus.io import replacing
+from napari_elsplus.processing.calibration.draft import Setup
+from napari_elsplus.processing.calibration.step import StepState
+from napari_elsplus.processing.calibration.steps import calibration_steps
+from napari_elsplus.processing.calibration.summaries import with_uncertainty
+from napari_elsplus.workflows.calibration_report.plots import picture
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import BundleSection, Calibration
+    from napari_elsplus.processing.calibration.draft import Draft
+    from napari_elsplus.workflows.calibration_report.picture import Picture, Plot
+
+PAGE_MM: Final = (210.0, 297.0)
+"""Width and height of a page: A4."""
+COLOURS: Final = {
+    "blue": "#0072b2", "orange": "#d55e00", "green": "#009e73", "grey": "#7f7f7f", "vermilion": "#d55e00",
+    "purple": "#cc79a7",
+}  # fmt: skip
+"""Of Okabe and Ito's palette, for white paper."""
+DASHES: Final = {"none": "", "solid": "-", "dashed": "--", "dotted": ":"}
+MAX_PLOT_HEIGHT: Final = 0.36
+"""Of a page; chosen: a single plot is not stretched over the whole page."""
+PICTURE_DPI: Final = 200
+"""Resolution of pictures in the file, pixels per inch; chosen for print."""
+
+
+def save_calibration_report(draft: Draft, path: Path, *, force: bool = False) -> int:
+    """Save a calibration report: a page of numbers, then a page for each step that was measured.
+
+    Parameters
+    ----------
+    draft : Draft
+        Calibration, and the results of the steps that were measured; a calibration that was read from a file has its
+        numbers and arrays only.
+    path : pathlib.Path
+        PDF file; written beside and renamed.
+    force : bool
+        Overwrite an existing file.
+
+    Returns
+    -------
+    int
+        Number of pages.
+
+    Raises
+    ------
+    InputError
+        If the file is not named NAME.pdf, or exists and `force` is not given.
+    """
+    refuse_other_than_pdf(path)
+    with replacing(path, force=force) as unfinished, PdfPages(unfinished) as pages:
+        for number, figure in enumerate(draw_calibration_report(draft), 1):
+            figure.text(0.92, 0.03, f"{number}", ha="right", fontsize=8, color="0.4")
+            pages.savefig(figure, dpi=PICTURE_DPI)
+        pages.infodict()["Title"] = f"Calibration report, {draft.calibration.created}"
+    return number
+
+
+def refuse_other_than_pdf(path: Path) -> None:
+    """Refuse the path of a report that does not end in ``.pdf``.
+
+    Raises
+    ------
+    InputError
+        If it does not.
+    """
+    if path.suffix.lower() != ".pdf":
+        raise InputError(f"a report of several pages cannot be saved as {path.name}", "end its name in .pdf")
+
+
+def draw_calibration_report(draft: Draft) -> Iterator[Figure]:
+    """Draw the pages of a calibration report one by one; see :func:`save_calibration_report`."""
+    setup = _setup(draft.calibration)
+    yield _summary_page(draft)
+    for step in calibration_steps():
+        if step.key in draft.found:
+            found = draft.found[step.key]
+            yield _step_page(step.title, picture(step, found, draft, setup), _images(found, draft.calibration))
+
+
+def calibration_numbers(calibration: Calibration) -> list[tuple[str, str, str]]:
+    """Return the numbers of a calibration as rows of quantity, value with one standard deviation, and unit.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Complete or not; a section that was not measured has no rows.
+    """
+    rows: list[tuple[str, str, str]] = []
+    offset, galvo, bundle = calibration.offset, calibration.galvo, calibration.bundle
+    optics, quality, scale = calibration.optics, calibration.quality, calibration.um_per_px
+    if offset is not None:
+        rows.append(("slit offset", with_uncertainty(offset.rows, offset.uncertainty_rows), "rows"))
+        if scale is not None:
+            rows.append(("", with_uncertainty(offset.rows * scale, offset.uncertainty_rows * scale), "µm"))
+        rows.append(("tilt of the line", f"{offset.tilt_deg:.3f}", "degrees"))
+    if galvo is not None:
+        rows.append(("galvo", _maybe(1e3 * galvo.volts_per_row, galvo.volts_per_row_uncertainty, 1e3), "mV per row"))
+        at_zero = _maybe(1e3 * galvo.volts_at_row_zero, galvo.volts_at_row_zero_uncertainty, 1e3)
+        rows.append(("galvo at row 0", at_zero, "mV"))
+        rows.append(("residuals of the galvo map", f"{galvo.rms_rows:.3f}", "rows RMS"))
+        lag = "not measured" if galvo.lag_s is None else f"{1e6 * galvo.lag_s:.2f}"
+        rows.append(("scan lag", lag, "" if galvo.lag_s is None else "µs"))
+    if bundle is not None:
+        for name, centre in (("confocal", bundle.confocal_centre), ("residual", bundle.residual_centre)):
+            rows.append((f"{name} centre (row, col)", f"{centre[0]:.2f}, {centre[1]:.2f}", "px"))
+        rows.append(("bundle diameter", _maybe(bundle.diameter_px, bundle.diameter_uncertainty_px), "px"))
+        gain = with_uncertainty(bundle.residual_gain, bundle.residual_gain_uncertainty)
+        rows.append(("gain of the residual view", gain, ""))
+    if scale is not None:
+        rows.append(("scale", f"{scale:.4f}", "µm per px"))
+    if optics is not None and optics.line_period_s is not None:
+        rows.append(("line period", f"{1e6 * optics.line_period_s:.3f}", "µs"))
+    if optics is not None and optics.line_periods_per_frame is not None:
+        rows.append(("line periods per frame", f"{optics.line_periods_per_frame:.2f}", ""))
+    if quality is not None:
+        rows.append(("alignment error", f"{100 * quality.alignment_error:.2f}", "%"))
+        filtered = f"{100 * quality.alignment_error_filtered:.2f}"
+        rows.append((f"after the {quality.core_filter} filter", filtered, "%"))
+    return rows
+
+
+def _maybe(value: float, uncertainty: float | None, factor: float = 1.0) -> str:
+    return f"{value:.5g}" if uncertainty is None else with_uncertainty(value, uncertainty * factor)
+
+
+def _setup(calibration: Calibration) -> Setup:
+    """Return the settings of a calibration's frames."""
+    optics, frame = calibration.optics, calibration.frame
+    return Setup(
+        frame if frame is not None else FrameSection(shape=(1, 1)),
+        calibration.acquired_with or Setup(FrameSection(shape=(1, 1))).acquired_with,
+        line_period_s=None if optics is None else optics.line_period_s,
+        line_periods_per_frame=None if optics is None else optics.line_periods_per_frame,
+        um_per_px=calibration.um_per_px,
+    )
+
+
+def _page(title: str) -> Figure:
+    figure = Figure(figsize=(PAGE_MM[0] / 25.4, PAGE_MM[1] / 25.4))
+    figure.text(0.1, 0.94, title, fontsize=16, fontweight="bold")
+    return figure
+
+
+def _summary_page(draft: Draft) -> Figure:
+    calibration = draft.calibration
+    taken = calibration.acquired_with
+    figure = _page("Calibration report")
+    facts = [f"measured {calibration.created.replace('T', ' ').removesuffix('Z')} UTC"]
+    if taken is not None:
+        settings = (
+            (taken.rig, "rig {}"), (taken.objective, "objective {}"), (taken.slit_rows, "slit {:g} rows"),
+            (taken.frame_rate_hz, "{:.1f} Hz"), (taken.gain_db, "gain {:g} dB"),
+        )  # fmt: skip
+        facts.append(", ".join(text.format(value) for value, text in settings if value is not None))
+    facts.append(f"napari-elsplus {__version__}; uncertainties are one standard deviation")
+    figure.text(0.1, 0.925, "\n".join(fact for fact in facts if fact), fontsize=9, va="top", linespacing=1.5)
+    rows = [("step", "state", ""), *_states(draft), ("", "", ""), ("quantity", "value", "unit")]
+    rows += calibration_numbers(calibration)
+    for line, cells in enumerate(rows):
+        weight = "bold" if cells[0] in ("step", "quantity") else "normal"
+        for left, cell in zip((0.1, 0.45, 0.72), cells, strict=True):
+            figure.text(left, 0.85 - 0.02 * line, cell, fontsize=10, fontweight=weight)
+    arrays = [
+        (name, image)
+        for name, image in (("background", calibration.background), ("flat field", calibration.flat))
+        if image is not None
+    ]
+    for index, (name, image) in enumerate(arrays):
+        _show(figure.add_axes((0.1 + 0.42 * index, 0.06, 0.36, 0.16)), name, image)
+    return figure
+
+
+def _states(draft: Draft) -> list[tuple[str, str, str]]:
+    states = []
+    for step in calibration_steps():
+        state, reason = step.state(draft)
+        elsewhere = "not measured in this session" if state is StepState.DONE and step.key not in draft.found else ""
+        states.append((step.title, str(state), reason or elsewhere))
+    return states
+
+
+def _step_page(title: str, shown: Picture, images: Sequence[tuple[str, NDArray[Any], BundleSection | None]]) -> Figure:
+    figure = _page(title[:1].upper() + title[1:])
+    figure.text(0.1, 0.92, shown.headline.replace("\n", ", "), fontsize=13, va="top")
+    notes = [*shown.lines, *(f"Warning: {warning}" for warning in shown.warnings)]
+    figure.text(0.1, 0.895, "\n".join(notes), fontsize=8, va="top", linespacing=1.5)
+    top = 0.87 - 0.016 * len(notes)
+    height = min((top - 0.08) / max(len(shown.plots) + len(images), 1), MAX_PLOT_HEIGHT)
+    for index, plot in enumerate(shown.plots):
+        _draw(figure.add_axes((0.14, top - (index + 1) * height + 0.05, 0.76, height - 0.06)), plot)
+    for index, (name, image, bundle) in enumerate(images, len(shown.plots)):
+        axes = figure.add_axes((0.1, top - (index + 1) * height + 0.02, 0.8, height - 0.05))
+        _show(axes, name, image, bundle)
+    return figure
+
+
+def _draw(axes: Axes, plot: Plot) -> None:
+    for curve in plot.curves:
+        (line,) = axes.plot(curve.x, curve.y, color=COLOURS[curve.colour], linewidth=1)
+        line.set(linestyle=DASHES[curve.dash], marker="." if curve.marks else "", markersize=3)
+        line.set_label(curve.name if curve.listed else f"_{curve.name}")
+    for position, colour, text in plot.marks:
+        axes.axvline(position, color=COLOURS[colour], linestyle=":", linewidth=0.8)
+        axes.text(position, 0.95, f" {text}", transform=axes.get_xaxis_transform(), fontsize=8, color=COLOURS[colour])
+    axes.set_xlabel(plot.bottom, fontsize=9)
+    axes.set_ylabel(plot.left, fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+    if any(curve.listed for curve in plot.curves):
+        axes.legend(frameon=False, fontsize=8)
+
+
+def _images(found: Any, calibration: Calibration) -> list[tuple[str, NDArray[Any], BundleSection | None]]:
+    """Return the pictures of a step's result: name, image, and the bundle to be outlined."""
+    if isinstance(found, np.ndarray) and found.ndim == 2:
+        return [("flat field, mean 1", found, None)]
+    if isinstance(mean := getattr(found, "mean", None), np.ndarray):
+        return [("mean frame", mean, None)]
+    if isinstance(image := getattr(found, "image", None), np.ndarray):
+        return [("mean frame, with the located views", image, calibration.bundle)]
+    return []
+
+
+def _show(axes: Axes, name: str, image: NDArray[Any], bundle: BundleSection | None = None) -> None:
+    shown = axes.imshow(image, cmap="gray", vmax=float(np.quantile(image, 0.999)), interpolation="nearest")
+    bar = axes.figure.colorbar(shown, ax=axes, fraction=0.04, pad=0.02)
+    bar.ax.tick_params(labelsize=7)
+    axes.set_title(name, fontsize=9)
+    axes.tick_params(labelsize=7)
+    if bundle is not None:
+        centres = ((bundle.confocal_centre, "blue"), (bundle.residual_centre, "orange"))
+        for (row, col), colour in centres:
+            axes.add_patch(Circle((col, row), bundle.diameter_px / 2, fill=False, color=COLOURS[colour]))
