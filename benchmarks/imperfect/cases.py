@@ -78,7 +78,7 @@ class Case:
     aim : Aim
         What should hold.
     preset : str
-        Preset of the camera.
+        Preset of the camera; ``"240hz at 230 Hz"`` at a lower frame rate.
     corrections : tuple of str
         Parts of the calibration that correct it; the number without them is measured, too.
     quick : bool
@@ -113,7 +113,9 @@ class Case:
 @cache
 def _rig(preset: str, imperfections: str, fields: tuple[str, ...]) -> ImperfectRig:
     changes = {name: FIELDS[name] for name in fields}
-    return ImperfectRig.of(preset, Imperfections.parse(imperfections), **changes)
+    name, _, rate = preset.partition(" at ")
+    rate_hz = float(rate.removesuffix(" Hz")) if rate else None
+    return ImperfectRig.of(name, Imperfections.parse(imperfections), rate_hz=rate_hz, **changes)
 
 
 FIELDS: Final[dict[str, Any]] = {"line": LINE_MODELS["b"]}
@@ -127,7 +129,12 @@ def corrected(rig: ImperfectRig, off: tuple[str, ...]) -> Calibration:
 
 def without(calibration: Calibration, off: tuple[str, ...]) -> Calibration:
     """Return a calibration without some of its corrections, by the names of its fields."""
-    return calibration.model_copy(update=dict.fromkeys(off)) if off else calibration
+    changes: dict[str, Any] = dict.fromkeys(off)
+    if (
+        "scan_correction" in off and calibration.galvo is not None
+    ):  # nor is the drive made for the galvo that was fitted
+        changes["galvo"] = calibration.galvo.model_copy(update={"natural_hz": None, "damping": None})
+    return calibration.model_copy(update=changes) if off else calibration
 
 
 def corrects(calibration: Calibration, corrections: tuple[str, ...]) -> bool:
@@ -233,7 +240,8 @@ def _offset_cases(name: str, imperfections: str, preset: str, *, quick: bool = F
 
 CASES: Final = (
     *_mirror("galvo of 800 Hz, not stated", "galvo-resonance=800"),
-    *_mirror("galvo of 500 Hz, damping 0.3", "galvo-resonance=500,galvo-damping=0.3"),
+    *_mirror("galvo of 500 Hz, damping 0.3", "galvo-resonance=500,galvo-damping=0.3", "240hz at 230 Hz"),
+    *_mirror("galvo of 600 Hz, damping 1", "galvo-resonance=600,galvo-damping=1", "240hz at 230 Hz"),
     *_mirror("galvo of 2000 Hz, damping 1, late by 100 us", "galvo-resonance=2000,galvo-damping=1,galvo-delay=100"),
     *_mirror("galvo damped by 0.4", "galvo-damping=0.4"),
     *_mirror("galvo with an s-curve of 2 rows", "galvo-s-curve=2"),
