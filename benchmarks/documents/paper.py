@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
+from benchmarks.documents.schematic import draw_schematic
 from benchmarks.studies import paper
 from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT, contrast, white_level
+from napari_elsplus.processing.calibration.bundle.cancellation import FILTER_NAMES
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -55,6 +58,8 @@ def make(
         save_figure(figure, folder / f"paper-{name}.png", force=force)
         tables[f"paper-{name}"] = table
 
+    report("schematic")
+    save_figure(draw_schematic(), folder / "paper-schematic.png", force=force)
     report("calibration")
     found = paper.calibrate_simulated(Instrument.of("120hz" if not quick else "240hz"), 20 if quick else 400)
     keep("calibration", draw_calibration(found), calibration_table(found))
@@ -73,22 +78,32 @@ def make(
     keep("mosaics", draw_images({name: m.image for name, m in made.items()}, 2), mosaic_table(made))
     report("tissue, 60 Hz")
     frames = paper.tissue(6 if quick else 60)
-    single = paper.sectioned(frames, (Mode.LS, Mode.ELS))
+    single = paper.sectioned(frames, SHOWN)
     made = {"LS": paper.mosaic(frames, Mode.LS), "ELS+": paper.mosaic(frames, Mode.ELS)}
     images = {f"{TITLES[mode]} frame": one.image for mode, one in single.items()}
     images |= {f"{name} mosaic": m.image for name, m in made.items()}
-    keep("tissue", draw_images(images, 2), mosaic_table(made))
+    keep("tissue", draw_images(images, 3), mosaic_table(made))
     return tables
 
 
 def draw_calibration(found: Calibrated) -> Figure:
-    """Draw the line in both views, and the galvo's map."""
-    draft = found.draft
+    """Draw line, sweep and located views as the camera sees them; the line in both views, and the galvo's map."""
+    draft, bundle = found.draft, found.draft.calibration.bundle
     assert draft.offset is not None
     assert draft.galvo is not None
+    assert bundle is not None
     galvo = draft.galvo
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure = Figure(figsize=(12, 6.8), layout="constrained")
+    grid = figure.add_gridspec(2, 6, height_ratios=(0.9, 1))
+    for place, (title, picture) in enumerate(found.pictures.items()):
+        axes = figure.add_subplot(grid[0, 2 * place : 2 * place + 2])
+        axes.imshow(picture, cmap="gray", vmin=0, vmax=float(np.quantile(picture, 0.999)))
+        axes.set_title(title, fontsize=9)
+        axes.set_axis_off()
+    for centre, colour in ((bundle.confocal_centre, "#0072b2"), (bundle.residual_centre, "#d55e00")):
+        axes.add_patch(Circle(centre[::-1], bundle.diameter_px / 2, fill=False, color=colour))
+        axes.plot(centre[1], centre[0], "+", color=colour, markersize=10)
+    left, right = figure.add_subplot(grid[1, :3]), figure.add_subplot(grid[1, 3:])
     for name, line, colour in (("left", draft.offset.confocal, "#0072b2"), ("right", draft.offset.residual, "#d55e00")):
         rows = np.linspace(line.row - 12, line.row + 12, 200)
         bell = line.amplitude * np.exp(-((rows - line.row) ** 2) / (2 * line.width_rows**2))
@@ -122,10 +137,9 @@ def calibration_table(found: Calibrated) -> str:
         ("right view onto the left / px", "", f"{errors.pair_alignment_px:.4f}"),
         ("brightness of the right view", f"{bundle.residual_gain:.4f}", f"{errors.residual_gain_percent:+.3f} %"),
         ("alignment error", f"{100 * quality.alignment_error:.2f} %", f"(the paper: {papers} %)"),
-        (
-            "the same, filtered",
-            f"{100 * quality.alignment_error_filtered:.2f} %",
-            f"(the paper: {papers_filtered} %)",
+        *(
+            (f"the same, after the {FILTER_NAMES[kind]}", f"{100 * error:.2f} %", f"(the paper: {papers_filtered} %)")
+            for kind, error in found.alignment.filtered.items()
         ),
     )
 
@@ -163,7 +177,9 @@ def draw_images(images: dict[str, Image], columns: int) -> Figure:
     tallest = max(image.shape[0] / image.shape[1] for image in images.values())
     figure = Figure(figsize=(6 * columns, (6 * min(tallest, 0.75) + 0.4) * rows), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, (name, image) in zip(panels, images.items(), strict=True):
+    for axes in panels[len(images) :]:
+        axes.set_axis_off()
+    for axes, (name, image) in zip(panels, images.items(), strict=False):
         axes.imshow(image, cmap="gray", vmin=0, vmax=white_level(image, image != 0), interpolation="nearest")
         axes.set_title(name)
         axes.set_axis_off()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from benchmarks.choices.sectioning import Moment, judge
 from benchmarks.rigs.simulated import SimulatedRig, measured
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast
+from napari_elsplus.processing.calibration.bundle.cancellation import AlignmentErrors, measure_alignment_errors
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.mosaicing.montage import montage
@@ -32,29 +33,60 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
 
 
+SWEEP_SHOWN: Final = 8
+"""Frames of the sweep that a picture shows; chosen."""
+LINE: Final = "standing line"
+LOCATOR: Final = "bundle lit from its far end, both views located"
+
+
 @dataclass(frozen=True)
 class Calibrated:
-    """A calibration from raw frames, and how far it is from the instrument."""
+    """A calibration from raw frames, and how far it is from the instrument.
+
+    Parameters
+    ----------
+    draft : Draft
+        The steps' results.
+    errors : CalibrationErrors
+        Against the instrument.
+    pictures : dict
+        By title: a frame of the standing line, the brightest of some frames of the sweep, the lamp's mean frame.
+    alignment : AlignmentErrors
+        Of the lamp's mean frame, after each core filter.
+    """
 
     draft: Draft
     errors: CalibrationErrors
+    pictures: dict[str, Image]
+    alignment: AlignmentErrors
 
 
 def calibrate_simulated(instrument: Instrument, steps: int = scenes.SWEEP_STEPS) -> Calibrated:
     """Calibrate the simulated rig from frames, as a user does."""
     optics = instrument.optics
     volts = scenes.sweep_volts(instrument)[:: scenes.SWEEP_STEPS // steps]
+    line = list(scenes.standing_line(instrument, scenes.line_volts(instrument), seed=1))
+    sweep = list(scenes.standing_line(instrument, volts, seed=2))
+    bundle = list(scenes.transmission(instrument, seed=3))
     draft = measure(
-        line=list(scenes.standing_line(instrument, scenes.line_volts(instrument), seed=1)),
-        sweep=list(scenes.standing_line(instrument, volts, seed=2)),
+        line=line,
+        sweep=sweep,
         volts=volts,
-        bundle=list(scenes.transmission(instrument, seed=3)),
+        bundle=bundle,
         background=list(scenes.dark_tube(instrument, seed=4)),
         bundle_um=instrument.bundle.diameter_um,
         line_period_s=optics.line_period_s,
         line_periods_per_frame=optics.line_periods_per_frame,
     )
-    return Calibrated(draft, calibration_errors(draft.calibration, instrument))
+    lamp = np.asarray(np.mean(bundle, axis=0, dtype=np.float32))
+    some = sweep[len(sweep) // 2 % SWEEP_SHOWN :: max(1, len(sweep) // SWEEP_SHOWN)]
+    pictures = {
+        LINE: np.asarray(line[0], np.float32),
+        f"{len(some)} of {len(sweep)} frames of the sweep": np.max(some, axis=0).astype(np.float32),
+        LOCATOR: lamp,
+    }
+    errors = calibration_errors(draft.calibration, instrument)
+    return Calibrated(draft, errors, pictures, measure_alignment_errors(lamp, draft.calibration))
 
 
 @dataclass(frozen=True)

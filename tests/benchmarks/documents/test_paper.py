@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.documents.paper import calibration_table, draw_calibration, draw_images, mosaic_table
+from benchmarks.documents.schematic import draw_schematic
 from benchmarks.studies import paper
 from napari_elsplus.simulation.accuracy import TrackErrors
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -27,7 +28,10 @@ def test_a_calibration_is_told_with_its_uncertainty_and_its_error(tmp_path: Path
     assert abs(float(rows) - float(error) - instrument.offset_rows) < 0.001
     assert 0 < float(uncertainty_rows) < 0.05
     assert cells(table, "alignment error")[2] == "(the paper: 5.5 %)"
-    assert cells(table, "the same, filtered")[2] == "(the paper: 0.74 %)"
+    median = cells(table, "the same, after the 3x3 median filter")
+    assert median[2] == "(the paper: 0.74 %)"
+    assert 0 < float(median[1].split()[0]) < float(cells(table, "alignment error")[1].split()[0])
+    assert next(iter(found.pictures)) == paper.LINE
     draw_calibration(found).savefig(tmp_path / "calibration.png")
 
 
@@ -38,3 +42,10 @@ def test_mosaics_are_drawn_and_told(tmp_path: Path) -> None:
     figure = draw_images({"one": image, "two": image.T, "three": image}, 3)
     assert [axes.get_title() for axes in figure.axes] == ["one", "two", "three"]
     figure.savefig(tmp_path / "images.png")
+
+
+def test_the_schematic_names_its_parts(tmp_path: Path) -> None:
+    figure = draw_schematic()
+    words = {text.get_text().replace("\n", " ") for axes in figure.axes for text in axes.texts}
+    assert {"galvo", "beam splitter, tilt mirror", "confocal view", "residual view"} <= words
+    figure.savefig(tmp_path / "schematic.png")
