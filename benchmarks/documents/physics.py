@@ -31,7 +31,7 @@ SEEDS: Final = 10
 WEIGHED_UM: Final = (3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 25.0, 29.0, 35.0, 40.0, 50.0, 58.0, 67.0, 77.0, 90.0)
 STRIPS_UM: Final = ((-295.0, -260.0), (-285.0, -275.0), (260.0, 295.0))
 EDGE_UM: Final = (-74.0, -12.0)
-TABLES: Final = ("offsets", "slits", "seeds", "instruments", "edge")
+TABLES: Final = ("offsets", "small-offsets", "slits", "seeds", "instruments", "edge")
 
 
 def make(docs: Path, *, quick: bool = False) -> None:
@@ -52,6 +52,7 @@ def make(docs: Path, *, quick: bool = False) -> None:
     page = docs / "physics.md"
     require_marks(page, TABLES)
     by_offset = {offset: measure_axial(_instrument(offset)) for offset in printed.OFFSETS_UM}
+    small = {offset: measure_axial(_instrument(offset)) for offset in printed.SMALL_OFFSETS_UM}
     by_slit = {slit: measure_axial(_instrument(29.0, slit)) for slit in SLITS_UM}
     sharp = {slit: measure_axial(_instrument(77.0, slit, "b")) for slit in SHARP_SLITS_UM}
     by_seed = [measure_axial(_instrument(29.0), seed=seed) for seed in range(2 if quick else SEEDS)]
@@ -69,6 +70,7 @@ def make(docs: Path, *, quick: bool = False) -> None:
         save_figure(figure, docs / "images" / f"physics-{name}.png", force=True)
     tables = {
         "offsets": _offset_table(by_offset),
+        "small-offsets": _small_offset_table(small),
         "slits": _slit_table(by_slit),
         "seeds": _seed_table(by_seed),
         "instruments": _instrument_table(),
@@ -112,12 +114,27 @@ def _offset_table(measured: dict[float, AxialResponse]) -> list[str]:
     return [*rows, f"| ELS, fit over the offsets OF | {papers} | | | {ours} | |"]
 
 
+def _small_offset_table(measured: dict[float, AxialResponse]) -> list[str]:
+    lines = [
+        "| offset (um) | 3 dB / 10 dB, paper (um) | with the rim (um) | raw frames (um) | signal kept |",
+        "|---|---|---|---|---|",
+    ]
+    for offset, response in measured.items():
+        paper, (_, clipped) = printed.SMALL_OFFSETS_UM[offset], clipped_drop_offs(_instrument(offset))
+        lines.append(
+            f"| {offset:g} | {paper[0]:g} / {paper[1]:g} | {clipped.drop_3db_um:.1f} / {clipped.drop_10db_um:.1f} "
+            f"| {response.els_3db.um:.1f} / {response.els_10db.um:.1f} | {100 * response.signal_kept:.0f} % |"
+        )
+    return lines
+
+
 def _slit_table(measured: dict[float, AxialResponse]) -> list[str]:
     return [
-        "| slit (um) | ELS+ 10 dB, paper (um) | raw frames (um) | signal kept |",
-        "|---|---|---|---|",
+        "| slit (um) | ELS+ 10 dB, paper (um) | raw frames | LS 3 dB, paper (um) | raw frames | signal kept |",
+        "|---|---|---|---|---|---|",
         *(
-            f"| {slit} | 120 | {response.els_10db.um:.1f} | {100 * response.signal_kept:.1f} % |"
+            f"| {slit} | 120 | {response.els_10db.um:.1f} | {printed.LS_BY_SLIT_UM[slit]:g} | {response.ls_3db.um:.1f} "
+            f"| {100 * response.signal_kept:.1f} % |"
             for slit, response in measured.items()
         ),
     ]

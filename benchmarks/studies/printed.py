@@ -21,6 +21,10 @@ SLIT_FITS: Final = {
     ("els", 10): (0.034, 2.6, 170.0),
 }
 """Quadratics in the slit width (um), by curve and dB."""
+SMALL_OFFSETS_UM: Final = {2.9: (13.0, 59.0), 5.8: (9.6, 42.0), 8.6: (12.5, 45.0)}
+"""3 dB and 10 dB distance of ELS (um) at offsets below 12 um, where they follow no curve."""
+LS_BY_SLIT_UM: Final = {1.9: 70.0, 2.9: 70.0, 5.8: 67.0}
+"""3 dB distance of LS (um) by the slit's width (um)."""
 OFFSETS_UM: Final = (12.0, 29.0, 40.0, 58.0, 77.0)
 """Slit offsets that were measured, but for those below 12 um, where the printed fits leave the measurements."""
 
