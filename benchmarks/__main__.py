@@ -12,6 +12,7 @@ from rich.table import Table
 from benchmarks.documents import calibration_accuracy, mosaicing, paper, physics
 from benchmarks.documents.architecture import draw_architecture, read_rooms
 from benchmarks.documents.benchmark import draw_benchmark
+from benchmarks.documents.finished import draw_finished
 from benchmarks.documents.pages import fill
 from benchmarks.harness.methods import Chart
 from benchmarks.harness.peers import PACKAGES, environment, install
@@ -25,6 +26,7 @@ from benchmarks.studies import line_fit
 from napari_elsplus.cli import run_program
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
 from napari_elsplus.errors import InputError
+from napari_elsplus.io import open_recording
 from napari_elsplus.workflows.pictures.files import save_figure
 
 if TYPE_CHECKING:
@@ -116,6 +118,17 @@ def architecture(out: Path, source: Path, title: str, force: bool) -> None:
     """Draw the folders of the package, layered by their imports."""
     refuse_outputs(out, force=force)
     save_figure(draw_architecture(read_rooms(source), title), out, force=force)
+
+
+@bench.command()
+@click.argument("stack", type=FILE)
+@click.option("--out", type=FILE, required=True, help="The picture, .png or .svg.")
+@force_option
+def finished(stack: Path, out: Path, force: bool) -> None:
+    """Draw the mosaic of a stack of finished images, and its track."""
+    refuse_outputs(out, force=force)
+    with open_recording(stack) as frames:
+        save_figure(draw_finished(frames), out, force=force)
 
 
 @bench.command()

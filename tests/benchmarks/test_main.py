@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.__main__ import PAGE_PROGRAMS, PAGES
@@ -70,6 +71,15 @@ def test_the_package_is_drawn(bench_program, tmp_path: Path) -> None:
     assert picture.read_text("utf-8").startswith("<?xml")
     assert bench_program("architecture", "--out", picture).code == 2
     assert bench_program("architecture", "--out", picture, "--source", tmp_path / "none", "--force").code == 2
+
+
+def test_the_mosaic_of_a_finished_stack_is_drawn(bench_program, tmp_path: Path) -> None:
+    scene = np.random.default_rng(0).integers(0, 255, (15, 15)).astype(np.uint8).repeat(8, 0).repeat(8, 1)
+    np.save(tmp_path / "stack.npy", np.stack([scene[k : k + 96, 2 * k : 2 * k + 96] for k in range(3)]))
+    picture = tmp_path / "mosaic.png"
+    assert bench_program("finished", tmp_path / "stack.npy", "--out", picture).code == 0
+    assert picture.stat().st_size > 10_000
+    assert bench_program("finished", tmp_path / "stack.npy", "--out", picture).code == 2
 
 
 @pytest.mark.checkout
