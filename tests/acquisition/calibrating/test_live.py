@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -55,6 +56,19 @@ def test_without_a_line_the_search_says_so_and_the_calibration_before_stays(cali
 def test_a_real_rig_does_not_calibrate_itself(rig: object, engine: Engine) -> None:
     with pytest.raises(InputError, match="cannot be calibrated without its user"):
         calibrate_simulated(rig, engine)  # type: ignore[arg-type]
+
+
+def test_a_bundle_of_unknown_diameter_gives_no_micrometres(engine, monkeypatch):
+    """620 um were assumed."""
+    drafts = []
+
+    def step_that_keeps_its_draft(first):
+        return [SimpleNamespace(optional=False, target=None, accept=lambda draft, *_: drafts.append(draft) or draft)]
+
+    monkeypatch.setattr(live, "calibration_steps", step_that_keeps_its_draft)
+    monkeypatch.setattr(live.LiveMeasurement, "measure", lambda *_: None)
+    live.calibrate_rig(engine, lambda target: None)
+    assert [draft.bundle_um for draft in drafts] == [None]
 
 
 def test_following_the_offset_parks_before_the_hold_limit_and_holds_again(engine, rig, calibration, monkeypatch):

@@ -174,6 +174,12 @@ def test_files_and_a_rig_together_are_refused(elsplus: Elsplus, tmp_path: Path) 
     assert not list(tmp_path.iterdir())
 
 
+def test_a_scale_and_a_rig_together_are_refused(elsplus: Elsplus, tmp_path: Path) -> None:
+    run = elsplus("calibrate", "--rig", "simulated", "--um-per-px", "1.3", "-o", tmp_path / "cal.json")
+    assert run.code == 2
+    assert "--um-per-px 1.3 with --rig" in run.err
+
+
 def test_an_unknown_rig_is_one_line(elsplus: Elsplus, tmp_path: Path) -> None:
     run = elsplus("calibrate", "--rig", "nowhere", "-o", tmp_path / "cal.json")
     assert run.code == 2

@@ -131,7 +131,7 @@ def test_background_is_the_mean_and_drift_is_told() -> None:
 def test_background_that_is_given_is_used_by_line_and_sweep() -> None:
     """A lamp left on draws a brighter line than the laser's; only the background frame tells them apart."""
     lamp = np.zeros(RIG.shape, np.uint8)
-    lamp[60:66] = 100
+    lamp[60:66, round(RIG.left[1]) - 90 : round(RIG.right[1]) + 90] = 100
     line, dark = RIG.line() + lamp, RIG.background(10) + lamp
     found = measure(line=line, background=dark).offset
     assert found is not None

@@ -18,7 +18,7 @@ from napari_elsplus.acquisition.calibrating.capture import (
 )
 from napari_elsplus.acquisition.calibrating.trial_scans import TrialScans
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.instrument.optics import BUNDLE_UM, preset
+from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.live_offset import OffsetFollower
 from napari_elsplus.processing.calibration.step import Capture, StepInputs
@@ -195,7 +195,7 @@ def calibrate_rig(
     prepare: Callable[[Target], None],
     *,
     voltages: int = SWEEP_VOLTAGES,
-    bundle_um: float = BUNDLE_UM,
+    bundle_um: float | None = None,
     progress: StepProgress = lambda _: iter,
 ) -> Draft:
     """Calibrate a rig from nothing, with every step that is not optional, and activate the result.
@@ -208,8 +208,8 @@ def calibrate_rig(
         Receives a target, and returns when it lies before the probe.
     voltages : int
         Of the sweep.
-    bundle_um : float
-        Diameter of the bundle's image in micrometres.
+    bundle_um : float, optional
+        Diameter of the bundle's image in micrometres; without it the calibration has no micrometres.
     progress : callable
         Returns for the name of a part the wrapper of its numbers, to display progress, or to cancel.
 

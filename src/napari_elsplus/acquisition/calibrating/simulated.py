@@ -16,6 +16,7 @@ from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
+from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.calibration.step import Target
 from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibres, uniform
 
@@ -89,7 +90,9 @@ def calibrate_simulated(
         If the rig is a real one.
     """
     _require_bench(rig)
-    draft = calibrate_rig(engine, lambda target: place_target(rig, target), voltages=voltages, progress=progress)
+    draft = calibrate_rig(
+        engine, lambda target: place_target(rig, target), voltages=voltages, bundle_um=BUNDLE_UM, progress=progress
+    )
     place_target(rig, None)
     return draft
 

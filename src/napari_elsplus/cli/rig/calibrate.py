@@ -13,7 +13,7 @@ from napari_elsplus.acquisition.session import live_engine
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import InputError
-from napari_elsplus.instrument.optics import BUNDLE_UM, PRESETS
+from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.io import write_calibration
 from napari_elsplus.processing.calibration.draft import Setup
 from napari_elsplus.processing.calibration.steps import calibration_steps
@@ -78,6 +78,8 @@ def command(
     if rig is not None:
         if given:
             raise InputError(f"both --rig and --{next(iter(given))}", "measure live or from files, not both")
+        if um_per_px is not None:
+            raise InputError(f"--um-per-px {um_per_px:g} with --rig", "give the bundle's diameter, --bundle-um")
         draft, setup = _live(rig, preset, bundle_um)
     elif not given:
         raise InputError(
@@ -115,7 +117,7 @@ def _live(rig_name: str, preset: str, bundle_um: float | None) -> tuple[Draft, S
         if rig.bench is not None:
             draft = calibrate_simulated(rig, engine, **more)
         else:
-            draft = calibrate_rig(engine, confirm, bundle_um=bundle_um or BUNDLE_UM, **more)
+            draft = calibrate_rig(engine, confirm, bundle_um=bundle_um, **more)
         return draft, engine_setup(engine)
 
 

@@ -8,6 +8,7 @@ robust fit rejects outliers, and the residuals of a straight line measure how cu
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -29,6 +30,8 @@ MIN_LINES: Final = 5
 """Chosen: a cubic has four parameters."""
 MIN_CHORD: Final = 0.7
 """Of the longest line; chosen: nearer to the rim the line's halo is cut on one side, which biases the fit."""
+MAX_CHORD: Final = 1.1
+"""Of the bundle's diameter; chosen: the rim's blur, and what a threshold makes of it."""
 MAX_VOLTS, MIN_SWEEP_V = 1e3, 1e-6
 """In volts; chosen: far beyond the drive of any galvo, and far below one step of its card."""
 OUTLIER_SIGMAS: Final = 5.0
@@ -124,7 +127,12 @@ def _visible(view: NDArray[np.generic], background: NDArray[np.float32] | None) 
         return None
 
 
-def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: float | None = None) -> GalvoMap:
+def fit_galvo(
+    volts: NDArray[np.floating],
+    lines: list[Line | None],
+    column: float | None = None,
+    diameter_px: float | None = None,
+) -> GalvoMap:
     """Fit volts to the rows of the lines of a sweep.
 
     Parameters
@@ -135,6 +143,8 @@ def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: flo
         A line or None per frame.
     column : float, optional
         Column at which rows are taken: that of the confocal centre. The middle of the longest lines if not given.
+    diameter_px : float, optional
+        Of the bundle's confocal view; a longer streak is no line on it.
 
     Returns
     -------
@@ -155,7 +165,12 @@ def fit_galvo(volts: NDArray[np.floating], lines: list[Line | None], column: flo
     largest = float(np.abs(volts).max(initial=0.0))
     if largest > MAX_VOLTS:
         raise InputError(f"a voltage of the sweep is {largest:g} V", f"give volts, at most {MAX_VOLTS:g}")
-    seen = [(v, line) for v, line in zip(volts, lines, strict=True) if line is not None]
+    most = inf if diameter_px is None else MAX_CHORD * diameter_px
+    seen = [
+        (v, line)
+        for v, line in zip(volts, lines, strict=True)
+        if line is not None and line.columns[1] - line.columns[0] <= most
+    ]
     longest = max((line.columns[1] - line.columns[0] for _, line in seen), default=0)
     whole = [(v, line) for v, line in seen if line.columns[1] - line.columns[0] >= MIN_CHORD * longest]
     if len(whole) < MIN_LINES:

@@ -1,0 +1,81 @@
+"""Regions of a raw frame before the bundle is located: its lit part, the column between the views, unlit pixels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from napari_elsplus.processing.images.row_reference import dark_columns, dark_pixels
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.images.sectioning import Frames
+
+    Image = NDArray[np.float32]
+
+LINE_MARGIN_PX: Final = 40
+"""Beside the lit columns of a line, in pixels; chosen: its ends fade out towards the rim."""
+
+
+def brightest(frames: Frames, background: Image | None) -> Image:
+    """Return the brightest value of each pixel over a sweep: an image of the bundle.
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols); about 100 of them are used.
+    background : numpy.ndarray, optional
+        Mean frame of the dark tube, (rows, cols), which is taken off.
+    """
+    painted = np.asarray(frames[0], np.float32)
+    for number in range(1, len(frames), max(1, len(frames) // 100)):
+        np.maximum(painted, frames[number], out=painted, casting="unsafe")
+    return painted if background is None else painted - background
+
+
+def column_between_views(frame: Image) -> int:
+    """Return the column between the two views: the middle of the darkest gap near the middle of the frame."""
+    light = frame - np.median(frame, axis=0)
+    brightness = np.sort(light, axis=0)[-max(3, len(light) // 50) :].mean(axis=0)
+    width = max(3, len(brightness) // 60)
+    brightness = np.convolve(brightness, np.full(width, 1 / width), mode="same")
+    start, stop = int(0.3 * len(brightness)), int(0.7 * len(brightness))
+    middle = brightness[start:stop]
+    low, high = float(middle.min()), float(np.percentile(brightness, 90))
+    dark = np.flatnonzero(middle <= low + 0.15 * max(high - low, 0))
+    runs = np.split(dark, np.flatnonzero(np.diff(dark) > 1) + 1)
+    return start + round(float(max(runs, key=len).mean()))
+
+
+def unlit_pixels(
+    frame: NDArray[Any],
+    background: Image | None = None,
+    discs: Sequence[tuple[tuple[float, float], float]] = (),
+    lines: Sequence[tuple[int, int]] = (),
+) -> NDArray[np.float32]:
+    """Return 1 in the pixels of a frame that no light of the bundle reaches, 0 elsewhere, (rows, cols) float32.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        (rows, cols); its own light decides where neither discs nor lines are known.
+    background : numpy.ndarray, optional
+        Mean frame of the dark tube, (rows, cols).
+    discs : sequence of tuple
+        Centre (row, col) and diameter in pixels of each view, if they were located.
+    lines : sequence of tuple
+        First lit column of the line, and the one after the last, in each view, if they were located.
+    """
+    if discs:
+        return dark_pixels((frame.shape[0], frame.shape[1]), discs)
+    if lines:
+        dark = np.ones(frame.shape[1], np.float32)
+        for first, stop in lines:
+            dark[max(first - LINE_MARGIN_PX, 0) : stop + LINE_MARGIN_PX] = 0
+        return np.broadcast_to(dark, frame.shape)
+    image = np.asarray(frame, np.float32)
+    return dark_columns(image if background is None else image - background)
