@@ -75,7 +75,8 @@ class OffsetSection(Section):
 class GalvoSection(Section):
     """Galvo map: voltage that puts the line onto a row of the confocal view, at the confocal centre's column.
 
-    ``lag_s`` is None where it was not measured; files of version 1 with exactly 0 are read as that. ``natural_hz`` and
+    ``lag_s`` is None where it was not measured; files of version 1 with exactly 0 are read as that. ``bow_rows`` is
+    by how much the line's ends at the bundle's rim lie below its middle. ``natural_hz`` and
     ``damping`` are the galvo's resonance (Hz) and damping ratio, None unless they were fitted to the scan.
     """
 
@@ -87,6 +88,8 @@ class GalvoSection(Section):
     park_v: Finite | None = None
     volts_per_row_uncertainty: NonNegative | None = None
     volts_at_row_zero_uncertainty: NonNegative | None = None
+    bow_rows: Finite | None = None
+    bow_uncertainty_rows: NonNegative | None = None
     natural_hz: Positive | None = None
     damping: Positive | None = None
 

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.instrument.calibration import FrameSection
+from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo
 from napari_elsplus.processing.calibration.line import Line
+from napari_elsplus.processing.calibration.measurements import map_galvo
+from napari_elsplus.processing.calibration.summaries import summarize_galvo
+from napari_elsplus.simulation.calibration_scenes import standing_line
+from napari_elsplus.simulation.model.imperfections import Imperfections
+from napari_elsplus.simulation.model.instrument import Instrument
 
 ROWS = np.linspace(40, 260, 200)
 
@@ -148,3 +157,28 @@ def test_a_map_taken_at_another_column_is_the_map_fitted_there(column: float) ->
     assert moved.row(0.1) == pytest.approx(there.row(0.1), abs=1e-9)
     assert moved.rows == pytest.approx(there.rows, abs=1e-9)
     assert abs(moved.row(0.1) - here.row(0.1)) == pytest.approx(0.6, abs=1e-6)
+
+
+@pytest.mark.parametrize("bow_rows", [3.0, -3.0])
+def test_a_bowed_line_is_measured_and_makes_no_galvo_seem_curved(bow_rows: float) -> None:
+    """The intercept was 0.76 rows off, and the galvo reported as curved."""
+    instrument = replace(Instrument.of("240hz"), imperfections=Imperfections(line_bow_rows=bow_rows))
+    centre, radius = instrument.confocal_centre[0], instrument.diameter_px / 2
+    rows = np.linspace(centre - 1.1 * radius, centre + 1.1 * radius, 40)
+    volts = instrument.volts_at_row_zero + instrument.volts_per_row * rows
+    found = map_galvo(list(standing_line(instrument, volts, seed=91)), volts)
+    assert found.bow_rows == pytest.approx(bow_rows, abs=0.1)
+    assert abs(found.bow_rows - bow_rows) < 3 * found.bow_uncertainty_rows
+    assert found.row(instrument.volts_at_row_zero) == pytest.approx(0, abs=0.1)
+    assert not found.curved
+    summary = summarize_galvo(found, Draft(), Setup(FrameSection(shape=(524, 1328))))
+    assert any("the line is bowed" in warning for warning in summary.warnings)
+
+
+def test_a_straight_line_has_no_bow() -> None:
+    instrument = Instrument.of("240hz")
+    centre = instrument.confocal_centre[0]
+    volts = instrument.volts_at_row_zero + instrument.volts_per_row * np.linspace(centre - 200, centre + 200, 24)
+    found = map_galvo(list(standing_line(instrument, volts, seed=92)), volts)
+    assert found.bow_rows == 0
+    assert 0 < found.bow_uncertainty_rows < 0.1

@@ -76,4 +76,4 @@ def test_a_streak_longer_than_the_bundle_is_no_line_of_a_sweep() -> None:
     rows = np.arange(120)[:, None] - np.array([60.0])
     streak = locate_line(np.broadcast_to(80 * np.exp(-(rows**2) / 18), (120, 400)))
     with pytest.raises(MeasurementError, match="a line is visible in 0 of 8 frames"):
-        fit_galvo(np.linspace(0, 1, 8), [streak] * 8, diameter_px=200.0)
+        fit_galvo(np.linspace(0, 1, 8), [streak] * 8, max_chord_px=220.0)

@@ -30,8 +30,8 @@ MIN_LINES: Final = 5
 """Chosen: a cubic has four parameters."""
 MIN_CHORD: Final = 0.7
 """Of the longest line; chosen: nearer to the rim the line's halo is cut on one side, which biases the fit."""
-MAX_CHORD: Final = 1.1
-"""Of the bundle's diameter; chosen: the rim's blur, and what a threshold makes of it."""
+MIN_BOW_SIGMAS: Final = 3.0
+"""Standard deviations below which the line counts as straight; chosen: one in 400 exceeds them by chance."""
 MAX_VOLTS, MIN_SWEEP_V = 1e3, 1e-6
 """In volts; chosen: far beyond the drive of any galvo, and far below one step of its card."""
 OUTLIER_SIGMAS: Final = 5.0
@@ -64,6 +64,8 @@ class GalvoMap:
         True if that departure is significant and more than a tenth of a row.
     tilt_deg : float
         Median tilt of the line.
+    bow_rows, bow_uncertainty_rows : float
+        Rows by which the line's ends at the bundle's rim lie below its middle, and one standard deviation.
     column : float
         Column of the confocal view at which rows are taken.
     lines, dark, outliers : int
@@ -81,6 +83,8 @@ class GalvoMap:
     curvature_rows: float
     curved: bool
     tilt_deg: float
+    bow_rows: float
+    bow_uncertainty_rows: float
     column: float
     lines: int
     dark: int
@@ -132,6 +136,7 @@ def fit_galvo(
     lines: list[Line | None],
     column: float | None = None,
     diameter_px: float | None = None,
+    max_chord_px: float = inf,
 ) -> GalvoMap:
     """Fit volts to the rows of the lines of a sweep.
 
@@ -144,7 +149,9 @@ def fit_galvo(
     column : float, optional
         Column at which rows are taken: that of the confocal centre. The middle of the longest lines if not given.
     diameter_px : float, optional
-        Of the bundle's confocal view; a longer streak is no line on it.
+        Of the bundle's confocal view, at whose rim the bow is stated; the longest line's length if not given.
+    max_chord_px : float
+        Columns beyond which a streak is no line on the bundle.
 
     Returns
     -------
@@ -165,11 +172,10 @@ def fit_galvo(
     largest = float(np.abs(volts).max(initial=0.0))
     if largest > MAX_VOLTS:
         raise InputError(f"a voltage of the sweep is {largest:g} V", f"give volts, at most {MAX_VOLTS:g}")
-    most = inf if diameter_px is None else MAX_CHORD * diameter_px
     seen = [
         (v, line)
         for v, line in zip(volts, lines, strict=True)
-        if line is not None and line.columns[1] - line.columns[0] <= most
+        if line is not None and line.columns[1] - line.columns[0] <= max_chord_px
     ]
     longest = max((line.columns[1] - line.columns[0] for _, line in seen), default=0)
     whole = [(v, line) for v, line in seen if line.columns[1] - line.columns[0] >= MIN_CHORD * longest]
@@ -181,7 +187,9 @@ def fit_galvo(
     if column is None:
         column = float(np.median([line.column for _, line in whole]))
     v = np.array([voltage for voltage, _ in whole])
-    rows = np.array([line.row_at(column) for _, line in whole])
+    radius_px = (longest if diameter_px is None else diameter_px) / 2
+    bow = _common_bow([line for _, line in whole], column, radius_px)
+    rows = np.array([line.row_at(column) for _, line in whole]) + bow.rows * bow.share
     if np.ptp(v) < MIN_SWEEP_V:
         raise InputError(f"all voltages are {v[0]:g}, to {np.ptp(v):g} V", "sweep a range of voltages")
     from scipy.stats import theilslopes  # 1 s to import, so only where a sweep is fitted
@@ -199,11 +207,40 @@ def fit_galvo(
         )
     tilt_deg = float(np.median([line.tilt_deg for _, line in whole]))
     each_rows = float(np.sqrt(np.mean([line.uncertainty_rows(column) ** 2 for _, line in whole])))
-    return _fit(v, rows, used, tilt_deg, column, len(lines) - len(whole), each_rows)
+    return _fit(v, rows, used, tilt_deg, bow, column, len(lines) - len(whole), each_rows)
+
+
+@dataclass(frozen=True, slots=True)
+class _Bow:
+    """Bow of the line: rows at the rim, one standard deviation, and what it adds to each line's row over that."""
+
+    rows: float
+    uncertainty_rows: float
+    share: Floats
+
+
+def _common_bow(lines: list[Line], column: float, radius_px: float) -> _Bow:
+    """Return the bow that all lines of a sweep share; 0 if it is not significant."""
+    bends = np.array([line.bend for line in lines]) * radius_px**2
+    weights = np.array([line.mean_square_px**2 for line in lines]) + 1e-12
+    away = np.abs(bends - np.median(bends))
+    weights[away > OUTLIER_SIGMAS * 1.4826 * np.median(away) + 1e-9] = 0
+    rows = float(np.average(bends, weights=weights))
+    scatter = float(np.sqrt(np.average(np.square(bends - rows), weights=weights)))
+    uncertainty = scatter * float(np.sqrt(_NEIGHBOURS * np.square(weights).sum())) / float(weights.sum())
+    share = np.array([((column - line.column) ** 2 - line.mean_square_px) / radius_px**2 for line in lines])
+    return _Bow(rows if abs(rows) > MIN_BOW_SIGMAS * uncertainty else 0.0, uncertainty, share)
 
 
 def _fit(
-    volts: Floats, rows: Floats, used: NDArray[np.bool_], tilt_deg: float, column: float, dark: int, each_rows: float
+    volts: Floats,
+    rows: Floats,
+    used: NDArray[np.bool_],
+    tilt_deg: float,
+    bow: _Bow,
+    column: float,
+    dark: int,
+    each_rows: float,
 ) -> GalvoMap:
     v, y = volts[used], rows[used]
     middle, half = (v.max() + v.min()) / 2, np.ptp(v) / 2
@@ -219,6 +256,8 @@ def _fit(
     # The residuals of a few lines may be small by chance: the lines' own uncertainties count as some lines more.
     alone = each_rows**2 * np.linalg.inv(jacobian.T @ jacobian)
     covariance = (influence.T @ influence * (len(v) - 2) + alone * PRIOR_LINES) / (len(v) - 2 + PRIOR_LINES)
+    by_bow = bow.uncertainty_rows * np.linalg.lstsq(jacobian, bow.share[used], rcond=None)[0]
+    covariance = covariance + np.outer(by_bow, by_bow)
     curvature, curved = _curvature(x, y, runs)
     return GalvoMap(
         volts_per_row=float(volts_per_row),
@@ -230,6 +269,8 @@ def _fit(
         curvature_rows=curvature,
         curved=curved,
         tilt_deg=tilt_deg,
+        bow_rows=bow.rows,
+        bow_uncertainty_rows=bow.uncertainty_rows,
         column=column,
         lines=len(v),
         dark=dark,

@@ -64,6 +64,11 @@ class Line:
         Their rows, from the line's middle, shape (rows,).
     influence : numpy.ndarray
         Shape (runs, 2): contribution of each run of columns to the error of row and slope.
+    bend : float
+        Rows per squared column of the parabola that the columns' departures from the straight line fit.
+    mean_square_px : float
+        Mean square distance of the fitted columns from ``column``, in squared columns: the straight line through a
+        parabola passes it at this distance.
     """
 
     row: float
@@ -77,6 +82,8 @@ class Line:
     profile: Floats
     profile_rows: Floats
     influence: Floats
+    bend: float = 0.0
+    mean_square_px: float = 0.0
 
     @property
     def tilt_deg(self) -> float:
@@ -202,6 +209,7 @@ def _fit(image: Image, streak: Streak) -> Line:
     x = np.broadcast_to((edges[:-1] + edges[1:] - 1) / 2 - middle, data.shape)[seen]
     run = np.broadcast_to(np.arange(RUNS), data.shape)[seen]
     parameters, influence = _gauss_newton(data[seen], u, x, run, width)
+    bend, mean_square_px = _bend(parameters, data[seen], u, x, run)
     amplitude, level, log_width, shift, turn, ramp = (float(value) for value in parameters)
     fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2 - spread, 0.1)))
     misfit = _misfit(data, seen, parameters, u, x)
@@ -220,6 +228,8 @@ def _fit(image: Image, streak: Streak) -> Line:
         profile=profiles.mean(axis=1),
         profile_rows=np.arange(len(profiles), dtype=np.float64) - (len(profiles) - 1) / 2 - shift,
         influence=influence[:, [_ROW, _SLOPE]],
+        bend=bend,
+        mean_square_px=mean_square_px,
     )
 
 
@@ -276,6 +286,19 @@ def _gauss_newton(data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], wid
     model, jacobian, taper = _model(parameters, u, x)
     weighted = jacobian * taper[:, None]
     return parameters, estimator_influence(weighted * (data - model)[:, None], weighted.T @ jacobian, run, RUNS)
+
+
+def _bend(parameters: Floats, data: Floats, u: Floats, x: Floats, run: NDArray[np.intp]) -> tuple[float, float]:
+    """Return the bend of the line over its columns, rows per squared column, and their mean square distance."""
+    model, jacobian, taper = _model(parameters, u, x)
+    by_row = jacobian[:, _ROW] * taper
+    pull = np.bincount(run, by_row * (data - model), RUNS)
+    weights = np.bincount(run, by_row * jacobian[:, _ROW], RUNS)
+    at = np.bincount(run, x, RUNS) / np.maximum(np.bincount(run, minlength=RUNS), 1)
+    basis = np.stack([np.ones(RUNS), at, at**2], axis=1)
+    moments = basis.T @ (weights[:, None] * basis)
+    bend = float(np.linalg.lstsq(moments, basis.T @ pull, rcond=None)[0][2])
+    return bend, float(moments[0, 2] / max(moments[0, 0], 1e-12))
 
 
 def _model(parameters: Floats, u: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:

@@ -38,6 +38,8 @@ SATURATION_LEVEL: Final = 0.98
 """Share of the largest grey level; chosen: reached by the mean of a pixel that is saturated in most frames."""
 MAX_DRIFT: Final = 0.05
 """Largest relative change of the mean level between halves of the frames; chosen, above that of a warm laser."""
+MAX_CHORD: Final = 1.1
+"""Length of a line over the bundle's diameter; chosen: the rim's blur, and what a threshold makes of it."""
 SAMPLING_ROWS: Final = 0.006
 """Rows; part of the offset's uncertainty that no residual shows: the views' pixels sample the cores at other phases.
 Chosen: about half the error of bright lines on the presets' bundles, 0.012 at 240 Hz and 0.005 at 120 Hz."""
@@ -273,9 +275,10 @@ def map_galvo(
             yield without_row_noise(frames[number], dark, background)[:, :split]
 
     lines = lines_in_sweep(views(), None if background is None else background[:, :split])
-    if pair is not None:
-        return fit_galvo(volts, lines, pair.confocal.centre[1], pair.confocal.diameter_px)
-    return fit_galvo(volts, lines, diameter_px=split - float(dark[0, :split].sum()))
+    if pair is None:
+        return fit_galvo(volts, lines, max_chord_px=MAX_CHORD * (split - float(dark[0, :split].sum())))
+    centre, diameter_px = pair.confocal.centre, pair.confocal.diameter_px
+    return fit_galvo(volts, lines, centre[1], diameter_px, MAX_CHORD * diameter_px)
 
 
 def _discs(pair: BundlePair | None) -> list[tuple[tuple[float, float], float]]:

@@ -57,6 +57,8 @@ def apply_galvo(draft: Draft, galvo: GalvoMap) -> Calibration:
         r_squared=galvo.r_squared,
         rms_rows=galvo.rms_rows,
         park_v=park_v,
+        bow_rows=galvo.bow_rows,
+        bow_uncertainty_rows=galvo.bow_uncertainty_rows,
         **(
             {}
             if before is None

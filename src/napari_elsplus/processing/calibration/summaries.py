@@ -56,15 +56,22 @@ def summarize_offset(offset: SlitOffset, draft: Draft, setup: Setup) -> StepSumm
     return StepSummary(headline, [f"tilt {tilt}°: {cost:.1f} rows at the rim"], warnings)
 
 
-def summarize_galvo(galvo: GalvoMap, _draft: Draft, _setup: Setup) -> StepSummary:
-    """Summarize a galvo map: slope and intercept, fit, frames left out; see :class:`CalibrationStep`."""
+def summarize_galvo(galvo: GalvoMap, _draft: Draft, setup: Setup) -> StepSummary:
+    """Summarize a galvo map: slope, intercept, fit, bow of the line, frames left out; see :class:`CalibrationStep`."""
     frames, warnings = len(galvo.volts) + galvo.dark, []
     lines = [
         f"{with_uncertainty(1e3 * galvo.volts_at_row_zero, 1e3 * galvo.volts_at_row_zero_uncertainty)} mV at row 0, "
         f"tilt {galvo.tilt_deg:.2f}°",
         f"R² {galvo.r_squared:.6f}, residuals {galvo.rms_rows:.3f} rows RMS",
+        f"bow of the line {with_uncertainty(galvo.bow_rows, galvo.bow_uncertainty_rows)} rows at the rim",
         f"{galvo.lines} of {frames} voltages fitted, {galvo.dark} without a whole line, {galvo.outliers} outliers",
     ]
+    slit_rows = setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
+    if abs(galvo.bow_rows) > slit_rows / 2:
+        warnings.append(
+            f"the line is bowed by {galvo.bow_rows:.1f} rows: its ends miss the slit of {slit_rows:g} rows; "
+            "straighten it, or widen the slit"
+        )
     if galvo.curved:
         warnings.append(f"the galvo is not linear: it departs by up to {galvo.curvature_rows:.2f} rows")
     if frames < PAPER_VOLTAGES:
