@@ -9,7 +9,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.documents import calibration_accuracy, mosaicing, paper, physics
+from benchmarks.documents import calibration_accuracy, figures, mosaicing, paper, physics
 from benchmarks.documents.architecture import draw_architecture, read_rooms
 from benchmarks.documents.benchmark import draw_benchmark
 from benchmarks.documents.finished import draw_finished
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 PAGES = ("performance.md", "stability.md", "paper.md")
-PAGE_PROGRAMS = ("calibration", "mosaicing", "physics", "line-fit", "architecture")
+PAGE_PROGRAMS = ("calibration", "mosaicing", "physics", "line-fit", "architecture", "figures")
 """Programs of single pages; ``mosaicing-TABLE`` makes one table."""
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PACKAGE = DOCS.parent / "src" / "napari_elsplus"
@@ -171,6 +171,9 @@ def _page(name: str, folder: Path, quick: bool, photographs: Path | None) -> str
         case "architecture":
             save_figure(draw_architecture(read_rooms(PACKAGE)), folder / "images" / "architecture.png", force=True)
             return "images/architecture.png"
+        case "figures":
+            figures.make(folder / "images", quick=quick)
+            return "images/figure-comparison.png, images/calibration-report.pdf"
         case "line-fit":  # numbers of the model line, written by hand into physics.md and instrument presets
             return line_fit.report(quick=quick)
         case "calibration":

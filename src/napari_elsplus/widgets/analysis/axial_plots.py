@@ -42,7 +42,7 @@ def response_curves(scans: Sequence[Scan]) -> tuple[list[Curve], list[Mark]]:
         (response.ls_3db, "blue", "LS 3 dB"),
         (response.ls_10db, "blue", "LS 10 dB"),
     )
-    marks = [(drop.um, colour, f"{name} {drop.um:.0f}") for drop, colour, name in drops if np.isfinite(drop.um)]
+    marks = [(drop.um, colour, f"{name} {drop.um:.0f} µm") for drop, colour, name in drops if np.isfinite(drop.um)]
     return curves, marks
 
 
@@ -94,4 +94,4 @@ def _with_uncertainty(drop: DropOff) -> str:
 
 
 def _fit_label(name: str, fit: SaturationFit) -> str:
-    return f"{name} fit: {fit.limit_um:.0f} (1 - exp(-{fit.rate_per_um:.3f} x))"
+    return f"{name} fit: {fit.limit_um:.0f} µm (1 - exp(-{fit.rate_per_um:.3f} x))"
