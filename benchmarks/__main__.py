@@ -22,6 +22,7 @@ from benchmarks.harness.table import breakdowns, header, lines, markdown, write_
 from benchmarks.harness.verdict import verdict
 from benchmarks.imperfect import study, survey
 from benchmarks.imperfect.cases import CASES
+from benchmarks.programs.mutations import mutations
 from benchmarks.studies import line_fit
 from napari_elsplus.cli import run_program
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
@@ -153,6 +154,9 @@ def docs(folder: Path, quick: bool, only: tuple[str, ...], photographs: Path | N
                 click.echo(f"{name}: {', '.join(put) or 'in no page'}")
             else:
                 click.echo(f"{name}: {_page(name, folder, quick, photographs)}")
+
+
+bench.add_command(mutations)
 
 
 def _blocks(name: str, images: Path, quick: bool, report: Callable[[str], None]) -> dict[str, str]:

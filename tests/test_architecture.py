@@ -46,6 +46,7 @@ ORDER = (
     "hardware.protocols",
     "hardware.u3v",
     "hardware.daq",
+    "hardware.detached",
     "hardware.guardian",
     "hardware.virtual.timeline",
     "hardware.virtual.galvo",

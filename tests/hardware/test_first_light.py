@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 
@@ -12,6 +13,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.virtual.bench import Simulation
+from napari_elsplus.hardware.virtual.camera.sfnc import StandardRegisters
 from napari_elsplus.simulation.specimen.scenes import empty
 from napari_elsplus.simulation.specimen.trajectories import Still
 
@@ -29,8 +31,22 @@ def test_the_camera_is_examined_and_its_line_period_found_from_its_limits(camera
     assert "control 0x01 and 0x81, stream 0x82" in said
     assert "serial 4711" in said
     assert f"{130751:#010x}" in said
+    assert "sensor 1048 x 1328, in steps of 4 x 16" in said
+    assert "units of 1 ns" in said
     # the virtual camera's shortest frame is 240 Hz at 524 rows and in proportion, idle rows included
     assert "524 rows: at most 240.0" in said
+
+
+def test_a_camera_of_any_make_is_examined_by_its_own_limits(cameras) -> None:
+    pytest.importorskip("genicam", reason="EMVA's reader of descriptions (the extra genicam) is not installed")
+    bench = cameras(make=StandardRegisters)
+    bench.plug.camera.faults.tick_ns = 8.0
+    said = "\n".join(first_light.examine_camera(choose_camera("", bench.bus), "genicam"))
+    assert "model virtual SFNC camera" in said
+    assert "sensor 960 x 1280, in steps of 2 x 8" in said
+    assert float(re.search(r"units of (\S+) ns", said)[1]) == pytest.approx(8, rel=0.01)
+    assert "480 rows: at most" in said
+    assert "line frequency" not in said
 
 
 def test_streaming_is_measured(rig) -> None:

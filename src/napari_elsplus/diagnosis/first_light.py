@@ -15,15 +15,17 @@ import numpy as np
 
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.daq.scanner import DaqScanner
+from napari_elsplus.hardware.drivers import features_of
 from napari_elsplus.hardware.protocols import Region
+from napari_elsplus.hardware.rig_files import CAMERA_KINDS, CameraTable
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
 from napari_elsplus.hardware.u3v import flea3
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.control import Control, RegisterError
 from napari_elsplus.hardware.u3v.discovery import choose_camera, endpoints
-from napari_elsplus.hardware.u3v.flea3 import BASE, Flea3
-from napari_elsplus.instrument.optics import PRESETS, SENSOR_SHAPE, preset
+from napari_elsplus.hardware.u3v.flea3 import BASE
+from napari_elsplus.instrument.optics import PRESETS, preset
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,22 +33,25 @@ if TYPE_CHECKING:
     from usb.core import Device
 
     from napari_elsplus.hardware.rig import Rig
+    from napari_elsplus.hardware.u3v.camera import Features
 
-HEIGHTS: Final = (SENSOR_SHAPE[0], SENSOR_SHAPE[0] // 2)
-"""Rows of the two regions whose shortest frame periods give the line period."""
+SHARES: Final = (1.0, 0.5)
+"""Shares of the sensor's rows in the two regions whose shortest frame periods give the line period."""
 WARM_UP_FRAMES: Final = 10
 """Frames before the measurement; chosen."""
 MIN_FRAMES: Final = 8
 """Frames of a measurement; chosen: four at the beginning and four at the end."""
 
 
-def examine_camera(device: Device) -> Iterator[str]:
-    """Report USB ids and endpoints of a camera, and the Flea3's registers of uncertain meaning.
+def examine_camera(device: Device, kind: str = "flea3") -> Iterator[str]:
+    """Report USB ids, endpoints, sensor and clock of a camera, its line period, and registers of uncertain meaning.
 
     Parameters
     ----------
     device : usb.core.Device
         A USB3 Vision camera.
+    kind : str
+        ``flea3``, or ``genicam`` for a camera of any make by its own description.
 
     Yields
     ------
@@ -63,30 +68,39 @@ def examine_camera(device: Device) -> Iterator[str]:
     yield f"endpoints: control {ends.control_out:#04x} and {ends.control_in:#04x}, stream {ends.stream_in:#04x}"
     probe: list[Control] = []
 
-    def features(control: Control) -> Flea3:
+    def features(control: Control) -> Features:
         probe.append(control)
-        return Flea3(control)
+        return features_of(CameraTable(kind=kind))(control)
 
     with U3vCamera(device, features) as camera:
-        control = probe[0]
+        control, sensor = probe[0], camera.sensor
         yield f"model {camera.model}, serial {camera.serial}"
-        for name, address in (
-            ("line frequency (1AF4)", BASE + flea3.LINE_FREQUENCY),
-            ("strobe offset (48C)", BASE + flea3.STROBE_OFFSET),
-        ):
-            try:
-                yield f"{name}: {control.read_number(address):#010x}"
-            except RegisterError as error:
-                yield f"{name}: {error.problem}"
-        shortest_s = []
-        for rows in HEIGHTS:
-            camera.configure(Region(0, 0, rows, SENSOR_SHAPE[1]), slit_rows=3, frame_rate_hz=1)
-            shortest_s.append(1 / control.read_float(BASE + flea3.RATE_MAX))
-            yield f"{rows} rows: at most {1 / shortest_s[-1]:.4f} frames/s"
-        line_s = (shortest_s[0] - shortest_s[1]) / (HEIGHTS[0] - HEIGHTS[1])
+        yield f"sensor {sensor.rows} x {sensor.cols}, in steps of {sensor.row_step} x {sensor.col_step}"
+        yield f"timestamps in units of {camera.tick_s * 1e9:.6g} ns (1 by the standard)"
+        yield from _registers(control) if kind == "flea3" else ()
+        rows, shortest_s = [], []
+        for share in SHARES:
+            region = sensor.region(share)
+            camera.configure(region, slit_rows=3, frame_rate_hz=camera.frame_rate_limits_hz[0])
+            rows.append(region.rows)
+            shortest_s.append(1 / camera.frame_rate_limits_hz[1])
+            yield f"{region.rows} rows: at most {1 / shortest_s[-1]:.4f} frames/s"
+        line_s = (shortest_s[0] - shortest_s[1]) / (rows[0] - rows[1])
         yield f"line period from these two: {line_s * 1e6:.4f} us, {1 / line_s:.1f} rows/s; the driver uses " + (
             f"{camera.line_period_s * 1e6:.4f} us"
         )
+
+
+def _registers(control: Control) -> Iterator[str]:
+    """Report the Flea3's registers of uncertain meaning."""
+    for name, address in (
+        ("line frequency (1AF4)", BASE + flea3.LINE_FREQUENCY),
+        ("strobe offset (48C)", BASE + flea3.STROBE_OFFSET),
+    ):
+        try:
+            yield f"{name}: {control.read_number(address):#010x}"
+        except RegisterError as error:
+            yield f"{name}: {error.problem}"
 
 
 def stream(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
@@ -236,9 +250,10 @@ def first_light() -> None:
 
 @first_light.command("camera")
 @click.option("--serial", default="", help="Serial number, where several cameras are connected.")
-def _camera(serial: str) -> None:
-    """Report the camera's identity, and its line period."""
-    _print(examine_camera(choose_camera(serial)))
+@click.option("--kind", type=click.Choice(CAMERA_KINDS), default="flea3", show_default=True, help="As in a rig file.")
+def _camera(serial: str, kind: str) -> None:
+    """Report the camera's identity, sensor and clock, and its line period."""
+    _print(examine_camera(choose_camera(serial), kind))
 
 
 @first_light.command("stream")

@@ -44,7 +44,7 @@ def open_camera(table: CameraTable) -> Camera:
     from napari_elsplus.hardware.u3v.camera import U3vCamera
     from napari_elsplus.hardware.u3v.discovery import choose_camera
 
-    return U3vCamera(choose_camera(table.serial), _features(table))
+    return U3vCamera(choose_camera(table.serial), features_of(table))
 
 
 def open_scanner(settings: RigSettings) -> Scanner:
@@ -70,7 +70,14 @@ def open_scanner(settings: RigSettings) -> Scanner:
     return DaqScanner(card, limits)
 
 
-def _features(table: CameraTable) -> Callable[[Control], Features]:
+def features_of(table: CameraTable) -> Callable[[Control], Features]:
+    """Return what makes the features of a camera's make on its control channel.
+
+    Parameters
+    ----------
+    table : CameraTable
+        Table ``camera`` of a rig file, of a kind in this package.
+    """
     wiring: dict[str, Any] = {"line_rate_hz": table.line_rate_hz, "strobe_line": table.strobe_line}
     if table.kind == "flea3":
         from napari_elsplus.hardware.u3v.flea3 import Flea3

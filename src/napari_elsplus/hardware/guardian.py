@@ -21,6 +21,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, Self, cast
 
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.daq.takeover import ParkOrder, park_order, preload, take_over
+from napari_elsplus.hardware.detached import DETACHED
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,7 +67,7 @@ class GuardianProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            start_new_session=True,  # Ctrl-C and a closed terminal are for us, not for it
+            **DETACHED,  # Ctrl-C and a closed terminal are for us, not for it
         )
         self._ready = threading.Event()
         self._answered = threading.Event()

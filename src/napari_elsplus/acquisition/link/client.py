@@ -19,6 +19,7 @@ from napari_elsplus.acquisition.link.commands import Commands
 from napari_elsplus.acquisition.link.messages import HEARTBEAT_S, QUIT, Activated, Heartbeat, Reply, Request
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.detached import DETACHED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -48,9 +49,7 @@ class EngineClient(Commands):
     """
 
     def __init__(self, command: Sequence[str] = ENGINE) -> None:
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
-        )
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **DETACHED)
         self._connection = self._connect()
         self._numbers = count()
         self._waiting: dict[int, Future[Any]] = {}

@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, Self, cast
 
 import numpy as np
+import psutil
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
@@ -379,9 +380,7 @@ def ends_within(pid: int, timeout_s: float) -> bool:
     """Return True if the process of a pid ends within `timeout_s`."""
     end_s = time.monotonic() + timeout_s
     while time.monotonic() < end_s:
-        with suppress(OSError):
-            os.kill(pid, 0)
-            time.sleep(0.05)
-            continue
-        return True
+        if not psutil.pid_exists(pid):
+            return True
+        time.sleep(0.05)
     return False

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.protocols import Region
 from napari_elsplus.hardware.u3v.clock import CameraClock
 from napari_elsplus.hardware.u3v.control import MODEL, SERIAL, Control
 from napari_elsplus.hardware.u3v.discovery import endpoints, refuse_slow_link, translate_usb_errors
@@ -18,14 +20,37 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from usb.core import Device
 
-    from napari_elsplus.hardware.protocols import FrameInfo, Region
+    from napari_elsplus.hardware.protocols import FrameInfo
 
 INVALID_AFTER_CHANGE: Final = 2
 """Frames that are invalid after the region was changed; the maker's statement for another model of the series."""
 
 
+@dataclass(frozen=True, slots=True)
+class SensorLimits:
+    """Rows and columns of a camera's sensor, and the steps in which a region's size goes."""
+
+    rows: int
+    cols: int
+    row_step: int
+    col_step: int
+
+    def region(self, share: float = 1.0) -> Region:
+        """Return the region of all columns and a share of the rows, rounded down to the camera's steps."""
+        rows = max(int(self.rows * share) // self.row_step, 1) * self.row_step
+        return Region(0, 0, rows, self.cols // self.col_step * self.col_step)
+
+
 class Features(Protocol):
     """Features that differ between makes: how region, exposure, gain, rate and strobe are set."""
+
+    @property
+    def sensor(self) -> SensorLimits:
+        """Size of the sensor, and its steps."""
+
+    @property
+    def frame_rate_limits_hz(self) -> tuple[float, float]:
+        """Lowest and highest frame rate at the present region and exposure, in Hz."""
 
     @property
     def line_period_s(self) -> float:
@@ -109,6 +134,21 @@ class U3vCamera:
         except BaseException:
             util.dispose_resources(device)
             raise
+
+    @property
+    def sensor(self) -> SensorLimits:
+        """Size of the sensor, and the steps of a region, as the camera states them."""
+        return self._features.sensor
+
+    @property
+    def frame_rate_limits_hz(self) -> tuple[float, float]:
+        """Lowest and highest frame rate at the present region and exposure, in Hz, as the camera states them."""
+        return self._features.frame_rate_limits_hz
+
+    @property
+    def tick_s(self) -> float:
+        """Seconds per unit of the camera's timestamps, measured: 1 ns by the standard."""
+        return self._clock.tick_s
 
     @property
     def frame_shape(self) -> tuple[int, int]:

@@ -10,6 +10,7 @@ import contextlib
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.u3v.camera import SensorLimits
 from napari_elsplus.hardware.u3v.control import RegisterError
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 
@@ -70,6 +71,18 @@ class Flea3:
         """Frame rate that the camera reports, in Hz."""
         return self._control.read_float(BASE + RATE)
 
+    @property
+    def sensor(self) -> SensorLimits:
+        """Size of the sensor, and its steps."""
+        control = self._control
+        size, step = _halves(control.read_number(BASE + MAX_SIZE)), _halves(control.read_number(BASE + UNIT_SIZE))
+        return SensorLimits(*size, *step)
+
+    @property
+    def frame_rate_limits_hz(self) -> tuple[float, float]:
+        """Lowest and highest frame rate, in Hz."""
+        return self._control.read_float(BASE + RATE_MIN), self._control.read_float(BASE + RATE_MAX)
+
     def configure(self, region: Region, exposure_s: float, frame_rate_hz: float, gain_db: float) -> None:
         """Set the camera; see :meth:`napari_elsplus.hardware.u3v.camera.Features.configure`."""
         self._set_region(region)
@@ -113,8 +126,8 @@ class Flea3:
 
     def _set_region(self, region: Region) -> None:
         control = self._control
-        tall, wide = _halves(control.read_number(BASE + MAX_SIZE))
-        unit_rows, unit_cols = _halves(control.read_number(BASE + UNIT_SIZE))
+        sensor = self.sensor
+        tall, wide, unit_rows, unit_cols = sensor.rows, sensor.cols, sensor.row_step, sensor.col_step
         step_rows, step_cols = UNIT_PX
         if region.row + region.rows > tall or region.col + region.cols > wide:
             raise InputError(

@@ -10,6 +10,7 @@ import zlib
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.u3v.camera import SensorLimits
 from napari_elsplus.hardware.u3v.control import MANIFEST
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 
@@ -134,6 +135,20 @@ class GenicamFeatures:
     def frame_rate_hz(self) -> float:
         """Frame rate that the camera reports, in Hz."""
         return float(self._node("AcquisitionFrameRate", "AcquisitionFrameRateAbs").value)
+
+    @property
+    def sensor(self) -> SensorLimits:
+        """Size of the sensor, and its steps; the region is moved to the sensor's corner, and has to be set anew."""
+        for name in ("OffsetX", "OffsetY"):
+            self._set(0, name)
+        height, width = self._node("Height"), self._node("Width")
+        return SensorLimits(int(height.max), int(width.max), int(height.inc), int(width.inc))
+
+    @property
+    def frame_rate_limits_hz(self) -> tuple[float, float]:
+        """Lowest and highest frame rate, in Hz."""
+        rate = self._node("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
+        return float(rate.min), float(rate.max)
 
     def configure(self, region: Region, exposure_s: float, frame_rate_hz: float, gain_db: float) -> None:
         """Set the camera; see :meth:`napari_elsplus.hardware.u3v.camera.Features.configure`."""

@@ -16,6 +16,7 @@ from multiprocessing.connection import Client, Connection, Listener
 from typing import Any, Final, Self, cast
 
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.detached import DETACHED
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
 from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
 from napari_elsplus.hardware.virtual.timeline import Program, StrobeTrain
@@ -100,7 +101,7 @@ def start_card() -> RemoteCard:
         If it does not start.
     """
     process = subprocess.Popen(
-        [sys.executable, "-m", __name__], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, start_new_session=True
+        [sys.executable, "-m", __name__], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, **DETACHED
     )
     assert process.stdout is not None
     with process.stdout:
