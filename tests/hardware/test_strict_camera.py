@@ -48,6 +48,12 @@ def kill(camera: U3vCamera) -> None:
     util.dispose_resources(camera._device)
 
 
+def without_memory_channels(bench) -> None:
+    """Let the default settings not be loaded at once, by register 624h."""
+    del bench.plug.camera.memory._registers[0xFFFF_F0F0_0624]
+    bench.plug.camera.memory.add({})
+
+
 # A program before was killed, or left the camera changed.
 
 
@@ -86,8 +92,7 @@ def test_what_another_program_left_on_is_switched_off(cameras, left) -> None:
 @pytest.mark.parametrize("left", ["gamma", "trigger", "frame_info", "binning"])
 def test_without_memory_channels_it_is_switched_off_as_well(cameras, left) -> None:
     bench = cameras(real_time=False)
-    del bench.plug.camera.memory._registers[0xFFFF_F0F0_0624]
-    bench.plug.camera.memory.add({})
+    without_memory_channels(bench)
     setattr(bench.plug.camera.sensor.settings, left, 2 if left == "binning" else 3 if left == "frame_info" else True)
     with bench.open(wait_for_reader=True) as camera:
         stream(camera, 3, FULL)
@@ -113,8 +118,11 @@ def test_chunk_data_are_named_and_not_counted_as_bad_leaders(cameras) -> None:
             take(camera, 1)
 
 
-def test_a_strobe_delay_that_another_program_set_is_taken_back(cameras) -> None:
+@pytest.mark.parametrize("memory_channels", [True, False])
+def test_a_strobe_delay_that_another_program_set_is_taken_back(cameras, memory_channels) -> None:
     bench = cameras(real_time=False)
+    if not memory_channels:
+        without_memory_channels(bench)
     bench.plug.camera.make.pins.times[1] = 4000 << 16
     with bench.open(wait_for_reader=True) as camera:
         stream(camera, 1)
@@ -197,6 +205,7 @@ def test_transfers_are_of_the_sizes_that_the_camera_holds(cameras, alignment, la
             sizes = bench.plug.camera.stream.transfer_sizes
             assert sizes[0] <= min(1 << 20, largest)
             assert sum(sizes) < region.rows * region.cols + alignment
+            assert bench.plug.camera.stream._held[0x28] == 0  # one final transfer is enough, and it is the first
             camera.stop()
 
 

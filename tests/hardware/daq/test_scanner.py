@@ -96,6 +96,16 @@ def test_the_waveform_is_repeated_as_often_as_the_strobe_comes_and_no_more(cards
         assert abs(scanner.ramps_begun - expected) < 3
 
 
+def test_a_scan_does_not_depend_on_a_computer_that_refills_buffers(cards, ramp, wait_for) -> None:
+    bench = cards()
+    bench.card.inject(host_stalls=True)
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        scanner.scan(ramp)
+        bench.strobe_now()
+        wait_for(lambda: scanner.ramps_begun > 4)
+        scanner.check()
+
+
 def test_a_missed_strobe_shows_in_the_count_of_ramps(cards, ramp, wait_for) -> None:
     """The same ramps, one of them late: the count is tied to what the card did, not to what it should have done."""
     bench = cards()
