@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from click.testing import CliRunner
 
 from napari_elsplus.diagnosis import first_light
 from napari_elsplus.errors import InputError
@@ -51,7 +52,8 @@ def test_a_camera_of_any_make_is_examined_by_its_own_limits(cameras) -> None:
 
 def test_streaming_is_measured(rig) -> None:
     said = list(first_light.stream(rig, "240hz", 0.5))
-    assert said[0].startswith("120 frames")
+    assert said[0] == "streaming 240hz for 0.5 s"
+    assert said[1].startswith("120 frames")
     assert "4.16667 ms" in said[-1]
     with pytest.raises(InputError, match=r"0\.01 s"):
         list(first_light.stream(rig, "240hz", 0.01))
@@ -72,6 +74,27 @@ def test_every_strobe_is_heard_and_the_mirror_never_leaves_its_parking_position(
     assert "one ramp for every frame" in said[-1]
     for program in rig.bench.card.programs()[before:]:
         assert {*program.samples, program.resting_v} == {rig.scanner.park_v}
+
+
+def test_findings_are_appended_to_a_report(monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr(first_light, "choose_camera", lambda serial: None)
+    findings = lambda device, kind: iter([f"kind {kind}", "line period 7.6 us"])  # noqa: E731 - a stand-in
+    monkeypatch.setattr(first_light, "examine_camera", findings)
+    report = tmp_path / "report.txt"
+    for _ in range(2):
+        done = CliRunner().invoke(first_light.first_light, ["--report", str(report), "camera"])
+        assert done.exit_code == 0
+    lines = report.read_text("utf-8").splitlines()
+    assert len(lines) == 6
+    assert lines[0].startswith("camera, 2")
+    assert lines[1:3] == ["kind flea3", "line period 7.6 us"] == done.output.splitlines()[1:]
+
+
+@pytest.mark.slow
+def test_a_rig_whose_program_is_killed_streams_again() -> None:
+    said = list(first_light.reopen("simulated", "240hz"))
+    assert said[0] == "a program that streamed was killed"
+    assert said[1].startswith("frames 2 to ")
 
 
 def test_a_check_fails_in_one_line() -> None:

@@ -6,8 +6,14 @@ throughout. How to use the results: docs/first-light.md.
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
+from contextlib import ExitStack
+from datetime import datetime
+from itertools import chain
 from math import inf
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import click
@@ -39,6 +45,8 @@ SHARES: Final = (1.0, 0.5)
 """Shares of the sensor's rows in the two regions whose shortest frame periods give the line period."""
 WARM_UP_FRAMES: Final = 10
 """Frames before the measurement; chosen."""
+STREAMING: Final = "streaming"
+"""First word of the finding by which frames have come."""
 MIN_FRAMES: Final = 8
 """Frames of a measurement; chosen: four at the beginning and four at the end."""
 
@@ -130,6 +138,7 @@ def stream(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
     rig.camera.start()
     for _ in range(WARM_UP_FRAMES):
         rig.camera.read_into(buffer, 5.0)
+    yield f"{STREAMING} {preset_name} for {seconds:g} s"
     before = dict(rig.camera.dropped)
     begin_s, begin_cpu_s = time.perf_counter(), time.process_time()
     infos = [rig.camera.read_into(buffer, 5.0) for _ in range(frames)]
@@ -144,6 +153,43 @@ def stream(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
     yield f"between frames: median {np.median(arrivals):.2f} ms, longest {arrivals.max():.2f} ms"
     spacing = np.diff([info.readout_start_s for info in infos]) / np.diff([info.frame_number for info in infos])
     yield f"frame period on the camera's clock: {spacing.mean() * 1e3:.5f} ms, spread {spacing.std() * 1e6:.2f} us"
+
+
+def reopen(name: str, preset_name: str) -> Iterator[str]:
+    """Kill a program that streams from a rig, open the rig again, and report when frames come.
+
+    Parameters
+    ----------
+    name : str
+        Name of the rig.
+    preset_name : str
+        Region and frame rate.
+
+    Yields
+    ------
+    str
+        One finding each.
+
+    Raises
+    ------
+    DeviceError
+        If the rig does not open, or no frame comes.
+    """
+    command = [sys.executable, "-m", __name__, "stream", "--rig", name, "--preset", preset_name, "--seconds", "3600"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        began = any(line.startswith(STREAMING) for line in program.stdout)
+        program.kill()
+    yield "a program that streamed was killed" if began else "the program that should stream ended by itself"
+    begin_s = time.perf_counter()
+    with open_rig(name) as rig:
+        _configure(rig, preset_name, 1.0)
+        buffer = np.empty(rig.camera.frame_shape, np.uint8)
+        rig.camera.start()
+        numbers = [rig.camera.read_into(buffer, 5.0).frame_number for _ in range(MIN_FRAMES)]
+        took_s = time.perf_counter() - begin_s
+        yield f"frames {numbers[0]} to {numbers[-1]} came {took_s:.2f} s after the rig was opened again"
+        yield f"lost: {({cause: count for cause, count in rig.camera.dropped.items() if count}) or 'none'}"
 
 
 def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
@@ -244,8 +290,11 @@ SECONDS = click.option("--seconds", default=10.0, show_default=True)
 
 
 @click.group()
-def first_light() -> None:
+@click.option("--report", type=click.Path(path_type=Path), help="File to which the findings are appended, with date.")
+@click.pass_context
+def first_light(context: click.Context, report: Path | None) -> None:
     """Check a rig, the galvo parked."""
+    context.obj = report
 
 
 @first_light.command("camera")
@@ -254,6 +303,14 @@ def first_light() -> None:
 def _camera(serial: str, kind: str) -> None:
     """Report the camera's identity, sensor and clock, and its line period."""
     _print(examine_camera(choose_camera(serial), kind))
+
+
+@first_light.command("reopen")
+@RIG
+@PRESET
+def _reopen(name: str, mode: str) -> None:
+    """Kill a program that streams, and report how long the camera takes to stream again."""
+    _print(reopen(name, mode))
 
 
 @first_light.command("stream")
@@ -285,8 +342,15 @@ def _parking(name: str) -> None:
 
 
 def _print(findings: Iterator[str]) -> None:
-    for finding in findings:
-        click.echo(finding)
+    """Print findings as they come, and append them to the report if there is one: also those before an error."""
+    context = click.get_current_context()
+    with ExitStack() as held:
+        file = held.enter_context(context.obj.open("a", encoding="utf-8")) if context.obj else None
+        for line in chain([f"{context.info_name}, {datetime.now().astimezone():%Y-%m-%d %H:%M:%S %z}"], findings):
+            if file is not None:
+                file.write(f"{line}\n")
+                file.flush()
+            click.echo(line)
 
 
 def main() -> None:
