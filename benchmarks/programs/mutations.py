@@ -198,7 +198,7 @@ MISTAKES: Final = tuple(
                 "times = (np.arange(count)[:, None] * period + middles).ravel() + lag_s - carried",
                 "times = (np.arange(count)[:, None] * period + middles).ravel() - lag_s - carried",
             ),
-            ("carried = 2 * limits.damping / natural", "carried = limits.damping / natural"),
+            ("carried = 2 * (galvo.damping", "carried = (galvo.damping"),
             ("drive = where + (carried * speed + acceleration / natural**2 if natural else 0.0)", "drive = where"),
             ("timing.time_s(rows[1] + 0.5 * timing.slit_rows)", "timing.time_s(rows[1] - 50 * timing.slit_rows)"),
             ("samples = floor((period - REARM_S) * rate + 1e-9)", "samples = floor(period * rate + 1e-9)"),
