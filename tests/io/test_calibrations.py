@@ -58,7 +58,10 @@ DISTORTION = np.arange(20, dtype=np.float32).reshape(2, 10) / 100
 def test_distortion_makes_a_file_of_version_2_that_is_not_read_without_it(tmp_path):
     calibration = Calibration.parse(FULL).model_copy(update=ARRAYS | {"distortion": DISTORTION})
     write_calibration(tmp_path / "c.json", calibration)
-    assert json.loads((tmp_path / "c.json").read_text(encoding="utf-8")) == FULL | {"version": 2}
+    assert json.loads((tmp_path / "c.json").read_text(encoding="utf-8")) == FULL | {
+        "version": 2,
+        "needs": ["distortion"],
+    }
     again = read_calibration(tmp_path / "c.json")
     np.testing.assert_array_equal(again.distortion, DISTORTION)
     assert again.content()["version"] == 2

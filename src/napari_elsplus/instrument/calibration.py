@@ -20,8 +20,10 @@ FORMAT = "napari-elsplus/calibration"
 VERSION = 2
 """Highest version of the file format that is read."""
 
-ARRAYS = {"background": 2, "flat": 2, "distortion": 2, "scan_correction": 1}
+ARRAYS = {"background": 2, "flat": 2, "distortion": 2, "gain_map": 2, "scan_correction": 1}
 """Dimensions of the arrays, which lie in the .npz beside the file, by name."""
+NEEDED_ARRAYS = ("distortion", "gain_map")
+"""Those without which a calibration that was measured with them is wrong; a file with one of them has version 2."""
 DISTORTION_SHAPE = (2, 10)
 """Row and column, and the ten coefficients of a polynomial of third degree in two variables."""
 
@@ -186,10 +188,15 @@ class Calibration(Section):
     distortion : numpy.ndarray, optional
         (2, 10), px: row and column by which the residual view departs from the inverse of `residual_to_confocal`, as
         coefficients of 1, r, c, r^2, rc, c^2, r^3, r^2 c, r c^2, c^3 of the position (r, c) about the confocal centre
-        over half the diameter. With it the version is 2; without it, 1.
+        over half the diameter.
     scan_correction : numpy.ndarray, optional
         Rows added to the line's path while each row of the frame is exposed, shape (rows,), float32; learned at the
         frame rate of `acquired_with`.
+    gain_map : numpy.ndarray, optional
+        Gain of the residual view over `residual_gain` on the confocal crop (n, n), float32: 1 where it is as bright
+        as on average.
+    needs : tuple of str, optional
+        Names of the arrays among :data:`NEEDED_ARRAYS`; with one of them the version is 2, without any it is 1.
 
     Examples
     --------
@@ -212,10 +219,12 @@ class Calibration(Section):
     bundle: BundleSection | None = None
     optics: OpticsSection | None = None
     quality: QualitySection | None = None
+    needs: tuple[str, ...] | None = None
     background: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
     flat: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
     distortion: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
     scan_correction: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
+    gain_map: NDArray[np.float32] | None = Field(default=None, exclude=True, repr=False)
 
     def __eq__(self, other: object) -> bool:
         """Return True if all sections and arrays are equal."""
@@ -267,7 +276,27 @@ class Calibration(Section):
     def content(self) -> dict[str, Any]:
         """Return all but the arrays, ready for JSON; absent sections are left out, unknown keys are kept."""
         content = self.model_dump(mode="json", by_alias=True, exclude_none=True)
-        return content if self.distortion is None else content | {"version": 2}
+        needs = [name for name in NEEDED_ARRAYS if getattr(self, name) is not None]
+        return content | {"version": 2, "needs": needs} if needs else content
+
+    def with_view_arrays(
+        self, distortion: NDArray[np.float32] | None, gain_map: NDArray[np.float32] | None
+    ) -> Calibration:
+        """Return the calibration with other arrays of the residual view, and the version that they need.
+
+        Parameters
+        ----------
+        distortion, gain_map : numpy.ndarray or None
+            As of :class:`Calibration`.
+        """
+        arrays = {"distortion": distortion, "gain_map": gain_map}
+        needs = tuple(name for name, array in arrays.items() if array is not None)
+        return self.model_copy(update=arrays | {"needs": needs or None, "version": 2 if needs else 1})
+
+    def missing_array(self) -> str | None:
+        """Return the name of an array without which this calibration is wrong, and which is absent; None if none is."""
+        needs = self.needs or (NEEDED_ARRAYS[:1] if self.version == 2 else ())
+        return next((name for name in needs if getattr(self, name, None) is None), None)
 
     def require(self, *sections: str) -> None:
         """Check that sections were measured.

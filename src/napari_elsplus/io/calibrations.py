@@ -30,7 +30,7 @@ _HEADER_READERS: Final = {
 
 
 def read_calibration(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration, with its background, flat field and distortion where they lie beside it.
+    """Read a calibration, with its background, flat field, distortion and gain map where they lie beside it.
 
     Parameters
     ----------
@@ -50,12 +50,14 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
     path = Path(path)
     calibration = parse_calibration(_read_text(path), name=path.name)
     arrays = _read_arrays(path.with_suffix(".npz"), calibration)
-    if calibration.version == 2 and "distortion" not in arrays:
+    calibration = calibration.model_copy(update=arrays)
+    missing = calibration.missing_array()
+    if missing is not None:
         raise CalibrationError(
-            f"{path.name} needs the distortion in {path.with_suffix('.npz').name}, which is absent",
+            f"{path.name} needs the {missing.replace('_', ' ')} in {path.with_suffix('.npz').name}, which is absent",
             "put that file beside it, or calibrate again",
         )
-    return calibration.model_copy(update=arrays)
+    return calibration
 
 
 def write_calibration(path: str | os.PathLike[str], calibration: Calibration, force: bool = False) -> Path:

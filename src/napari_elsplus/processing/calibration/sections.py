@@ -17,6 +17,7 @@ from napari_elsplus.instrument.calibration import (
 from napari_elsplus.instrument.optics import BUNDLE_UM, PARK_CLEARANCE_UM
 from napari_elsplus.processing.calibration.bundle.cancellation import measure_alignment_errors
 from napari_elsplus.processing.calibration.bundle.gain import darkness
+from napari_elsplus.processing.calibration.bundle.gain_map import measure_gain_map
 from napari_elsplus.processing.calibration.measurements import measure_flat_field, offset_at
 
 if TYPE_CHECKING:
@@ -83,19 +84,16 @@ def apply_pair(draft: Draft, pair: BundlePair) -> Calibration:
     MeasurementError
         If the two views do not fit each other.
     """
-    distortion = pair.alignment.distortion
-    update = {
-        "bundle": _bundle_section(pair),
-        "distortion": None if distortion is None else distortion.astype(np.float32),
-        "version": 1 if distortion is None else 2,
-    }
-    known = draft.calibration.model_copy(update=update)
+    distortion = None if pair.alignment.distortion is None else pair.alignment.distortion.astype(np.float32)
+    known = draft.calibration.model_copy(update={"bundle": _bundle_section(pair)}).with_view_arrays(distortion, None)
+    above_dark = _above_dark(known, pair)
+    gain_map = measure_gain_map(pair.image, above_dark)
+    known, above_dark = (each.with_view_arrays(distortion, gain_map) for each in (known, above_dark))
     if draft.bundle_um is not None:
         scale = draft.bundle_um / pair.confocal.diameter_px
         known = known.model_copy(
             update={"optics": (known.optics or OpticsSection()).model_copy(update={"um_per_px": scale})}
         )
-    above_dark = _above_dark(known, pair)
     flat = measure_flat_field(pair.image[None], above_dark) if pair.shows_flat_field else None
     known = known.model_copy(update={"flat": flat, "quality": _quality(known, pair, flat)})
     if draft.offset is not None:

@@ -81,6 +81,8 @@ class FusedSections:
         (rows, cols) float32, grey levels.
     frame_shape : tuple of int
         Rows and columns of the raw frames.
+    factors : numpy.ndarray, optional
+        (n, n) float32, by which the residual view is multiplied besides.
     """
 
     def __init__(
@@ -91,10 +93,12 @@ class FusedSections:
         inside: NDArray[np.bool_],
         background: NDArray[np.float32] | None,
         frame_shape: tuple[int, int],
+        factors: NDArray[np.float32] | None = None,
     ) -> None:
         self._maps = grid_to_confocal, grid_to_residual
         self._gain, self._side = residual_gain, len(inside)
         self._extents = extents(inside)
+        self._factors = _NOT_WANTED if factors is None else np.ascontiguousarray(factors, np.float32)
         self._background = np.zeros(frame_shape, np.float32) if background is None else background
         stepped = np.rint(self._background * SUBDIVISIONS)
         self._stepped = stepped.astype(np.uint16) if stepped.min() >= 0 and stepped.max() < 2**16 else None
@@ -143,7 +147,10 @@ class FusedSections:
         wanted = [_NOT_WANTED if image is None else image for image in (ls, residual, els)]
         filled = [image if image.flags.c_contiguous else np.empty_like(image, order="C") for image in wanted]
         maps = views[0].arrays, views[1].arrays
-        section_views(raw, raw_residual, background, steps, *maps, views[0].at_whole_pixels, *self._extents, *filled)
+        at_whole_pixels = views[0].at_whole_pixels
+        section_views(
+            raw, raw_residual, background, steps, *maps, at_whole_pixels, *self._extents, self._factors, *filled
+        )
         for image, made in zip(wanted, filled, strict=True):
             if made is not image:
                 np.copyto(image, made)

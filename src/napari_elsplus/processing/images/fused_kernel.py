@@ -51,6 +51,7 @@ def section_views(
     at_whole_pixels: bool,
     spans: NDArray[np.int64],
     blocks: NDArray[np.int64],
+    factors: NDArray[np.float32],
     ls: NDArray[np.float32],
     aligned: NDArray[np.float32],
     els: NDArray[np.float32],
@@ -71,6 +72,8 @@ def section_views(
         The confocal view is not interpolated.
     spans, blocks : numpy.ndarray
         Of :func:`extents`.
+    factors : numpy.ndarray
+        (n, n), by which the residual view is multiplied, or (0, 0).
     ls, aligned, els : numpy.ndarray
         The images, (n, n), or (0, 0) where one is not wanted.
     """
@@ -94,12 +97,20 @@ def section_views(
                     image[row + r, last:] = 0
             from_confocal = confocal[4][r * WIDTH + first : r * WIDTH + last]
             from_residual = residual[4][r * WIDTH + first : r * WIDTH + last]
+            if needs_residual and factors.shape[0] > 0:
+                _multiply(from_residual, factors[row + r, first:last])
             if els.shape[0] > 0:
                 _subtract(from_confocal, from_residual, els[row + r, first:last])
             if ls.shape[0] > 0:
                 _copy(from_confocal, ls[row + r, first:last])
             if aligned.shape[0] > 0:
                 _copy(from_residual, aligned[row + r, first:last])
+
+
+@lean_kernel
+def _multiply(values: NDArray[np.float32], factors: NDArray[np.float32]) -> None:
+    for t in range(len(values)):
+        values[t] *= factors[t]
 
 
 @lean_kernel

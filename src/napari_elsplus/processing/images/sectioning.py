@@ -11,6 +11,7 @@ from enum import StrEnum
 from math import ceil
 from typing import TYPE_CHECKING, Final, Protocol
 
+import cv2
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
@@ -156,7 +157,10 @@ class Sectioner:
         )
         self.seen = confocal_seen & residual_seen
         confocal_brightness = (self.inside & confocal_seen).astype(np.float32)
+        relative = self._inverse_gain_map(calibration)
         residual_brightness = self.inside.astype(np.float32) / np.float32(bundle.residual_gain)
+        if relative is not None:
+            residual_brightness *= relative
         self.subtracted = self.seen
         if not self.seen[self.inside].all():
             self.subtracted = self.seen & _line_within_bundle(calibration, self.side)
@@ -172,24 +176,47 @@ class Sectioner:
         maps = grid_to_confocal[:2], grid_to_residual[:2]
         straight = calibration.distortion is None and all(FusedSections.fits(each, self.side) for each in maps)
         if straight and self.seen[self.inside].all():
-            self._fused = FusedSections(*maps, bundle.residual_gain, self.inside, background, frame_shape)
+            self._fused = FusedSections(*maps, bundle.residual_gain, self.inside, background, frame_shape, relative)
 
     def _residual_resampler(
         self, calibration: Calibration, grid_to_residual: NDArray[np.float64]
     ) -> Resampler | WarpedResampler:
         """Return the resampling of the residual view: affine, or with the calibration's distortion."""
         if calibration.distortion is None:
-            if calibration.version > 1:
-                raise CalibrationError(
-                    "the calibration's distortion is absent", "read it with the .npz beside its file"
-                )
             return Resampler(grid_to_residual, self.side)
-        axis = np.arange(self.side) - (self.side - 1) / 2
-        rows, cols = np.meshgrid(axis, axis, indexing="ij")
-        terms = polynomial_terms(rows / (self.diameter_px / 2), cols / (self.diameter_px / 2))
-        points = np.stack([rows - axis[0], cols - axis[0], np.ones_like(rows)])
+        rows, cols = np.mgrid[: self.side, : self.side].astype(np.float64)
+        unit = self.diameter_px / 2
+        terms = polynomial_terms((rows - self.centre[0]) / unit, (cols - self.centre[1]) / unit)
+        points = np.stack([rows, cols, np.ones_like(rows)])
         affine = np.tensordot(grid_to_residual, points, 1)
         return WarpedResampler(affine + np.tensordot(calibration.distortion, terms, 1))
+
+    def _inverse_gain_map(self, calibration: Calibration) -> NDArray[np.float32] | None:
+        """Return the inverse of the gain map, on the grid of the images; None without one.
+
+        Raises
+        ------
+        CalibrationError
+            If an array that the calibration needs is absent, or the gain map has another size.
+        """
+        missing = calibration.missing_array()
+        if missing is not None:
+            raise CalibrationError(
+                f"the calibration's {missing.replace('_', ' ')} is absent", "read it with the .npz beside its file"
+            )
+        relative = calibration.gain_map
+        if relative is None:
+            return None
+        if relative.shape != (self.side, self.side) or not relative.min() > 0:
+            raise CalibrationError(
+                f"the gain map has {relative.shape} pixels and a least value of {relative.min():.3g}, "
+                f"the images {self.side} x {self.side}",
+                "calibrate the bundle again",
+            )
+        down, across = (centre - (self.side - 1) / 2 for centre in self.centre)
+        shift = np.array([[1, 0, across], [0, 1, down]])
+        moved = cv2.warpAffine(relative, shift, relative.shape, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(1 / moved, np.float32)
 
     def ls(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """Return the confocal view of a raw frame.

@@ -302,13 +302,14 @@ class CoreMatcher:
 
         pixels = np.bincount(tile, minlength=count)
         filled = pixels > 0
-        cross = [[summed(of_target[:, a] * of_found[:, b]) for b in (0, 1)] for a in (0, 1)]
-        curvature = np.moveaxis(np.array(cross), -1, 0)
+        one, two = of_target.T.copy(), of_found.T.copy()
+        mixed = summed(one[0] * two[1] + one[1] * two[0]) / 2
+        curvature = np.array([[summed(one[0] * two[0]), mixed], [mixed, summed(one[1] * two[1])]])
         return TileShifts(
             rows=summed(self.rows) / pixels[filled],
             cols=summed(self.cols) / pixels[filled],
             scores=np.stack([summed(column) for column in scores.T], axis=1),
-            curvature=(curvature + np.swapaxes(curvature, 1, 2)) / 2,
+            curvature=np.moveaxis(curvature, -1, 0),
         )
 
     def _slopes(self, image: Image, moves: Floats) -> Floats:

@@ -113,9 +113,12 @@ def _spread_out(plane: Floats, frame: Image) -> Image:
 def _dark_plane(frame: Image, confocal: Disc, residual: Disc) -> tuple[Floats, Floats]:
     """Fit level and slopes per row and column of the darkness; return them and their covariance."""
     rows, cols = np.ogrid[: frame.shape[0], : frame.shape[1]]
-    away = [np.hypot(rows - d.centre[0], cols - d.centre[1]) / (d.diameter_px / 2) for d in (confocal, residual)]
-    nearest = np.minimum(*away)
-    y, x = np.nonzero((nearest > 1.08) & (nearest < 1.25))
+    squared = [
+        np.square((rows - d.centre[0]) / (d.diameter_px / 2)) + np.square((cols - d.centre[1]) / (d.diameter_px / 2))
+        for d in (confocal, residual)
+    ]
+    nearest = np.minimum(*squared)
+    y, x = np.nonzero((nearest > 1.08**2) & (nearest < 1.25**2))
     if len(y) < MIN_RING_PIXELS:
         return np.array([frame.min(), 0.0, 0.0]), np.zeros((3, 3))
     level = frame[y, x].astype(np.float64)

@@ -1,0 +1,109 @@
+"""Map of the residual view's gain over the field: vignettes, and cores that couple differently into the two views.
+
+A single gain is kept unless the evidence asks for a map. Evidence is prediction: a map that is made from every other
+pixel of the bundle lit from its far end must predict the other pixels better, which noise and the cores' sampling by
+the camera do not.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.images.cores import core_pitch_px
+from napari_elsplus.processing.images.sectioning import Sectioner, disc
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+
+    Image = NDArray[np.float32]
+
+SMOOTH_DIAMETERS: Final = 1 / 16
+"""Standard deviation of the smooth map's Gaussian, diameters; chosen: a vignette is wider."""
+CORE_PITCHES: Final = (0.2, 0.3)
+"""Those of maps of single cores, core pitches; derived: of the light at a core 80 and 60 % is then its own."""
+MAX_MISFIT: Final = 0.9
+"""Of the predicted pixels over that of a single gain, with which a map is used; measured on the
+clean views of twelve random rigs (seeds 500 to 511): it is larger in all of them."""
+GAIN_LIMITS: Final = (0.5, 2.0)
+"""Of the map; as of the gain."""
+MIN_BOXES_PX: Final = 6.0
+"""Standard deviation from which on three boxes are a Gaussian; chosen."""
+_LIT: Final = 0.05
+"""Share of the mean light below which a pixel has no gain of its own; chosen."""
+
+
+def measure_gain_map(frame: NDArray[np.floating], calibration: Calibration) -> Image | None:
+    """Measure the gain of the residual view over the field.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        (rows, cols): the bundle lit from its far end.
+    calibration : Calibration
+        With the bundle section, and the darkness of that frame as its background; its own gain map is not used.
+
+    Returns
+    -------
+    numpy.ndarray or None
+        (n, n) float32 on the grid of :class:`Sectioner`, gain over the single one: 1 outside of the disc,
+        mean 1 inside, weighted by light. None where a single gain is sufficient.
+    """
+    flat = calibration.with_view_arrays(calibration.distortion, None)
+    sectioner = Sectioner(flat, frame.shape)
+    confocal, residual = sectioner.ls(frame), sectioner.residual(frame)
+    inside = disc(sectioner.side, sectioner.diameter_px) & np.isfinite(residual)
+    residual = np.where(inside, residual, 0).astype(np.float32)
+    confocal = np.where(inside, confocal, 0).astype(np.float32)
+    every_other = (np.indices(confocal.shape).sum(axis=0) % 2).astype(bool)
+    halves = inside & every_other, inside & ~every_other
+    single = sum(_misfit(confocal, residual, half) for half in halves)
+    misfits = {}
+    for sigma_px in _scales(confocal, inside, sectioner.diameter_px):
+        maps = (_smoothed_ratio(confocal * half, residual * half, sigma_px) for half in halves)
+        misfits[sigma_px] = sum(
+            _misfit(confocal * predicted, residual, half)
+            for predicted, half in zip(maps, reversed(halves), strict=True)
+        )
+    best = min(misfits, key=lambda sigma_px: misfits[sigma_px])
+    if not misfits[best] < MAX_MISFIT * single:
+        return None
+    found = np.where(inside, np.clip(_smoothed_ratio(confocal, residual, best), *GAIN_LIMITS), 1)
+    scale = float((found * confocal).sum() / confocal.sum())
+    return np.where(inside, found / scale, 1).astype(np.float32)
+
+
+def _scales(confocal: Image, inside: NDArray[np.bool_], diameter_px: float) -> list[float]:
+    """Return the standard deviations of the maps that are tried, px: a smooth one, and of single cores if resolved."""
+    scales = [SMOOTH_DIAMETERS * diameter_px]
+    try:
+        pitch_px = core_pitch_px(confocal, inside)
+    except MeasurementError:
+        return scales
+    return scales + [pitches * pitch_px for pitches in CORE_PITCHES]
+
+
+def _smoothed_ratio(confocal: Image, residual: Image, sigma_px: float) -> Image:
+    light, other = (_blurred(image, sigma_px) for image in (confocal, residual))
+    dim = light < _LIT * float(light.max())
+    return np.where(dim, 1, other / np.where(dim, 1, light)).astype(np.float32)
+
+
+def _blurred(image: Image, sigma_px: float) -> Image:
+    """Return an image smoothed by a Gaussian; a wide one is made of three boxes, whose time does not grow with it."""
+    if sigma_px < MIN_BOXES_PX:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.float32)
+    width = 2 * round(sigma_px) + 1
+    for _ in range(3):
+        image = np.asarray(cv2.blur(image, (width, width), borderType=cv2.BORDER_CONSTANT), np.float32)
+    return image
+
+
+def _misfit(predicted: Image, residual: Image, where: NDArray[np.bool_]) -> float:
+    """Return the root mean square difference of two images over some pixels."""
+    return float(np.sqrt(np.square((predicted - residual)[where]).mean()))
