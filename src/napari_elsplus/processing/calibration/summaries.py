@@ -26,6 +26,10 @@ MAX_OFFSET_DIFFERENCE_ROWS: Final = 0.5
 """Between the slit offset and that of the bundle images, above which one is out of date; chosen, five times the
 uncertainty of a bundle's centre."""
 
+MIN_CERTAIN_EDGE: Final = 0.5
+"""Share of the circumference on which a bundle's edge is seen, below which a warning is given; measured: photographs of
+bundles behind targets have 0.55 and more, a target on dark ground 0.29 to 0.47 wherever its bundle is."""
+
 
 def with_uncertainty(value: float, uncertainty: float) -> str:
     """Format a value to the first digit of its uncertainty, but no finer than a millionth.
@@ -91,7 +95,14 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
     ]
     lines.append(f"view alignment: {alignment.model} to {alignment.uncertainty_px:.3f} px (BIC: {evidence})")
     lines.append(f"gain of the residual view {with_uncertainty(alignment.gain, alignment.gain_uncertainty)}")
+    if known.gain_map is not None:
+        lines.append(f"gain map: {100 * float(known.gain_map.std()):.1f} % over the field")
     for name, disc in (("confocal", pair.confocal), ("residual", pair.residual)):
+        if disc.edge_seen < MIN_CERTAIN_EDGE:
+            warnings.append(
+                f"the edge of the {name} view is seen on {100 * disc.edge_seen:.0f} % of its circumference only: "
+                "is the target dark at the bundle's rim?"
+            )
         if (share := seen_share(disc, pair.image.shape)) < 1:
             warnings.append(
                 f"the frame's edge cuts the {name} view: {100 * share:.0f} % of its diameter is seen; there is no "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -138,3 +139,19 @@ def test_structured_targets_do_not_move_real_bundles(data_folder: Path) -> None:
             locate_bundle(tifffile.imread(data_folder / "real" / f"{name}.tif")) for name in (target, plain)
         )
         assert np.hypot(*np.subtract(with_target.centre, without.centre)) < 2
+
+
+def b_scan(seed: int) -> np.ndarray:
+    """An image of layered tissue with speckle, as of optical coherence tomography."""
+    random = np.random.default_rng(seed)
+    rows, cols = np.mgrid[:300, :500]
+    depth = rows - 60 - 20 * np.sin(cols / 90 + seed) - 10 * np.sin(cols / 31)
+    layers = np.where(depth > 0, np.exp(-depth / 60) * (1 + 0.4 * np.sin(depth / 9)), 0.02)
+    speckle = cv2.GaussianBlur((layers * random.exponential(1, layers.shape)).astype(np.float32), (0, 0), 1.2)
+    return (20 + 200 * speckle / np.percentile(speckle, 99.5)).clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_layers_of_tissue_are_no_bundle(seed: int) -> None:
+    with pytest.raises(MeasurementError, match="no bundle"):
+        locate_bundle(b_scan(seed))

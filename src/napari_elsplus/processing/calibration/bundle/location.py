@@ -28,6 +28,9 @@ COARSE_ROWS: Final = 160
 """Size of the reduced image; chosen: cores are averaged, the disc is still located to a percent."""
 MIN_DISC: Final = 0.15
 """Of all lit pixels, in each half of the frame; chosen: a good view has about half of them."""
+MIN_EDGE_SEEN: Final = 0.26
+"""Share of the circumference; measured: photographs of bundles behind targets have 0.55 and more, images of layers that
+are taken for a disc 0.22 to 0.25."""
 MAX_DIAMETER_DIFFERENCE: Final = 0.1
 """Relative, between the views; chosen: optics differ by less than a percent."""
 
@@ -186,6 +189,11 @@ def _disc(frame: Image, mask: NDArray[np.bool_], scale: float, threshold: float,
     circle = _outline_circle(mask, (row, column, radius))
     circle = np.r_[(circle[:2] + 0.5) * scale - 0.5, circle[2] * scale]
     circle, spread, seen = fit_rim(frame, circle)
+    if seen < MIN_EDGE_SEEN:
+        raise MeasurementError(
+            f"no bundle: its edge is seen on {100 * seen:.0f} % of the circumference",
+            "light the probe evenly from the far end, without a dark target",
+        )
     return Disc(
         centre=(float(circle[0]), float(circle[1] + first_column)),
         diameter_px=float(2 * circle[2]),

@@ -1,0 +1,23 @@
+"""Warnings in the summaries of calibration steps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.rigs.random_rigs import Rig
+from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.processing.calibration.draft import Draft
+from napari_elsplus.processing.calibration.measurements import measure_pair
+from napari_elsplus.processing.calibration.sections import apply_pair
+from napari_elsplus.processing.calibration.summaries import summarize_pair
+
+
+@pytest.mark.parametrize(("edge_seen", "warned"), [(0.3, True), (0.6, False)])
+def test_an_edge_that_is_seen_in_part_is_warned_of(edge_seen: float, warned: bool) -> None:
+    found = measure_pair(Rig(left=(110.0, 103.0), right=(105.5, 318.3), diameter_px=190.0).bundle(2))
+    pair = replace(found, confocal=replace(found.confocal, edge_seen=edge_seen))
+    draft = Draft(Calibration())
+    summary = summarize_pair(pair, draft.with_calibration(apply_pair(draft, pair)), None)
+    assert any("the edge of the confocal view is seen on 30 %" in text for text in summary.warnings) == warned
