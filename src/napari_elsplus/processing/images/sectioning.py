@@ -11,7 +11,6 @@ from enum import StrEnum
 from math import ceil
 from typing import TYPE_CHECKING, Final, Protocol
 
-import cv2
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
@@ -19,6 +18,7 @@ from napari_elsplus.processing.images.elsa import FRAMES_PER_IMAGE, elsa_frames
 from napari_elsplus.processing.images.fused import FusedSections
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.resampling import Resampler
+from napari_elsplus.processing.images.residual_gain import inverse_gain_map
 from napari_elsplus.processing.images.warping import WarpedResampler, polynomial_terms, within_frame
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ class Sectioner:
         )
         self.seen = confocal_seen & residual_seen
         confocal_brightness = (self.inside & confocal_seen).astype(np.float32)
-        relative = self._inverse_gain_map(calibration)
+        relative = inverse_gain_map(calibration, self.centre, self.side)
         residual_brightness = self.inside.astype(np.float32) / np.float32(bundle.residual_gain)
         if relative is not None:
             residual_brightness *= relative
@@ -190,33 +190,6 @@ class Sectioner:
         points = np.stack([rows, cols, np.ones_like(rows)])
         affine = np.tensordot(grid_to_residual, points, 1)
         return WarpedResampler(affine + np.tensordot(calibration.distortion, terms, 1))
-
-    def _inverse_gain_map(self, calibration: Calibration) -> NDArray[np.float32] | None:
-        """Return the inverse of the gain map, on the grid of the images; None without one.
-
-        Raises
-        ------
-        CalibrationError
-            If an array that the calibration needs is absent, or the gain map has another size.
-        """
-        missing = calibration.missing_array()
-        if missing is not None:
-            raise CalibrationError(
-                f"the calibration's {missing.replace('_', ' ')} is absent", "read it with the .npz beside its file"
-            )
-        relative = calibration.gain_map
-        if relative is None:
-            return None
-        if relative.shape != (self.side, self.side) or not relative.min() > 0:
-            raise CalibrationError(
-                f"the gain map has {relative.shape} pixels and a least value of {relative.min():.3g}, "
-                f"the images {self.side} x {self.side}",
-                "calibrate the bundle again",
-            )
-        down, across = (centre - (self.side - 1) / 2 for centre in self.centre)
-        shift = np.array([[1, 0, across], [0, 1, down]])
-        moved = cv2.warpAffine(relative, shift, relative.shape, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(1 / moved, np.float32)
 
     def ls(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """Return the confocal view of a raw frame.
