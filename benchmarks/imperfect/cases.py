@@ -129,7 +129,7 @@ def corrected(rig: ImperfectRig, off: tuple[str, ...]) -> Calibration:
 
 def without(calibration: Calibration, off: tuple[str, ...]) -> Calibration:
     """Return a calibration without some of its corrections, by the names of its fields."""
-    changes: dict[str, Any] = dict.fromkeys(off)
+    changes: dict[str, Any] = dict.fromkeys(off) | {"version": 1}  # which needs no array
     if (
         "scan_correction" in off and calibration.galvo is not None
     ):  # nor is the drive made for the galvo that was fitted

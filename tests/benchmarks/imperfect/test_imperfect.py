@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from benchmarks.imperfect import measures
-from benchmarks.imperfect.cases import CASES, Case
+from benchmarks.imperfect.cases import CASES, Case, corrects, without
 from benchmarks.imperfect.rig import ImperfectRig
 from benchmarks.imperfect.study import measure_case, quick_cases
 from benchmarks.imperfect.survey import CALIBRATED, DISTANCES, Surveyed, markdown
+from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.simulation.model.imperfections import Imperfections
+from napari_elsplus.simulation.specimen.scenes import uniform
 from napari_elsplus.simulation.truth import true_calibration
 
 
@@ -51,6 +53,19 @@ def test_the_quick_cases_are_measured_and_disturb_or_are_corrected(case: Case) -
     outcome = measure_case(case)
     assert np.isfinite(outcome.clean)
     assert outcome.holds or outcome.refused or outcome.disturbed != outcome.clean
+
+
+def test_a_correction_switched_off_leaves_a_calibration_that_images_can_be_made_with() -> None:
+    rig = ImperfectRig.of("240hz")
+    distorted = true_calibration(rig.instrument).model_copy(
+        update={"distortion": np.full((2, 10), 0.5, np.float32), "version": 2}
+    )
+    assert corrects(distorted, ("distortion",))
+    plain = without(distorted, ("distortion",))
+    assert not corrects(plain, ("distortion",))
+    raw = rig.renderer(uniform()).render(0)
+    images = [Sectioner(one, raw.shape).residual(raw) for one in (plain, true_calibration(rig.instrument))]
+    assert (images[0] == images[1]).all()
 
 
 def test_a_survey_counts_refused_and_wrong_rigs() -> None:
