@@ -129,6 +129,14 @@ def galvo_error(rig: ImperfectRig, calibration: Calibration) -> Error:
     return Error(instrument.confocal_centre[0] - float(instrument.line_row(volt)), stated)
 
 
+def bow_error(rig: ImperfectRig, calibration: Calibration) -> Error:
+    """Error of the line's bow, rows at the bundle's rim."""
+    galvo = calibration.galvo
+    assert galvo is not None
+    found = galvo.bow_rows or 0.0  # not significant
+    return Error(found - rig.instrument.imperfections.line_bow_rows, galvo.bow_uncertainty_rows or 0.0)
+
+
 class Scanned(NamedTuple):
     """Line against slit over the exposed rows: rows off by more than a quarter slit, largest error, signal kept."""
 
