@@ -129,10 +129,9 @@ def corrected(rig: ImperfectRig, off: tuple[str, ...]) -> Calibration:
 
 def without(calibration: Calibration, off: tuple[str, ...]) -> Calibration:
     """Return a calibration without some of its corrections, by the names of its fields."""
-    changes: dict[str, Any] = dict.fromkeys(off) | {"version": 1}  # which needs no array
-    if (
-        "scan_correction" in off and calibration.galvo is not None
-    ):  # nor is the drive made for the galvo that was fitted
+    reset = dict.fromkeys((*off, "needs")) | {"version": 1}  # which needs no array
+    changes: dict[str, Any] = {name: value for name, value in reset.items() if name in type(calibration).model_fields}
+    if "scan_correction" in off and calibration.galvo is not None:  # without the fitted response, too
         changes["galvo"] = calibration.galvo.model_copy(update={"natural_hz": None, "damping": None})
     return calibration.model_copy(update=changes) if off else calibration
 
