@@ -318,7 +318,8 @@ class Form:
     def _lay_out(self, panel: QWidget, work: QWidget) -> None:
         layout = QVBoxLayout(panel)
         layout.setContentsMargins(6, 6, 6, 6)
-        layout.addLayout(_row(self.rig, self.preset, self.connect_button))
+        layout.addLayout(_row(self.rig, self.connect_button))
+        layout.addWidget(self.preset)
         grid = QGridLayout()
         for index, button in enumerate(self.steps.values()):
             grid.addWidget(button, index // 2, index % 2)
@@ -328,7 +329,8 @@ class Form:
         given.addRow("line period", self.line_period_us)
         given.addRow("line periods per frame", self.periods_per_frame)
         layout.addLayout(given)
-        layout.addLayout(_row(self.measure, self.follow_button, self.from_file, self.from_layer))
+        layout.addLayout(_row(self.measure, self.follow_button))
+        layout.addLayout(_row(self.from_file, self.from_layer))
         layout.addLayout(_row(self.accept, self.discard, self.undo, self.next_step))
         layout.addWidget(self.explanation)
         self._options = QFormLayout()
