@@ -39,6 +39,7 @@ DEMO = ROOT / "elsplus-demo"
 NOT_FOR_CHILDREN = ("PYTHONHOME", "PYTHONPATH", "PIP_USER", "PIP_TARGET")
 """Variables that would make the .venv import, or install into, other places than itself."""
 
+EXTRAS = "pyqt,video,zarr,batch,genicam"
 WINDOW_LIBRARIES = {
     "libdbus-1-3": "libdbus-1.so.3",
     "libegl1": "libEGL.so.1",
@@ -151,7 +152,7 @@ def prepare(*groups: str) -> None:
         STAMP.unlink()
     wanted = sorted((present or set()).union(groups))
     chosen = [word for group in wanted for word in ("--group", group)]
-    must("installing", [*pip, "--constraint", "constraints.txt", "--editable", ".[pyqt,video,zarr,batch]", *chosen])
+    must("installing", [*pip, "--constraint", "constraints.txt", "--editable", f".[{EXTRAS}]", *chosen])
     STAMP.write_text(json.dumps({"fingerprint": fingerprint(), "groups": wanted}), encoding="utf-8")
 
 

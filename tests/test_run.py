@@ -117,7 +117,8 @@ def test_pip_is_upgraded_before_dependency_groups_and_the_stamp_comes_last(run: 
     making, upgrading, installing = recorder.said()
     assert "-m venv --clear" in making
     assert "--upgrade pip" in upgrading
-    assert "--constraint constraints.txt --editable .[pyqt,video,zarr] --group lint --group test" in installing
+    words = "--constraint constraints.txt --editable .[pyqt,video,zarr,batch,genicam] --group lint --group test"
+    assert words in installing
     assert stamped == [False, False, False]
     assert run.STAMP.exists()
 
@@ -407,6 +408,9 @@ def test_the_stamp_says_what_it_stands_for(run: ModuleType, recorder: Recorder) 
     assert json.loads(run.STAMP.read_text(encoding="utf-8")) == {"fingerprint": run.fingerprint(), "groups": ["test"]}
 
 
-def test_continuous_integration_runs_the_tests_and_nothing_else() -> None:
+def test_continuous_integration_installs_the_dissector_and_runs_the_tests() -> None:
     lines = (PROJECT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
-    assert lines == ["#!/usr/bin/env bash", "set -e", "python3 run.py test"]
+    assert lines[:2] == ["#!/usr/bin/env bash", "set -e"]
+    assert lines[-1] == "python3 run.py test"
+    installed = [line.split() for line in lines if "install" in line.split()]
+    assert [line[line.index("--no-install-recommends") + 1] for line in installed] == ["tshark;"]
