@@ -11,7 +11,8 @@ import numpy as np
 
 from napari_elsplus.processing.tracking.finished.shift_odds import MIN_ODDS_NATS, ShiftOdds, SpectraOfImage
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.tracking.finished.field import FinishedField
     from napari_elsplus.processing.tracking.motion.pose import Pose
-    from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
     from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 REFINED_DIAMETER_PX: Final = 240.0
@@ -37,8 +37,7 @@ _SEARCH_SIGMA_CELLS: Final = 0.5
 """Standard deviation of a searched shift; chosen, about what parabolic peaks of soft texture scatter by."""
 _FLOOR_PX: Final = 0.01
 """Standard deviation of a displacement that no registration undercuts, pixels; chosen, as of raw frames."""
-_SPREAD: Final = (1e-6, 1e-6)
-"""Standard deviation of stretch and shear: there are none without a rolling shutter."""
+_AT_REST: Final = Velocity(0.0, 0.0)
 
 
 @dataclass(slots=True)
@@ -154,8 +153,9 @@ class FinishedRegistration:
             Rows and columns by which the probe moved, pixels of the images.
         """
         q = self.binning
-        start = Warp(1.0, -displacement[0] / q, 0.0, -displacement[1] / q)
-        fine = self._registrar.link(earlier.view, later.view, start, _SPREAD)
+        moved = Displacement(displacement[0] / q, displacement[1] / q)
+        motion = MotionPrior.between((_AT_REST, _AT_REST), moved, 0.0, 1.0, self.grid.shutter)
+        fine = self._registrar.link(earlier.view, later.view, motion)
         row, col = -q * fine.warp.b, -q * fine.warp.d
         away_px = hypot(row - displacement[0], col - displacement[1])
         covariance = q**2 * fine.covariance + _FLOOR_PX**2 * np.eye(2)

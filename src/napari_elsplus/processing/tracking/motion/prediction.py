@@ -1,4 +1,4 @@
-"""What the motion so far suggests of the next frame, and how much that has been worth.
+"""Motion of the probe as estimated so far, and the prior that it gives the next registration.
 
 A hand keeps its velocity, and for a moment some of its acceleration; how far the next velocity may be from that is
 learnt from how far the last ones were.
@@ -9,22 +9,24 @@ from __future__ import annotations
 from math import hypot, isfinite
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
+from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 
 if TYPE_CHECKING:
-    from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
 
 AT_REST: Final = Velocity(0.0, 0.0)
-UNEVEN: Final = 0.03
-"""Error of a displacement, root mean square, per change of the acceleration (pixels per frame squared)."""
-SMOOTH_MOTION_PX: Final = 5.0
-"""Spread of the velocity up to which the motion is so smooth that it tells where to look."""
-_LEAST_SPREAD: Final = 1.0
+_UNEVEN: Final = 1 / 24
+"""Mean over a frame of the parabola that a unit acceleration makes, per squared time in which the frame is read."""
+_MIN_SPREAD: Final = 0.3
+"""Smallest standard deviation of the next velocity, pixels per frame period; chosen, about a hand's tremor."""
 _MEMORY: Final = 0.3
+FIRST_SPEED: Final = 0.3
+"""Standard deviation of an unknown velocity, diameters per frame period; chosen, half of the farthest that is tracked."""
 _FIRST_SURPRISE: Final = 4.0
-_SPREAD_OF_SURPRISE: Final = 1.5
-_UNEVENLY: Final = 0.15
-"""Part of the surprise by which the velocity does not change evenly from frame to frame."""
+_SPREAD_OF_SURPRISE: Final = 1.0
 _FIRST_TURN: Final = 0.004
 _LEAST_TURN: Final = 0.0005
 """Radians per frame by which a turn may well differ from what is expected: before any was seen, and at least."""
@@ -33,73 +35,74 @@ _KEPT: Final = 0.5
 
 
 class Motion:
-    """Velocity and acceleration of the probe, as far as accepted links tell.
+    """Velocity and acceleration of the probe from the accepted registrations.
 
     Parameters
     ----------
     shutter : RollingShutter
         Timing of the rows.
+    diameter : float
+        Diameter of the field in pixels.
 
     Attributes
     ----------
     known : bool
-        Whether any link was accepted yet.
+        True if any registration was accepted yet.
     velocity, change : Velocity
-        During the last frame that was linked, and what it gained over the frame before; pixels per frame period.
+        During the last frame that was registered, and what it gained over the frame before; pixels per frame period.
+    variance : float
+        Of that velocity.
     surprise : float
-        How far velocities were from what was expected of them, of late.
+        Mean distance of recent velocities from those expected.
 
     Examples
     --------
     >>> from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
-    >>> motion = Motion(RollingShutter(300.0))
-    >>> motion.follow(Velocity(20.0, 0.0), successive=True)
-    >>> motion.follow(Velocity(22.0, 0.0), successive=True)
+    >>> motion = Motion(RollingShutter(300.0), 200.0)
+    >>> motion.follow(Velocity(20.0, 0.0), 0.01, successive=True)
+    >>> motion.follow(Velocity(22.0, 0.0), 0.01, successive=True)
     >>> motion.ahead(1)
     Displacement(row=22.5, col=0.0)
     """
 
-    def __init__(self, shutter: RollingShutter) -> None:
+    def __init__(self, shutter: RollingShutter, diameter: float) -> None:
         self._shutter = shutter
-        self.forget()
-
-    def forget(self) -> None:
-        """Start anew."""
+        self._read = min(diameter / shutter.line_periods_per_frame, 1.0)
         self.known = False
         self.velocity = self.change = AT_REST
+        self.variance = (FIRST_SPEED * diameter) ** 2
         self.surprise = _FIRST_SURPRISE
 
-    def follow(self, velocity: Velocity, *, successive: bool) -> None:
-        """Take note of a linked frame's velocity; `successive` if the frame just before it was linked as well."""
+    def follow(self, velocity: Velocity, variance: float, *, successive: bool) -> None:
+        """Add the velocity of a registered frame; `successive` if the frame just before it was registered as well."""
         gained = AT_REST
         if self.known and successive:
             expected = self.next_velocity
             miss = hypot(velocity.row - expected.row, velocity.col - expected.col)
             self.surprise += _MEMORY * (miss - self.surprise)
             gained = Velocity(velocity.row - self.velocity.row, velocity.col - self.velocity.col)
-        self.velocity, self.change, self.known = velocity, gained, True
+        self.velocity, self.variance, self.change, self.known = velocity, variance, gained, True
 
-    def unevenness(self, before: Velocity, velocity: Velocity, *, successive: bool) -> float:
-        """Error of a displacement, pixels, because the probe did not move evenly within the frames.
+    def unevenness(self, velocity: Velocity, warp: Warp) -> float:
+        """Return the error of a displacement, pixels, because the probe did not move evenly within the frames.
 
         The rolling shutter's warp is exact for even motion within each frame, and stays so under a steady acceleration.
-        What remains grows with the change of the acceleration from frame to frame; where no acceleration is known yet,
-        with what the velocity gained from the frame `before`.
+        What remains grows with the change of the acceleration from frame to frame.
 
         Parameters
         ----------
-        before, velocity : Velocity
-            Of the earlier and of the later frame, pixels per frame period.
-        successive : bool
-            True if no frame lies between them.
+        velocity : Velocity
+            Of the later frame, pixels per frame period.
+        warp : Warp
+            From the earlier to the later frame.
         """
-        if not (successive and isfinite(self._shutter.line_periods_per_frame)):
+        if not self._read:
             return 0.0
-        row, col = velocity.row - before.row, velocity.col - before.col
+        rows = self._shutter.line_periods_per_frame
+        jerk = rows * hypot(warp.a - 1, warp.s)
         if self.known:
-            row = velocity.row - self.velocity.row - self.change.row
-            col = velocity.col - self.velocity.col - self.change.col
-        return UNEVEN * hypot(row, col)
+            jerk = hypot(velocity.row - self.next_velocity.row, velocity.col - self.next_velocity.col)
+        return _UNEVEN * self._read**2 * jerk
 
     @property
     def next_velocity(self) -> Velocity:
@@ -109,13 +112,37 @@ class Motion:
     @property
     def spread(self) -> float:
         """Standard deviation of the next velocity about what is expected."""
-        return _LEAST_SPREAD + _SPREAD_OF_SURPRISE * self.surprise
+        return _MIN_SPREAD + _SPREAD_OF_SURPRISE * self.surprise
 
     def ahead(self, frames: int) -> Displacement:
-        """Displacement expected from the last linked frame to one so many frames later."""
+        """Displacement expected from the last registered frame to one so many frames later."""
         later = self.next_velocity
         step = self._shutter.step(self.velocity, later)
         return Displacement(step.row + (frames - 1) * later.row, step.col + (frames - 1) * later.col)
+
+    def prior(
+        self, displacement: Displacement, frames: int, before: tuple[Velocity, float] | None = None
+    ) -> MotionPrior:
+        """Return the prior of the motion from an earlier frame to one so many frames after the last registered one.
+
+        Parameters
+        ----------
+        displacement : Displacement
+            Expected from the earlier frame.
+        frames : int
+            Frame periods since the last registered frame.
+        before : tuple, optional
+            Velocity of the earlier frame and its variance, if that is another than the last registered one.
+        """
+        q, own = self.spread**2, self.variance
+        with_shift, with_later = (own * frames, own) if before is None else (0.0, 0.0)
+        velocity, variance = (self.velocity, own) if before is None else before
+        shift = own * frames**2 + q * frames**3 / 3
+        both = own * frames + q * frames**2 / 2
+        covariance = np.array(
+            [[variance, with_shift, with_later], [with_shift, shift, both], [with_later, both, own + q * frames]]
+        )
+        return MotionPrior(velocity, self.next_velocity, displacement, covariance, self._shutter)
 
 
 class Turning:
@@ -148,30 +175,3 @@ class Turning:
     def spread(self, frames: int) -> float:
         """Return the standard deviation of the turn within so many frames about what is expected."""
         return frames * (_LEAST_TURN + _SPREAD_OF_SURPRISE * self._surprise)
-
-
-def surprise_of(spread_px: float) -> float:
-    """Return the surprise that makes the velocity spread so much."""
-    return max(spread_px - _LEAST_SPREAD, 0.0) / _SPREAD_OF_SURPRISE
-
-
-def needed_times(spread_px: float) -> float:
-    """How many times the least evidence a link needs: the more, the less the motion tells where to look.
-
-    Parameters
-    ----------
-    spread_px : float
-        How far velocities were, of late, from what was expected of them.
-    """
-    return max(1.0, spread_px / SMOOTH_MOTION_PX)
-
-
-def unevenly(surprise_px: float) -> float:
-    """Return how far mean velocities may be from what the velocities of the frames around make them.
-
-    Parameters
-    ----------
-    surprise_px : float
-        How far velocities were from their prediction lately, pixels per frame period.
-    """
-    return _UNEVENLY * surprise_px

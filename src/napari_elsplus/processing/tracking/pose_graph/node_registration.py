@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge
-from napari_elsplus.processing.tracking.registration.low_texture import LowTextureFallback
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 if TYPE_CHECKING:
@@ -86,7 +86,6 @@ class FrameRegistration:
     def __init__(self, registrar: Registrar) -> None:
         self._registrar = registrar
         self._shutter = registrar.grid.shutter
-        self._fallback = LowTextureFallback(registrar)
         self._scratch = registrar.view()
 
     def beside(
@@ -96,11 +95,10 @@ class FrameRegistration:
         """Register two nodes about an expected displacement: :meth:`NodeRegistration.beside`."""
         link: PairRegistration | None
         if model is MotionModel.TRANSLATION:
-            warp = self._shutter.warp(poses[0].velocity, poses[1].velocity, expected)
-            link = self._registrar.link(*views, warp, self._spread)
+            link = self._registrar.link(*views, self._motion(poses, expected))
         else:
             link = self._turned(poses, views, expected, turn, model, None)
-        return self._edge(numbers, poses, views, link)
+        return self._edge(numbers, poses, link)
 
     def anywhere(
         self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float,
@@ -108,8 +106,7 @@ class FrameRegistration:
     ) -> Edge | None:  # fmt: skip
         """Register two nodes by a search over all shifts: :meth:`NodeRegistration.anywhere`."""
         if model is MotionModel.TRANSLATION:
-            warp = self._shutter.warp(poses[0].velocity, poses[1].velocity, expected)
-            link = self._registrar.search(*views, warp, self._spread, _SEARCHED_PX)
+            link = self._registrar.search(*views, self._motion(poses, expected), _SEARCHED_PX)
         else:
             link = self._turned(poses, views, expected, turn, model, _SEARCHED_PX)
         if link is None or link.overlap < MIN_JOIN_OVERLAP:
@@ -117,35 +114,29 @@ class FrameRegistration:
         scores = [pose.score for pose in poses if isfinite(pose.score)]
         if link.correlation < min(scores, default=0.0) - FALL_OF_CORRELATION:
             return None
-        return self._edge(numbers, poses, views, link)
+        return self._edge(numbers, poses, link)
 
     def _turned(
         self, poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float, model: MotionModel,
         reach_px: float | None,
     ) -> PairRegistration | None:  # fmt: skip
-        a, b = poses
+        rotation = turn, poses[1].scale / poses[0].scale
         return self._registrar.turned_link(
-            *views, (*expected, turn, b.scale / a.scale), (a.velocity, b.velocity), self._spread, model,
-            self._scratch, reach_px,
-        )  # fmt: skip
+            *views, self._motion(poses, expected), rotation, model, self._scratch, reach_px
+        )
 
-    def _edge(
-        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: Views, link: PairRegistration | None
-    ) -> Edge | None:
-        if link is not None:
-            velocities = poses[0].velocity, poses[1].velocity
-            link = self._fallback.confirmed(link, *views, velocities, _VELOCITY_SIGMA, self._scratch)
+    def _motion(self, poses: tuple[Pose, Pose], expected: Displacement) -> MotionPrior:
+        velocities = poses[0].velocity, poses[1].velocity
+        return MotionPrior.between(velocities, expected, _VELOCITY_SIGMA, _SEARCHED_PX, self._shutter)
+
+    def _edge(self, numbers: tuple[int, int], poses: tuple[Pose, Pose], link: PairRegistration | None) -> Edge | None:
         if link is None or not link.observed:
             return None
         moved = self._shutter.displacement(link.warp, poses[1].velocity)
-        covariance = edge_covariance(link, self._spread[0])
+        covariance = edge_covariance(link, _VELOCITY_SIGMA / self._shutter.line_periods_per_frame)
         return Edge(
             *numbers, (moved.row, moved.col), covariance, link.turn, link.zoom, link.turn_sigma, link.certainty > SURE
         )
-
-    @property
-    def _spread(self) -> tuple[float, float]:
-        return (_VELOCITY_SIGMA / self._shutter.line_periods_per_frame + 1e-9,) * 2
 
 
 def edge_covariance(link: PairRegistration, stretch_sigma: float) -> NDArray[np.float64]:

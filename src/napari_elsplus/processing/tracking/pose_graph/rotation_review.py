@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.registration.model_selection import asked_for
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, angle_of, composed, scale_of
 
@@ -33,6 +34,10 @@ _MAX_TESTED: Final = 600
 """Registrations that are tested; chosen: some 0.2 s."""
 _LOOSE: Final = (0.01, 0.01)
 """Standard deviations of stretch and shear; chosen, above what velocities leave open."""
+_VELOCITY_SIGMA_PX: Final = 2.0
+_SHIFT_SIGMA_PX: Final = 8.0
+"""Standard deviations of velocities (per frame period) and of the displacement without a rotation, pixels; chosen,
+above what a rotation that was left out makes."""
 
 
 def review_rotation(links: Sequence[Found], registrar: Registrar, view: Callable[[int], PreparedFrame]) -> MotionModel:
@@ -102,9 +107,8 @@ def _turned(
     turned = link._replace(warp=warp, turn=-angle_of(form), zoom=1 / scale_of(form), turn_sigma=float(more.sigma[0]))
     if abs(turned.turn) > LARGE_TURN:
         velocities = poses[earlier].velocity, poses[later].velocity
-        anew = registrar.turned_link(
-            before, after, (*moved, turned.turn, turned.zoom), velocities, _LOOSE, model, scratch
-        )
+        motion = MotionPrior.between(velocities, moved, _VELOCITY_SIGMA_PX, _SHIFT_SIGMA_PX, shutter)
+        anew = registrar.turned_link(before, after, motion, (turned.turn, turned.zoom), model, scratch)
         turned = turned if anew is None or not anew.observed else anew
     if later == earlier + 1:
         poses[later] = poses[later]._replace(velocity=shutter.velocities(turned.warp)[1])

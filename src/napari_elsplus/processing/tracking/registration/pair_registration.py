@@ -1,45 +1,47 @@
-"""The warp between two frames, with the evidence for it: correlation, covariance, and whether another would do as well.
+"""Registration of two frames: the warp between them, its covariance, and its log posterior odds.
 
-Three stages: from the predicted warp, or else from the best few peaks of a masked correlation over all shifts, down a
-pyramid of Lucas-Kanade steps to full resolution; then the link's rivals are tried, to see whether a shift a few pixels
-away explains the frames as well, as it does along a straight fibre or where there is nothing to see.
+From the expected warp, or else from the best few peaks of a masked correlation over all shifts, down a pyramid of
+Lucas-Kanade steps to full resolution; then against competing shifts.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import hypot, inf, isfinite, nan
+from math import exp, hypot, inf, isfinite, log
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import cv2
 import numpy as np
 
-from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, overlap_of_discs
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, lit_pixels, overlap_of_discs
+from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models as ladder
-from napari_elsplus.processing.tracking.registration.evidence import RIVAL_PX, evidence_between, weakest_direction
 from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
-from napari_elsplus.processing.tracking.registration.pyramid_descent import (
+from napari_elsplus.processing.tracking.registration.odds import (
     CORRELATED_PX,
-    LEVELS,
-    align_candidate,
-    fill_coarser,
-    link_levels,
+    blocks,
+    log_likelihood,
+    log_odds,
+    weakest_direction,
 )
-from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP, ShiftSearch, prior, support
+from napari_elsplus.processing.tracking.registration.pyramid_descent import LEVELS, descend, fill_coarser
+from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP, ShiftSearch, prior
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
 
-LEAST_EVIDENCE: Final = 0.1
-"""Evidence that a link needs against each of its rivals, in nats per pixel."""
-EVIDENCE_AT_REST: Final = 0.2
-"""The same where nothing seems to have moved: what the flat field leaves of the bundle's own pattern never moves."""
-_AT_REST_PX: Final = 2.0
+MIN_ODDS_NATS: Final = 6.0
+"""Log posterior odds from which a registration is accepted: one wrong in 400 if the noise model held; measured by
+``benchmarks.studies.acceptance``."""
+HIGH_PASS_PX: Final = 8.0
+"""Standard deviation of the Gaussian whose result is subtracted from images, pixels of full resolution."""
+COMPETING_PX: Final = 4.0
+"""Distance from which two peaks of the search are different shifts, pixels."""
 _AT_REST: Final = Velocity(0.0, 0.0)
 _TELLING_PX: Final = 0.1
-_SURE: Final = 0.9
 _TURNS: Final = 4
 _SMALL_TURN: Final = 0.004
 """Angle, in radians, up to which one linear step is exact enough: half a pixel at the rim."""
@@ -47,24 +49,18 @@ _SMALL_TURN: Final = 0.004
 
 @dataclass(slots=True)
 class PreparedFrame:
-    """A tracking image at full, half and quarter resolution, and its spectra once they are asked for.
+    """A tracking image, its high-passed pyramid at full, half and quarter resolution, and its spectra once needed.
 
     The arrays belong to the view and are filled anew by :meth:`Registrar.prepare`.
     """
 
+    image: NDArray[np.float32]
     levels: tuple[NDArray[np.float32], ...]
     spectra: NDArray[np.complex64] | None = field(default=None, repr=False)
-    bare: tuple[NDArray[np.float32], ...] | None = field(default=None, repr=False)
-    """The levels without what is smooth in them, once they are asked for."""
-
-    @property
-    def image(self) -> NDArray[np.float32]:
-        """The image at full resolution."""
-        return self.levels[0]
 
 
 class PairRegistration(NamedTuple):
-    """How one frame lies on another.
+    """Registration of a frame on an earlier one.
 
     Parameters
     ----------
@@ -76,44 +72,34 @@ class PairRegistration(NamedTuple):
         Zero-mean normalised correlation of the overlap.
     overlap : float
         Part of the disc that both frames show.
-    evidence : float
-        For this warp and against the best of its rivals, nats per pixel; 0 where frames were looked at again.
+    odds : float
+        Log posterior odds against competing shifts and unrelated frames, nats.
     turn : float
         Angle of the later frame less that of the earlier one, radians.
     zoom : float
         Scale of the later frame over that of the earlier one.
     turn_sigma : float
-        One standard deviation of the angle, and of the scale; infinite where no rotation was asked for.
-    again : float
-        Where frames were looked at again, the evidence then, over what is needed; else nan.
+        One standard deviation of the angle, and of the scale; infinite where no rotation was modelled.
     """
 
     warp: Warp
     information: NDArray[np.float64]
     correlation: float
     overlap: float
-    evidence: float = 0.0
+    odds: float = 0.0
     turn: float = 0.0
     zoom: float = 1.0
     turn_sigma: float = inf
-    again: float = nan
 
     @property
     def observed(self) -> bool:
-        """Whether the frames themselves say that this is the shift, and no other near it."""
-        return self.stands()
-
-    def stands(self, times: float = 1.0) -> bool:
-        """Whether the frames say so with that many times the evidence that is needed."""
-        return self.overlap >= LEAST_OVERLAP and self.certainty >= times
+        """Return True if the shift is accepted."""
+        return self.overlap >= LEAST_OVERLAP and self.odds >= MIN_ODDS_NATS
 
     @property
     def certainty(self) -> float:
-        """How many times the evidence that is needed was found."""
-        if isfinite(self.again):
-            return self.again
-        at_rest = hypot(self.warp.b, self.warp.d) < _AT_REST_PX
-        return self.evidence / (EVIDENCE_AT_REST if at_rest else LEAST_EVIDENCE)
+        """Odds over those that are needed."""
+        return self.odds / MIN_ODDS_NATS
 
     @property
     def sigma(self) -> float:
@@ -122,16 +108,21 @@ class PairRegistration(NamedTuple):
 
     @property
     def tells_turn(self) -> bool:
-        """Whether there is enough in view to tell a turn from a stretch: one or two fibres do not."""
-        return not isfinite(self.again) or self.sigma < _TELLING_PX
+        """Return True if rotation is distinguishable from stretch: with one or two fibres in view it is not."""
+        return self.sigma < _TELLING_PX
+
+    @property
+    def warp_covariance(self) -> NDArray[np.float64]:
+        """(4, 4) covariance of a, b, s, d."""
+        try:
+            return np.ascontiguousarray(np.linalg.inv(self.information))
+        except np.linalg.LinAlgError:
+            return np.full((4, 4), np.inf) * np.eye(4)
 
     @property
     def covariance(self) -> NDArray[np.float64]:
         """(2, 2) covariance of the shift (rows, cols), px squared."""
-        try:
-            return np.ascontiguousarray(np.linalg.inv(self.information)[np.ix_((1, 3), (1, 3))])
-        except np.linalg.LinAlgError:
-            return np.full((2, 2), np.inf) * np.eye(2)
+        return np.ascontiguousarray(self.warp_covariance[np.ix_((1, 3), (1, 3))])
 
 
 class Registrar:
@@ -152,46 +143,104 @@ class Registrar:
         self._middles = tuple(grid.middle(level) for level in range(LEVELS))
         self._centre = self._middles[1], (grid.centre[1] - 0.5) / 2
         self.work = Workspace.of(grid.side)
+        self._sums = blocks(grid.side)
         self._everywhere = ShiftSearch(*self._spans[-1], 2.0 ** (LEVELS - 1))
+        self._inside = [lit_pixels(*grid.spans(1.0, level)).astype(np.float32) for level in (0, LEVELS - 1)]
+        self._weight = np.maximum(_blurred(self._inside[1]), 1e-3)
+        self._smooth = np.zeros_like(self._inside[0])
 
     def view(self) -> PreparedFrame:
         """Return an empty view, to be filled again and again."""
         side = self.grid.side
-        return PreparedFrame(tuple(np.zeros((side >> level, side >> level), np.float32) for level in range(LEVELS)))
+        return PreparedFrame(
+            np.zeros((side, side), np.float32),
+            tuple(np.zeros((side >> level, side >> level), np.float32) for level in range(LEVELS)),
+        )
 
     def prepare(self, view: PreparedFrame) -> PreparedFrame:
-        """Fill the coarser levels from the image at full resolution.
+        """Fill the high-passed pyramid from the image.
 
         Parameters
         ----------
         view : PreparedFrame
             Of which the image was filled.
         """
-        view.spectra = view.bare = None
+        view.spectra = None
+        np.copyto(view.levels[0], view.image)
+        fill_coarser(view.levels)
+        fine, coarse = self._inside
+        low = _blurred(view.levels[-1] * coarse) / self._weight
+        cv2.resize(low, fine.shape[::-1], dst=self._smooth, interpolation=cv2.INTER_LINEAR)
+        np.subtract(view.image, self._smooth, out=view.levels[0])
+        np.multiply(view.levels[0], fine, out=view.levels[0])
         fill_coarser(view.levels)
         return view
 
-    def link(
-        self, earlier: PreparedFrame, later: PreparedFrame, expected: Warp, spread: tuple[float, float]
-    ) -> PairRegistration:
-        """Refine the expected warp and judge the result.
+    def link(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> PairRegistration:
+        """Register two frames from the expected warp.
 
         Parameters
         ----------
         earlier, later : PreparedFrame
             Prepared frames.
-        expected : Warp
-            Where to start.
-        spread : tuple of float
-            Standard deviations beforehand of the stretch a and the shear s about their expected values.
+        motion : MotionPrior
+            Prior of the motion between them.
         """
-        warp, information = np.array(expected, float), np.empty((4, 4))
-        correlation, evidence = link_levels(
-            earlier.levels, later.levels, self._lit, self._middles, (spread[0] ** -2, spread[1] ** -2),
-            warp, information, self.work,
+        return self._refined(earlier, later, motion, motion.warp, LEVELS - 1)
+
+    def _refined(
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp, coarsest: int
+    ) -> PairRegistration:
+        expected, warp, information = np.array(motion.warp), np.array(start, float), np.empty((4, 4))
+        correlation, _ = descend(
+            earlier.levels, later.levels, self._lit, self._middles, coarsest, 0, expected, motion.terms, warp,
+            information, self.work,
         )  # fmt: skip
+        odds = 0.0
+        if correlation > 0:
+            odds = log_odds(
+                earlier.levels[1], later.levels[1], *self._spans[1], self._middles[1], warp, information, expected,
+                motion.terms, self._sums, self.work,
+            )  # fmt: skip
         overlap = overlap_of_discs(hypot(warp[1], warp[3]) / (FIELD * self.grid.diameter))
-        return PairRegistration(Warp(*warp.tolist()), information, correlation, overlap, evidence)
+        return PairRegistration(Warp(*warp.tolist()), information, correlation, overlap, odds)
+
+    def search(
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, reach_px: float
+    ) -> PairRegistration | None:
+        """Register two frames over all shifts; None where no shift is supported at all.
+
+        Parameters
+        ----------
+        earlier, later : PreparedFrame
+            Prepared frames.
+        motion : MotionPrior
+            Prior of the motion between them.
+        reach_px : float
+            Scale of the heavy-tailed prior of the shift.
+        """
+        found: list[tuple[float, Warp]] = []
+        expected, scratch = np.array(motion.warp), np.empty((4, 4))
+        (first, last), middle = self._spans[1], self._middles[1]
+        for b, d in self._everywhere.peaks(self._spectra(earlier), self._spectra(later), motion.warp, reach_px):
+            warp = np.array(motion.at(b, d))
+            correlation, _ = descend(
+                earlier.levels, later.levels, self._lit, self._middles, 1, 1, expected, motion.terms, warp, scratch,
+                self.work,
+            )  # fmt: skip
+            if correlation <= 0:
+                continue
+            at = Warp(*warp.tolist())
+            half = np.array([at.a, at.b / 2, at.s, at.d / 2])
+            nats = log_likelihood(earlier.levels[1], later.levels[1], first, last, middle, half, self._sums)
+            found.append((nats + float(prior(warp[1] - expected[1], warp[3] - expected[3], reach_px)), at))
+        if not found:
+            return None
+        highest, best = max(found)
+        link = self._refined(earlier, later, motion, best, 1)
+        others = [nats for nats, warp in found if hypot(warp.b - best.b, warp.d - best.d) > COMPETING_PX]
+        against = exp(-min(max(link.odds, -700.0), 700.0)) + sum(exp(max(nats - highest, -700.0)) for nats in others)
+        return link._replace(odds=-log(max(against, 1e-300)))
 
     def remainder(
         self,
@@ -212,7 +261,7 @@ class Registrar:
         warp : Warp
             Registered warp.
         spread : tuple of float
-            As in :meth:`link`.
+            Standard deviations of stretch and shear about those of the warp.
         turn : tuple of float
             Rotation that is expected, radians, and its standard deviation.
         """
@@ -247,53 +296,51 @@ class Registrar:
         self,
         earlier: PreparedFrame,
         later: PreparedFrame,
-        expected: tuple[float, float, float, float],
-        velocities: tuple[Velocity, Velocity],
-        spread: tuple[float, float],
+        motion: MotionPrior,
+        rotation: tuple[float, float],
         rung: ladder.MotionModel,
         scratch: PreparedFrame,
         reach_px: float | None = None,
         turn_spread: float = inf,
     ) -> PairRegistration | None:
-        """Refine a warp between frames one of which may be turned against the other.
+        """Register two frames one of which may be rotated against the other.
 
         Parameters
         ----------
         earlier, later : PreparedFrame
             Prepared frames.
-        expected : tuple of float
-            Displacement (row, col) in the later frame's orientation, and its turn and zoom against the earlier one.
-        velocities : tuple of Velocity
-            Of the earlier frame, and what is expected of the later one's.
-        spread : tuple of float
-            As in :meth:`link`.
-        rung : Rung
+        motion : MotionPrior
+            Of the displacement in the later frame's orientation, with the earlier frame's velocity in its own.
+        rotation : tuple of float
+            Expected angle (radians) and scale of the later frame over the earlier one.
+        rung : MotionModel
             What is modelled.
         scratch : PreparedFrame
-            Is filled with the earlier frame, turned.
+            Is filled with the earlier frame, rotated.
         reach_px : float, optional
             All shifts are searched, with a prior of that scale; from what is expected alone by default.
         turn_spread : float
-            Standard deviation of the turn about what is expected, radians. In a view with one fibre a turn and a shift
-            look alike.
+            Standard deviation of the angle about what is expected, radians. In a view with one fibre rotation and
+            shift cannot be distinguished.
 
         Returns
         -------
         PairRegistration or None
             Its warp is the one that frames of the same orientation would have had. None where nothing was found.
         """
-        shutter, before = self.grid.shutter, velocities[0]
-        row, col, turn, zoom = expected
-        start = shutter.warp(_AT_REST, velocities[1], Displacement(row, col))
+        shutter, before = self.grid.shutter, motion.before
+        turn, zoom = rotation
+        motion = motion._replace(before=_AT_REST)
+        start = motion.warp
         link: PairRegistration | None = None
         sigma = inf
         for _ in range(_TURNS):
             upright = self.turned(earlier, before, turn, zoom, scratch)
-            link = self.link(upright, later, start, spread)
-            if reach_px is not None and not (link.observed and link.correlation > _SURE):
-                link = self.search(upright, later, start, spread, reach_px)
-            left = turn - expected[2], turn_spread
-            found = None if link is None else self.remainder(upright, later, link.warp, spread, left)
+            link = self._refined(upright, later, motion, start, LEVELS - 1)
+            if reach_px is not None and not link.observed:
+                link = self.search(upright, later, motion, reach_px)
+            left = turn - rotation[0], turn_spread
+            found = None if link is None else self.remainder(upright, later, link.warp, motion.spread, left)
             if link is None or found is None:
                 return None
             start, form = ladder.composed(link.warp, found.step[rung])
@@ -306,58 +353,12 @@ class Registrar:
         warp = Warp(start.a * stretch, start.b, start.s * stretch + shear, start.d)
         return link._replace(warp=warp, turn=turn, zoom=zoom, turn_sigma=sigma)
 
-    def search(
-        self, earlier: PreparedFrame, later: PreparedFrame, expected: Warp, spread: tuple[float, float], reach_px: float
-    ) -> PairRegistration | None:
-        """Find the warp among all shifts; None where no shift is supported at all.
-
-        Parameters
-        ----------
-        earlier, later : PreparedFrame
-            Prepared frames.
-        expected : Warp
-            What the motion so far suggests; a heavy-tailed prior of scale `reach_px` is centred on it.
-        spread : tuple of float
-            As in :meth:`link`.
-        reach_px : float
-            How far the shift may well be from what is expected.
-        """
-        found: list[tuple[float, float, Warp]] = []
-        first, last = self._spans[1]
-        for shift in self.candidates(earlier, later, expected, reach_px):
-            warp = np.array([expected.a, shift[0], expected.s, shift[1]])
-            ncc, count = align_candidate(
-                earlier.levels[1], later.levels[1], first, last, self._middles[1], warp, self.work
-            )
-            likely = support(np.array(ncc), np.array(count / 4))
-            score = float(likely + prior(warp[1] - expected.b, warp[3] - expected.d, reach_px))
-            if ncc > 0:
-                found.append((score, ncc, Warp(*warp.tolist())))
-        if not found:
-            return None
-        _, ncc, best = max(found)
-        link = self.link(earlier, later, best, spread)
-        others = [o for _, o, w in found if hypot(w.b - best.b, w.d - best.d) > RIVAL_PX]
-        against = min((float(evidence_between(ncc, other)) for other in others), default=np.inf)
-        return link._replace(evidence=min(link.evidence, against))
-
-    def candidates(
-        self, earlier: PreparedFrame, later: PreparedFrame, expected: Warp, reach_px: float
-    ) -> NDArray[np.float64]:
-        """Return the few shifts (b, d) that are most likely among all, best first.
-
-        Parameters
-        ----------
-        earlier, later : PreparedFrame
-            Prepared frames.
-        expected : Warp
-            Predicted warp.
-        reach_px : float
-            Scale of the prior about it, pixels.
-        """
-        return self._everywhere.peaks(self._spectra(earlier), self._spectra(later), expected, reach_px)
-
     def _spectra(self, view: PreparedFrame) -> NDArray[np.complex64]:
         if view.spectra is None:
             view.spectra = self._everywhere.spectra(view.levels[-1])
         return view.spectra
+
+
+def _blurred(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    smooth: NDArray[np.float32] = cv2.GaussianBlur(image, (0, 0), HIGH_PASS_PX / 2 ** (LEVELS - 1))
+    return smooth

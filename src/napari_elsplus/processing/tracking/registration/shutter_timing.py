@@ -51,8 +51,8 @@ def estimate_line_periods_per_frame(
     LinePeriodsPerFrame or None
         None if the motion was too even, or too slow, to say it within 3 %.
     """
-    # where frames were looked at again, stretch and shear were told by the timing that is to be found
-    free = (found for found in links if found[1] == found[0] + 1 and np.isnan(found[3].again))
+    # with little in view stretch and shear come from the prior, which assumes the timing that is to be estimated
+    free = (found for found in links if found[1] == found[0] + 1 and found[3].tells_turn)
     warps = {earlier: link.warp for earlier, _, _, link in free}
     runs = [k for k in warps if k - 1 in warps and k + 1 in warps]
     if len(runs) < _FEWEST:

@@ -1,0 +1,142 @@
+"""Prior of the motion between two frames, and what a registered warp adds to it.
+
+The velocity performs a random walk: white-noise acceleration of variance q per frame period. Velocities (v, w) of both
+frames and the displacement D between them are then jointly Gaussian. Stretch and shear of a warp are differences of the
+velocities, so that a displacement predicts them: in a full view the frames constrain them well by themselves, where one
+fibre is in view they do not, and a free stretch would let it slide along itself. The tails are those of Student's t.
+
+References
+----------
+Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 6.2.2.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
+
+_MIN_STRETCH_SIGMA: Final = 1e-9
+"""Smallest standard deviation of stretch and shear: that of a global shutter."""
+_ROUNDS: Final = 3
+DEGREES_OF_FREEDOM: Final = 4.0
+"""Of Student's t-distribution: hands jerk, so the tails are heavy; chosen, 3 to 6 serve as well."""
+
+
+class MotionPrior(NamedTuple):
+    """Joint prior of both velocities and the displacement.
+
+    Parameters
+    ----------
+    before, after : Velocity
+        Expected velocities of the earlier and the later frame, pixels per frame period.
+    displacement : Displacement
+        Expected displacement.
+    covariance : numpy.ndarray
+        (3, 3) covariance of earlier velocity, displacement and later velocity, the same for rows and columns.
+    shutter : RollingShutter
+        Timing of the rows.
+    """
+
+    before: Velocity
+    after: Velocity
+    displacement: Displacement
+    covariance: NDArray[np.float64]
+    shutter: RollingShutter
+
+    @property
+    def warp(self) -> Warp:
+        """Expected warp."""
+        return self.shutter.warp(self.before, self.after, self.displacement)
+
+    @property
+    def terms(self) -> tuple[float, float, float]:
+        """Information on stretch (and shear) at a given shift, its slope with the shift, and 1 / variance of that."""
+        variance, of_shift, both = self._of_differences()
+        rows = self.shutter.line_periods_per_frame
+        conditional = max(variance - both * both / of_shift, 0.0) ** 0.5 / rows + _MIN_STRETCH_SIGMA
+        return conditional**-2, both / of_shift / rows, 1 / of_shift
+
+    @property
+    def spread(self) -> tuple[float, float]:
+        """Standard deviations of stretch and shear at a given shift."""
+        return (self.terms[0] ** -0.5,) * 2
+
+    @classmethod
+    def between(
+        cls, velocities: tuple[Velocity, Velocity], displacement: Displacement, velocity_sigma: float,
+        displacement_sigma: float, shutter: RollingShutter,
+    ) -> MotionPrior:  # fmt: skip
+        """Return the prior of two frames whose velocities and positions are estimated independently.
+
+        Parameters
+        ----------
+        velocities : tuple of Velocity
+            Of the earlier and the later frame.
+        displacement : Displacement
+            Expected between them.
+        velocity_sigma, displacement_sigma : float
+            Standard deviations, pixels per frame period and pixels.
+        shutter : RollingShutter
+            Timing of the rows.
+        """
+        covariance = np.diag([velocity_sigma**2, displacement_sigma**2, velocity_sigma**2])
+        return cls(*velocities, displacement, covariance, shutter)
+
+    def _of_differences(self) -> tuple[float, float, float]:
+        """Variances of the difference of the velocities and of the shift, and their covariance."""
+        c = self.covariance
+        return c[0, 0] + c[2, 2] - 2 * c[0, 2], c[1, 1], c[1, 2] - c[0, 1]
+
+    def at(self, b: float, d: float) -> Warp:
+        """Return the expected warp at another shift in rows and columns, pixels."""
+        a, b0, s, d0 = self.warp
+        slope = self.terms[1]
+        return self.warp._replace(a=a + slope * (b - b0), b=b, s=s + slope * (d - d0), d=d)
+
+    def later_velocity(self, warp: Warp, covariance: NDArray[np.float64]) -> tuple[Velocity, float]:
+        """Return the later frame's velocity given a registered warp, and its variance (larger axis).
+
+        Parameters
+        ----------
+        warp : Warp
+            From the earlier to the later frame.
+        covariance : numpy.ndarray
+            (4, 4) covariance of a, b, s, d.
+        """
+        variance, of_shift, both = self._of_differences()
+        c, rows = self.covariance, self.shutter.line_periods_per_frame
+        # regression of the later velocity on the difference of the velocities (earlier - later) and on minus the shift
+        of = np.array([[variance, both], [both, of_shift]])
+        with_later = np.array([c[0, 2] - c[2, 2], -c[1, 2]])
+        if not isfinite(rows):
+            of[0, 1] = of[1, 0] = with_later[0] = 0.0
+        of[0, 0] += 1e-12
+        slopes = np.linalg.solve(of, with_later)
+        scale = np.array([rows if isfinite(rows) else 0.0, 1.0])
+        after = self.after
+        for _ in range(_ROUNDS):  # the displacement depends on the later velocity
+            moved = self.shutter.displacement(warp, after)
+            gained = Velocity(0.0, 0.0)
+            if isfinite(rows):
+                before = Velocity(rows * (warp.a * (1 + after.row / rows) - 1), warp.s * rows + warp.a * after.col)
+                gained = Velocity(before.row - after.row, before.col - after.col)
+            expected = Velocity(self.before.row - self.after.row, self.before.col - self.after.col)
+            miss = np.array([np.subtract(gained, expected), np.subtract(self.displacement, moved)]).T
+            row, col = miss @ slopes
+            after = Velocity(self.after.row + float(row), self.after.col + float(col))
+        spread = max(
+            float((slopes * scale) @ covariance[k : k + 2, k : k + 2] @ (slopes * scale)) for k in (0, 2)
+        )
+        surprise = float((np.linalg.solve(of, miss.T) * miss.T).sum())
+        left = max(float(c[2, 2] - slopes @ with_later), 0.0)
+        left *= (DEGREES_OF_FREEDOM + surprise) / (DEGREES_OF_FREEDOM + 4)
+        return after, left + spread

@@ -1,0 +1,338 @@
+"""Log posterior odds of a registered warp against competing shifts, in nats of the whole frame.
+
+Along a straight fibre or in an empty view a correlation can be high and its shift wrong. A warp is therefore compared
+with unrelated frames, with a shift just wrong, and with others farther away along the direction in which the shift is
+constrained least, everything else fitted under the motion prior. Each block of pixels has contrast and noise of its
+own: with n independent values and the normalised correlation r of the high-passed frames, a block contributes
+n / 2 ln(1 / (1 - r^2)) above unrelated frames. A bright, even fibre therefore does not drown its end, which alone
+constrains the shift along it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.processing.compiled import lean_kernel
+from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
+from napari_elsplus.processing.tracking.motion.motion_prior import DEGREES_OF_FREEDOM
+from napari_elsplus.processing.tracking.registration.lucas_kanade import align
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
+
+CORRELATED_PX: Final = 20.0
+"""Pixels of full resolution for each independent noise value: the front end smooths over 13, interpolation over more."""
+BLOCK_PX: Final = 8
+"""Side of the blocks, pixels of half resolution."""
+_FLOOR_DN2: Final = 0.3
+_FLOOR_SHARE: Final = 0.03
+"""Variance of the static pattern that flat-fielding leaves, which is no evidence: squared grey levels, and as a share
+of the brightest block's variance."""
+_COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0)
+"""Distances of competing shifts, pixels of full resolution."""
+_NEAR_PX: Final = 2.0
+"""Distance of the nearest competing shift, whose likelihood follows from the shared curvature: just wrong."""
+_STEPS: Final = 2
+_HELD: Final = 1e8
+"""Information that holds a competing shift where it is, 1 / px^2."""
+_ROW_STEP: Final = 2
+
+
+def blocks(side: int) -> NDArray[np.float64]:
+    """Return scratch for the sums of every block, for frames of that side at full resolution."""
+    across = -(-(side // 2) // BLOCK_PX)
+    return np.zeros((4, across * across))
+
+
+@lean_kernel
+def log_likelihood(
+    template: NDArray[np.float32],
+    image: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle: float,
+    warp: NDArray[np.float64],
+    sums: NDArray[np.float64],
+) -> float:
+    """Return the log-likelihood of a warp above that of unrelated frames, nats.
+
+    Parameters
+    ----------
+    template, image : numpy.ndarray
+        (n, n) float32 high-passed frames of half resolution.
+    first, last : numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
+    middle : float
+        Row of the bundle's centre.
+    warp : numpy.ndarray
+        (4,) a, b, s, d in pixels of half resolution.
+    sums : numpy.ndarray
+        From :func:`blocks`.
+    """
+    height = template.shape[0]
+    across = (height + BLOCK_PX - 1) // BLOCK_PX
+    sums[:] = 0.0
+    for row in range(height):
+        above, down, whole, aside, begin, end = row_shift(row, height, middle, warp, first, last)
+        if end <= begin:
+            continue
+        weights = bilinear(down, aside)
+        corners = neighbours(image, above, begin + whole, end - begin)
+        col = begin
+        while col < end:
+            block = row // BLOCK_PX * across + col // BLOCK_PX
+            stop = min(end, (col // BLOCK_PX + 1) * BLOCK_PX)
+            zero = np.float32(0)
+            tt, ii, ti = zero, zero, zero
+            for k in range(col, stop):
+                t, i = template[row, k], between(corners, weights, k - begin)
+                tt += t * t
+                ii += i * i
+                ti += t * i
+            sums[0, block] += stop - col
+            sums[1, block] += float(tt)
+            sums[2, block] += float(ii)
+            sums[3, block] += float(ti)
+            col = stop
+    floor, nats = noise_floor(sums), 0.0
+    for block in range(sums.shape[1]):
+        n, ti = sums[0, block], sums[3, block]
+        if n > 0 and ti > 0:
+            r = ti / np.sqrt((sums[1, block] + n * floor) * (sums[2, block] + n * floor))
+            nats -= 0.5 * n / (CORRELATED_PX / 4) * np.log(1 - r * r)
+    return float(nats)
+
+
+@lean_kernel
+def shared_curvature(
+    template: NDArray[np.float32],
+    image: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle: float,
+    warp: NDArray[np.float64],
+    down: float,
+    aside: float,
+    gain: float,
+    sums: NDArray[np.float64],
+) -> float:
+    """Return the information on a shift along one direction from structure that both frames contain, 1 / px^2.
+
+    Lucas-Kanade squares the slopes of one frame, in which noise passes for structure along a fibre. The noise of two
+    frames is independent: products of the slopes of one and of the other contain structure only.
+
+    Parameters
+    ----------
+    template, image, first, last, middle, warp
+        As in :func:`log_likelihood`.
+    down, aside : float
+        Unit vector (rows, cols).
+    gain : float
+        Of the image over the template.
+    sums : numpy.ndarray
+        As :func:`log_likelihood` has left it for this warp.
+    """
+    height, total = template.shape[0], 0.0
+    across = (height + BLOCK_PX - 1) // BLOCK_PX
+    floor = noise_floor(sums)
+    for row in range(1, height - 1):
+        above, under, whole, beside, begin, end = row_shift(row, height, middle, warp, first, last)
+        begin, end = begin + 1, end - 1
+        if end <= begin or above < 1 or above + 2 >= height:
+            continue
+        weights, size = bilinear(under, beside), end - begin
+        at = begin + whole
+        upper, lower = neighbours(image, above - 1, at, size), neighbours(image, above + 1, at, size)
+        before, after = neighbours(image, above, at - 1, size), neighbours(image, above, at + 1, size)
+        for k in range(size):
+            col = begin + k
+            block = row // BLOCK_PX * across + col // BLOCK_PX
+            n = sums[0, block]
+            noise = sums[2, block] + gain * (gain * sums[1, block] - 2 * sums[3, block]) + n * floor
+            of_template = down * (template[row + 1, col] - template[row - 1, col])
+            of_template += aside * (template[row, col + 1] - template[row, col - 1])
+            of_image = down * (between(lower, weights, k) - between(upper, weights, k))
+            of_image += aside * (between(after, weights, k) - between(before, weights, k))
+            total += gain * of_template * of_image * n / noise
+    # central differences over two pixels of half resolution, of which each is two of full resolution
+    return float(total / 16 / (CORRELATED_PX / 4))
+
+
+@lean_kernel
+def noise_floor(sums: NDArray[np.float64]) -> float:
+    """Return the variance that is no evidence, squared grey levels, from sums of :func:`log_likelihood`."""
+    brightest = 0.0
+    for block in range(sums.shape[1]):
+        if sums[0, block] > BLOCK_PX:
+            brightest = max(brightest, sums[1, block] / sums[0, block])
+    return _FLOOR_DN2 + _FLOOR_SHARE * brightest
+
+
+@lean_kernel
+def write_prior(px: float, terms: tuple[float, float, float], weight: float, out: NDArray[np.float64]) -> None:
+    """Write the information of the motion prior on a, b, s, d.
+
+    Parameters
+    ----------
+    px : float
+        Size of the pixels, in pixels of full resolution.
+    terms : tuple of float
+        :attr:`~.motion_prior.MotionPrior.terms`.
+    weight : float
+        From :func:`prior_weight`.
+    out : numpy.ndarray
+        (4, 4) float64 or larger, filled.
+    """
+    tie, slope = weight * terms[0], px * terms[1]
+    out[:] = 0.0
+    for k in (0, 2):
+        out[k, k] = tie
+        out[k, k + 1] = out[k + 1, k] = -tie * slope
+        out[k + 1, k + 1] = tie * slope * slope
+
+
+@lean_kernel
+def prior_terms(
+    warp: NDArray[np.float64], expected: NDArray[np.float64], terms: tuple[float, float, float]
+) -> tuple[float, float]:
+    """Return the weight of the motion prior at a warp, and minus its logarithm over that of the expected warp, nats.
+
+    The prior is Student's t-distribution of shift, stretch and shear; the weight is that of the Gaussian that has its
+    slope there.
+
+    Parameters
+    ----------
+    warp, expected : numpy.ndarray
+        (4,) a, b, s, d, pixels of full resolution.
+    terms : tuple of float
+        :attr:`~.motion_prior.MotionPrior.terms`.
+    """
+    tie, slope, of_shift = terms
+    down, across = warp[1] - expected[1], warp[3] - expected[3]
+    stretch, shear = warp[0] - expected[0] - slope * down, warp[2] - expected[2] - slope * across
+    surprise = of_shift * (down * down + across * across) + tie * (stretch * stretch + shear * shear)
+    freedom = DEGREES_OF_FREEDOM + 4
+    return freedom / (DEGREES_OF_FREEDOM + surprise), float(0.5 * freedom * np.log1p(surprise / DEGREES_OF_FREEDOM))
+
+
+@lean_kernel
+def log_odds(
+    template: NDArray[np.float32],
+    image: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle: float,
+    warp: NDArray[np.float64],
+    information: NDArray[np.float64],
+    expected: NDArray[np.float64],
+    terms: tuple[float, float, float],
+    sums: NDArray[np.float64],
+    work: Workspace,
+) -> float:
+    """Return the log odds of a warp against competing ones along its weakest direction, nats; at most 700.
+
+    Parameters
+    ----------
+    template, image, first, last, middle, sums
+        As in :func:`log_likelihood`.
+    warp, information : numpy.ndarray
+        (4,) registered warp in pixels of full resolution, and its (4, 4) information.
+    expected, terms
+        As in :func:`prior_terms`.
+    work : Workspace
+        For frames of this size or larger.
+    """
+    _, down, across, a_follows, s_follows = weakest_direction(information)
+    if down == 0.0 and across == 0.0:
+        return 0.0
+    equations = work.equations
+    held, scratch, rival, start, full = equations[3], equations[4], equations[5, 0], equations[5, 1], equations[5, 2]
+    in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), start)
+    found = log_likelihood(template, image, first, last, middle, start, sums) - prior_terms(warp, expected, terms)[1]
+    shared = shared_curvature(
+        template, image, first, last, middle, start, down, across, work.tone[2], sums
+    )
+    against = np.exp(-0.5 * _NEAR_PX * _NEAR_PX * max(shared, 0.0)) + np.exp(-found)
+    for px in _COMPETITORS_PX:
+        b, d = warp[1] + px * down, warp[3] + px * across
+        full[0], full[1] = warp[0] + px * a_follows, b
+        full[2], full[3] = warp[2] + px * s_follows, d
+        write_prior(2.0, terms, prior_terms(full, expected, terms)[0], held)
+        # the prior's centre for this shift, at which it is held
+        slope = terms[1]
+        in_pixels_of(
+            2.0, (expected[0] + slope * (b - expected[1]), b, expected[2] + slope * (d - expected[3]), d), start
+        )
+        held[1, 1] += 4 * _HELD * down * down
+        held[1, 3] += 4 * _HELD * down * across
+        held[3, 1] += 4 * _HELD * down * across
+        held[3, 3] += 4 * _HELD * across * across
+        in_pixels_of(2.0, (full[0], full[1], full[2], full[3]), rival)
+        align(
+            template, image, first, last, middle, _ROW_STEP, _STEPS, 0.02, False, start, held,
+            CORRELATED_PX / 4 / _ROW_STEP, rival, scratch, work,
+        )  # fmt: skip
+        other = log_likelihood(template, image, first, last, middle, rival, sums)
+        in_pixels_of(0.5, (rival[0], rival[1], rival[2], rival[3]), full)
+        other -= prior_terms(full, expected, terms)[1]
+        against += np.exp(min(max(other - found, -700.0), 700.0))
+    return float(-np.log(max(against, 1e-300)))
+
+
+@lean_kernel
+def in_pixels_of(px: float, warp: tuple[float, ...], out: NDArray[np.float64]) -> None:
+    """Write a warp in pixels of another size.
+
+    Parameters
+    ----------
+    px : float
+        Size of the other pixels, in present ones.
+    warp : tuple of float
+        a, b, s, d.
+    out : numpy.ndarray
+        (4,) float64, filled.
+    """
+    out[0], out[1], out[2], out[3] = warp[0], warp[1] / px, warp[2], warp[3] / px
+
+
+@lean_kernel
+def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
+    """How well a shift is known in the direction in which it is known least.
+
+    Returns one standard deviation in pixels, the direction (rows, cols), and what stretch and shear do per pixel along
+    it; infinite and zero where nothing is known.
+
+    Parameters
+    ----------
+    information : numpy.ndarray
+        (4, 4) inverse covariance of a, b, s, d.
+    """
+    aa, shear, ss = information[0, 0], information[0, 2], information[2, 2]
+    determinant = aa * ss - shear * shear
+    if not determinant > 0:
+        return np.inf, 0.0, 0.0, 0.0, 0.0
+    # how stretch and shear make up for a shift; what is left is known of the shift itself
+    ab, sb, ad, sd = information[0, 1], information[2, 1], information[0, 3], information[2, 3]
+    a_row, s_row = -(ss * ab - shear * sb) / determinant, -(aa * sb - shear * ab) / determinant
+    a_col, s_col = -(ss * ad - shear * sd) / determinant, -(aa * sd - shear * ad) / determinant
+    rows = information[1, 1] + ab * a_row + sb * s_row
+    both = information[1, 3] + ab * a_col + sb * s_col
+    cols = information[3, 3] + ad * a_col + sd * s_col
+    if not (rows > 0 and cols > 0):
+        return np.inf, 0.0, 0.0, 0.0, 0.0
+    angle = 0.5 * np.arctan2(2 * both, rows - cols)  # of the direction known best
+    across, along = -np.sin(angle), np.cos(angle)
+    known = across * across * rows + 2 * across * along * both + along * along * cols
+    return (
+        1 / np.sqrt(known) if known > 0 else np.inf,
+        across,
+        along,
+        a_row * across + a_col * along,
+        s_row * across + s_col * along,
+    )
+
+
