@@ -17,7 +17,8 @@ from benchmarks.harness.peers import peer
 from benchmarks.rigs.simulated import SimulatedRig, StopAndGo, jumps, simulated_rig, tissue
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
 from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP
 from napari_elsplus.processing.tracking.template_tracking import TEMPLATE_PX
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 WRONG_PX = 3.0
 """Pixels of the tracking images. A shift this far off is no registration: the frame would lie in the wrong place."""
 _PREDICTION_PX = 3.0
-_SPREAD = (1e-3, 1e-3)
+_VELOCITY_PX = 0.2
 
 
 class Pair(NamedTuple):
@@ -97,15 +98,19 @@ class _Ours:
     def predicted(self, pair: Pair) -> Shift:
         """Start at the prediction; search all shifts where the frames do not bear it out."""
         earlier, later = self._views(pair)
-        expected = Warp(b=-pair.expected[0], d=-pair.expected[1])
-        link = self._registrar.link(earlier, later, expected, _SPREAD)
+        motion = self._motion((float(pair.expected[0]), float(pair.expected[1])), _PREDICTION_PX)
+        link = self._registrar.link(earlier, later, motion)
         if link.observed and link.correlation > 0.9:
             return _shift(link)
-        return _shift(self._registrar.search(earlier, later, expected, _SPREAD, 8.0))
+        return _shift(self._registrar.search(earlier, later, motion, _PREDICTION_PX))
 
     def searched(self, pair: Pair) -> Shift:
         """Search all shifts."""
-        return _shift(self._registrar.search(*self._views(pair), Warp(), _SPREAD, self._reach))
+        return _shift(self._registrar.search(*self._views(pair), self._motion((0.0, 0.0), self._reach), self._reach))
+
+    def _motion(self, displacement: tuple[float, float], sigma_px: float) -> MotionPrior:
+        at_rest, shutter = Velocity(0.0, 0.0), self._registrar.grid.shutter
+        return MotionPrior.between((at_rest, at_rest), Displacement(*displacement), _VELOCITY_PX, sigma_px, shutter)
 
     def _views(self, pair: Pair) -> tuple[PreparedFrame, PreparedFrame]:
         self._earlier.image[:], self._later.image[:] = pair.earlier, pair.later

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -14,12 +13,10 @@ from benchmarks.documents.pages import fill, require_marks
 from benchmarks.harness.methods import Absent
 from benchmarks.parsimony.turning import Turned, Walk, follow
 from benchmarks.stability.pairs import SCENES, Statistics, cases, statistics
+from benchmarks.studies.acceptance import HELD_OUT_SEEDS, ROWS, acceptance_table
 from benchmarks.studies.drift import Drift, drift
-from benchmarks.studies.gate import Gate, Judged, gate, judged_links
 from benchmarks.studies.mosaicing import TRANSLATION, Outcome, Scenario, outcomes
 from napari_elsplus.processing.tracking.registry import Method
-from napari_elsplus.processing.tracking.tracker import SURE_CORRELATION
-from napari_elsplus.simulation.accuracy import WRONG_PX
 from napari_elsplus.workflows.pictures.files import save_figure
 
 if TYPE_CHECKING:
@@ -27,8 +24,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.axes import Axes
-
-    Curve = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
 FAST: Final = Scenario("fibres", "spiral", 16_000.0, 80)
 SCENARIOS: Final = (
@@ -38,10 +33,6 @@ SCENARIOS: Final = (
     Scenario("fibres", "hand", 300.0, 120),
     Scenario("sparse", "spiral", 8_000.0, 80),
 )
-JUDGED_FRAMES: Final = 40
-SEEDS: Final = range(200, 216)
-"""None of those on which the limits of the second look were settled, 0 to 11 and 100 to 111."""
-FIBRES: Final = (180, 60)
 WALKS: Final = tuple(
     Walk(scene, path, speed_um_s, turn_deg_s, 120, seed=2)
     for scene, path, speed_um_s in (
@@ -90,16 +81,6 @@ def _methods(images: Path, quick: bool) -> list[str]:
     return table(measured)
 
 
-def _gate(images: Path, quick: bool) -> list[str]:
-    ways = [(count, jerks) for count in FIBRES for jerks in (False, True)]
-    links = {
-        (count, jerks): judged_links(JUDGED_FRAMES, SEEDS[: 1 if quick else None], count, jerks=jerks)
-        for count, jerks in ways
-    }
-    save_figure(draw_gate(links), images / "mosaicing-gate.png", force=True)
-    return gate_table({which: gate(found) for which, found in links.items()})
-
-
 def many_pairs(count: int) -> dict[str, dict[str, Statistics]]:
     """Register many pairs of each scene by each method that is installed: method to scene to statistics."""
     every = cases(quick=False, count=count)
@@ -134,55 +115,6 @@ def draw_errors(made: dict[str, Outcome]) -> Figure:
     return figure
 
 
-def draw_gate(found: dict[tuple[int, bool], list[Judged]]) -> Figure:
-    """Draw the error of registrations against their evidence, and the characteristic of the acceptance test."""
-    figure = Figure(figsize=(12, 3.6), layout="constrained")
-    dots, *panels = figure.subplots(1, 3)
-    every = _columns(list(chain(*found.values())))
-    told = every["told"] > 0
-    certainty = np.maximum(every["certainty"], 1e-2)
-    for shown, colour, label in ((told, "C0", "the frames tell the shift"), (~told, "C1", "they do not")):
-        at = certainty[shown], every["error_px"][shown]
-        dots.loglog(*at, ".", color=colour, markersize=3, label=label)
-    dots.axvline(1, color="black", linewidth=0.8)
-    dots.set(xlabel="evidence / what is needed", ylabel="error of the link (camera px)")
-    dots.legend(frameon=False, fontsize=8)
-    for axes, jerks in zip(panels, (False, True), strict=True):
-        for (fibres, jerky), links in found.items():
-            if jerky is not jerks:
-                continue
-            for curve, (caught, kept) in characteristics(links).items():
-                style = {"correlation": ":", "at first sight": "--"}.get(curve, "-")
-                axes.plot(kept, caught, style, color=f"C{FIBRES.index(fibres)}", label=f"{fibres} fibres, {curve}")
-        axes.plot([95, 100, 100], [99, 99, 100], color="black", linewidth=0.8)
-        axes.set(
-            xlim=(60, 100), ylim=(80, 100.4), title="jerky" if jerks else "smooth", xlabel="right links kept (%)",
-            ylabel="wrong links caught (%)",
-        )  # fmt: skip
-    panels[0].legend(frameon=False, fontsize=7, loc="lower left")
-    return figure
-
-
-def _columns(links: list[Judged]) -> dict[str, Curve]:
-    return dict(zip(Judged._fields, np.array(links, float).T, strict=True))
-
-
-def characteristics(links: list[Judged]) -> dict[str, tuple[Curve, Curve]]:
-    """Percent of the wrong links caught, and of the right ones kept, at every limit on three measures of a link."""
-    of = _columns(links)
-    curves = {}
-    for name, measure, error in (
-        ("correlation", of["correlation"], of["first_error_px"]),
-        ("at first sight", of["first_certainty"], of["first_error_px"]),
-        ("in the end", np.where(of["last_correlation"] > SURE_CORRELATION, of["certainty"], -np.inf), of["error_px"]),
-    ):
-        wrong, right = measure[error > WRONG_PX], measure[(error < WRONG_PX / 2) & (of["told"] > 0)]
-        limits = np.quantile(right, np.linspace(0, 1, 201), method="lower")
-        caught = [100 * float((wrong < limit).mean()) for limit in limits] if len(wrong) else [100.0] * len(limits)
-        curves[name] = np.array(caught), np.array([100 * float((right >= limit).mean()) for limit in limits])
-    return curves
-
-
 def table(measured: dict[Scenario, dict[str, Outcome]]) -> list[str]:
     """Lines of the page's table."""
     lines = [
@@ -214,25 +146,6 @@ def pairs_table(found: dict[str, dict[str, Statistics]]) -> list[str]:
         cells = [f"{s.failed_percent:.1f} %, {s.silent_percent:.1f} %; {s.rms_px:.3f}" for s in of.values()]
         lines.append(f"| {method} | {sum(s.pairs for s in of.values())} | {' | '.join(cells)} |")
     return lines
-
-
-def gate_table(found: dict[tuple[int, bool], Gate]) -> list[str]:
-    """Return the table of rejected and kept registrations."""
-    lines = [
-        "| scene, motion | wrong links | caught | right links | kept | without a second look: caught | kept |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for (fibres, jerks), g in found.items():
-        lines.append(
-            f"| {fibres} fibres, {'jerky' if jerks else 'smooth'} | {g.wrong} | {_percent(g.caught_percent)} "
-            f"| {g.right} | {_percent(g.kept_percent)} | {_percent(g.first_caught_percent)} "
-            f"| {_percent(g.first_kept_percent)} |"
-        )
-    return lines
-
-
-def _percent(part: float) -> str:
-    return f"{part:.1f} %" if np.isfinite(part) else "-"
 
 
 def turning_table(found: dict[Walk, Turned]) -> list[str]:
@@ -278,7 +191,9 @@ def drift_table(found: dict[tuple[str, bool], Drift]) -> list[str]:
 
 TABLES: Final[dict[str, Callable[[Path, bool], list[str]]]] = {
     "methods": _methods,
-    "gate": _gate,
+    "acceptance": lambda _, quick: acceptance_table(
+        ROWS[:1] if quick else ROWS, HELD_OUT_SEEDS[: 1 if quick else None]
+    ),
     "pairs": lambda _, quick: pairs_table(many_pairs(4 if quick else PAIRS)),
     "drift": lambda _, quick: drift_table(
         {

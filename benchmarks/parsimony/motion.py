@@ -14,7 +14,8 @@ from benchmarks.harness.methods import Benchmark, Case, Chart, Judgement, Method
 from benchmarks.rigs.simulated import simulated_rig, tissue
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.tracking.front_end.grid import Grid
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
+from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
 from napari_elsplus.simulation.specimen.trajectories import Straight, Trajectory, trajectory
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
 
 WRONG_PX = 1.0
-_RIGID = (1e-9, 1e-9)
+_RIGID_PX, _FREE_PX, _SHIFT_PX = 1e-7, 6.0, 8.0
 
 
 class Step(NamedTuple):
@@ -80,8 +81,11 @@ class _Linked:
         v, shutter = item.velocity, self._grid.shutter
         steady = shutter.warp(v, v, shutter.step(v, v))
         if self._rigid:
-            return self._registrar.link(*views, Warp(b=steady.b, d=steady.d), _RIGID)
-        return self._registrar.link(*views, steady, (0.03, 0.03))
+            at_rest, shift = Velocity(0.0, 0.0), Displacement(-steady.b, -steady.d)
+            motion = MotionPrior.between((at_rest, at_rest), shift, _RIGID_PX, _SHIFT_PX, shutter)
+        else:
+            motion = MotionPrior.between((v, v), shutter.step(v, v), _FREE_PX, _SHIFT_PX, shutter)
+        return self._registrar.link(*views, motion)
 
     def uncorrected(self, item: Step) -> tuple[float, float]:
         warp = self._link(item).warp

@@ -1,11 +1,13 @@
 """Acceptance of registrations by the tracker itself, on whole recordings of rich, sparse, jerky and jolted motion.
 
 Every frame goes through :class:`~napari_elsplus.processing.tracking.tracker.Tracker` as it does live, with the motion
-prior that the tracker has built up by then. Counted are right registrations that it keeps and wrong ones that it accepts.
+prior that the tracker has built up by then. Counted are right registrations that it keeps, and wrong ones that it
+accepts.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -183,7 +185,8 @@ def jolted(rig: SimulatedRig, frames: int, seed: int) -> Recorded:
     t = np.arange(0, frames + 2, 1 / 16)
     times_s = t * rig.instrument.optics.frame_period_s
     path_um = HandHeld(_SPEED_UM_S, seed=seed).positions_um(times_s)
-    for begin in np.arange(_JOLT_EVERY, frames, _JOLT_EVERY) + random.uniform(-2, 2, len(range(_JOLT_EVERY, frames, _JOLT_EVERY))):
+    for begin in np.arange(_JOLT_EVERY, frames, _JOLT_EVERY) + 0.0:
+        begin += random.uniform(-2, 2)
         angle, px = random.uniform(0, 2 * np.pi), random.uniform(*_JOLTS_PX)
         done = np.clip(t - begin, 0, 1)
         done = done**2 * (3 - 2 * done)
@@ -265,7 +268,7 @@ def change_of_view(looked_at: Scene, places: NDArray[np.float64], grid: Grid, um
     reach = np.arange(-int(radius) - 4, int(radius) + 5, dtype=np.float64)
     y, x = np.meshgrid(reach, reach, indexing="ij")
     changes = []
-    for before, after in zip(places[:-1], places[1:], strict=True):
+    for before, after in itertools.pairwise(places):
         (row, col), (down, across) = (before + after) / 2, (after - before) / 2
         view = texture.sample((row + reach) * um_per_px, (col + reach) * um_per_px)
         seen = cv2.GaussianBlur(np.asarray(view, np.float32), (0, 0), _CORE_PX)
@@ -284,7 +287,7 @@ def tracked(recording: TruePath, grid: Grid) -> Counts:
         poses.append(tracker.add())
     true, errors, normalised = recording.positions, [], []
     right = set()
-    for earlier, later, moved, link in tracker.links:
+    for earlier, later, moved, _link in tracker.links:
         miss = np.array(moved) - (true[later] - true[earlier])
         errors.append(float(np.hypot(*miss)) * grid.binning)
         normalised.append(float(np.hypot(*miss)) / max(poses[later].sigma, 1e-6))
@@ -311,12 +314,36 @@ def tracked(recording: TruePath, grid: Grid) -> Counts:
 
 def total(counts: Iterable[Counts]) -> Counts:
     """Return the counts of several recordings together."""
-    columns = list(zip(*counts, strict=True))
-    sums = [np.concatenate(c) if isinstance(c[0], np.ndarray) else sum(c) for c in columns]
-    return Counts(*sums)
+    every = list(counts)
+    return Counts(
+        sum(c.countable for c in every), sum(c.kept for c in every), sum(c.accepted for c in every),
+        sum(c.wrong for c in every), np.concatenate([c.errors_px for c in every]),
+        np.concatenate([c.normalised for c in every]), sum(c.drift_px for c in every), sum(c.path_px for c in every),
+        sum(c.segments for c in every),
+    )  # fmt: skip
 
 
 def measure(row: Row, seeds: Iterable[int] = HELD_OUT_SEEDS, frames: int = FRAMES) -> Counts:
     """Track the recordings of a row."""
     grid = grid_of(row)
     return total(tracked(recorded(row, seed, frames), grid) for seed in seeds)
+
+
+def acceptance_table(rows: Iterable[Row] = ROWS, seeds: Iterable[int] = HELD_OUT_SEEDS) -> list[str]:
+    """Return the lines of a table of all rows."""
+    lines = [
+        "| scene, motion, frame rate | pairs | kept | registrations accepted | wrong | median error (px) "
+        "| rms error over stated standard deviation | drift (% of path) | segments |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    chosen = list(seeds)
+    for row in rows:
+        c = measure(row, chosen)
+        median, scatter = (
+            (float(np.median(c.errors_px)), float(np.sqrt(np.mean(c.normalised**2) / 2))) if c.accepted else (0.0, 0.0)
+        )
+        lines.append(
+            f"| {row} | {c.countable} | {100 * c.kept / max(c.countable, 1):.1f} % | {c.accepted} | {c.wrong} "
+            f"| {median:.3f} | {scatter:.2f} | {100 * c.drift_px / max(c.path_px, 1e-9):.3f} | {c.segments} |"
+        )
+    return lines

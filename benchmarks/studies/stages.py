@@ -11,9 +11,8 @@ from benchmarks.harness.running import thread_clock
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
-from napari_elsplus.processing.tracking.registration.evidence import rival_evidence
+from napari_elsplus.processing.tracking.registration.odds import log_odds
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
-from napari_elsplus.processing.tracking.registration.pyramid_descent import CORRELATED_PX
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.tracking.front_end.grid import Grid
-    from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
     from napari_elsplus.processing.tracking.template_tracking import TemplateTracker
 
     Image = NDArray[np.float32] | NDArray[np.uint8]
@@ -57,21 +56,19 @@ class _TimedRegistrar(Registrar):
             self.spent[LINK] += self._clock() - start
         return view
 
-    def link(
-        self, earlier: PreparedFrame, later: PreparedFrame, expected: Warp, spread: tuple[float, float]
-    ) -> PairRegistration:
-        """Time a link, and its rivals once more by themselves."""
+    def link(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> PairRegistration:
+        """Time a registration, and its odds once more by themselves."""
         start = self._clock()
-        link = super().link(earlier, later, expected, spread)
+        link = super().link(earlier, later, motion)
         whole = self._clock() - start
         if self._searching:
             return link
         (first, last), middle = self._half
-        warp, work, stiffness = np.array(link.warp), self.work, (spread[0] ** -2, spread[1] ** -2)
+        warp, expected = np.array(link.warp), np.array(motion.warp)
         begin = self._clock()
-        rival_evidence(
-            earlier.levels[1], later.levels[1], first, last, middle, warp, link.information, stiffness,
-            CORRELATED_PX / 8, work,
+        log_odds(
+            earlier.levels[1], later.levels[1], first, last, middle, warp, link.information, expected, motion.terms,
+            self._sums, self.work,
         )  # fmt: skip
         gate = self._clock() - begin
         self.spent[GATE] += gate

@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks.documents.mosaicing import (
-    characteristics,
     draw_errors,
-    draw_gate,
     draw_mosaics,
     drift_table,
-    gate_table,
     make,
     pairs_table,
     table,
@@ -20,7 +17,6 @@ from benchmarks.documents.mosaicing import (
 from benchmarks.parsimony.turning import Turned, Walk
 from benchmarks.stability.pairs import Statistics
 from benchmarks.studies.drift import Drift
-from benchmarks.studies.gate import Gate, Judged
 from benchmarks.studies.mosaicing import METHODS, Outcome, Scenario
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
@@ -30,10 +26,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.figure import Figure
-
-
-RIGHT = Judged(0.99, 2.0, 4.0, 0.1, 0.2, True, True, 0.99)
-WRONG = Judged(0.98, 0.5, 0.2, 9.0, 9.0, False, True, 0.97)
 
 
 def made() -> dict[str, Outcome]:
@@ -47,7 +39,6 @@ def made() -> dict[str, Outcome]:
     [
         draw_mosaics(made()),
         draw_errors(made()),
-        draw_gate({(180, False): [RIGHT, WRONG], (60, True): [RIGHT]}),
     ],
 )
 def test_pictures_are_drawn(figure: Figure, tmp_path: Path) -> None:
@@ -61,25 +52,15 @@ def test_table_has_a_line_for_every_method() -> None:
     assert lines[-1] == "| fibres, spiral, 16 mm/s | ours | 0.012 | 0.046 | 2 | 9 of 10 | 0.987 | 0.954 |"
 
 
-def test_tables_tell_pairs_gate_and_turns() -> None:
+def test_tables_of_pairs_and_turns() -> None:
     many = {"link": {"fibres": Statistics(334, 0.0345, 0.3, 0.0), "nuclei": Statistics(334, 0.0234, 0.0, 0.0)}}
     assert pairs_table(many)[-1] == "| link | 668 | 0.3 %, 0.0 %; 0.035 | 0.0 %, 0.0 %; 0.023 |"
-    caught = gate_table({(60, True): Gate(50, 400, 99.0, 95.5, 98.0, 70.0)})
-    assert caught[-1] == "| 60 fibres, jerky | 50 | 99.0 % | 400 | 95.5 % | 98.0 % | 70.0 % |"
     errors = TrackErrors(10, 9, 1, 0.0123, 2, 0.0456, 100.0)
     walk = Walk("fibres", "hand", 1500.0, 10.0, 120)
     lines = turning_table({walk: Turned(MotionModel.RIGID, 8, 4.8, 0.031, errors, (2.344, 0.811, 0.7))})
     assert lines[-1] == (
         "| fibres, hand, 1.5 mm/s | 10 | 4.80 | rigid | 8 | 0.031 | 0.012 | 0.046 | 2 | 2.34; 0.81; 0.70 |"
     )
-
-
-def test_characteristics_run_from_keeping_all_to_keeping_one() -> None:
-    weak, slid = RIGHT._replace(certainty=0.1), WRONG._replace(certainty=2.0)
-    caught, kept = characteristics([RIGHT, weak, WRONG, slid])["in the end"]
-    assert (kept[0], caught[0]) == (100, 0)
-    assert (kept[-1], caught[-1]) == (50, 100)
-    assert (np.diff(caught) >= 0).all()
 
 
 def test_a_page_without_a_place_for_the_table_is_refused_before_anything_is_measured(tmp_path: Path) -> None:

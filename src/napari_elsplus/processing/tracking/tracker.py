@@ -287,7 +287,9 @@ class Tracker:
         motion = self._prior(earlier, here, self._expected(earlier, here.index))
         after, here.velocity_variance = motion.later_velocity(link.warp, link.warp_covariance)
         by_velocity = hypot(link.warp.b, link.warp.d) / shutter.line_periods_per_frame
-        here.sigma = hypot(link.sigma, self._motion.unevenness(after, link.warp), by_velocity * here.velocity_variance**0.5)
+        here.sigma = hypot(
+            link.sigma, self._motion.unevenness(after, link.warp), by_velocity * here.velocity_variance**0.5
+        )
         if here.sigma > MAX_SIGMA_PX:
             return False
         if not self._motion.known:

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from motion_priors import about
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
 from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection, largest_sum, steady_turn
@@ -50,7 +51,7 @@ def pair(form: np.ndarray, shift: tuple[float, float], seed: int = 0) -> tuple[R
 @pytest.mark.parametrize(("degrees", "scale"), [(0.3, 1.0), (-0.2, 1.0), (0.0, 1.004), (0.2, 0.997)])
 def test_small_turns_and_zooms_are_told_by_what_a_link_leaves(degrees: float, scale: float) -> None:
     registrar, a, b = pair(turned_by(np.deg2rad(degrees), scale), (5.0, -3.0))
-    link = registrar.link(a, b, Warp(b=-5.0, d=3.0), LOOSE)
+    link = registrar.link(a, b, about(GRID.shutter, Warp(b=-5.0, d=3.0)))
     found = registrar.remainder(a, b, link.warp, LOOSE)
     assert found is not None
     _, form = composed(link.warp, found.step[MotionModel.SIMILARITY])
@@ -64,7 +65,7 @@ def test_turns_are_found_to_scale_whatever_the_gain_between_the_frames(gain: flo
     registrar, a, b = pair(turned_by(turn), (5.0, -3.0))
     b.image[:] *= gain
     registrar.prepare(b)
-    link = registrar.link(a, b, Warp(b=-5.0, d=3.0), LOOSE)
+    link = registrar.link(a, b, about(GRID.shutter, Warp(b=-5.0, d=3.0)))
     found = registrar.remainder(a, b, link.warp, LOOSE)
     assert found is not None
     _, form = composed(link.warp, found.step[MotionModel.RIGID])
@@ -75,7 +76,7 @@ def test_its_uncertainty_is_honest() -> None:
     misses = []
     for seed in range(20):
         registrar, a, b = pair(np.eye(2), (4.0, 2.0), seed)
-        link = registrar.link(a, b, Warp(b=-4.0, d=-2.0), LOOSE)
+        link = registrar.link(a, b, about(GRID.shutter, Warp(b=-4.0, d=-2.0)))
         found = registrar.remainder(a, b, link.warp, LOOSE)
         assert found is not None
         misses.append(found.step[MotionModel.SIMILARITY, 4:] / found.sigma)
@@ -87,10 +88,8 @@ def test_links_hold_under_large_turns_that_are_roughly_known(degrees: float) -> 
     turn = np.deg2rad(degrees)
     registrar, a, b = pair(turned_by(turn, 1.0), (8.0, 6.0))
     moved = turned_by(-turn) @ (8.0, 6.0)
-    link = registrar.turned_link(
-        a, b, (float(moved[0]) + 1, float(moved[1]) - 1, 0.8 * turn, 1.0), (Velocity(0.0, 0.0),) * 2, LOOSE,
-        MotionModel.RIGID, registrar.view(),
-    )  # fmt: skip
+    motion = about(GRID.shutter, Warp())._replace(displacement=Displacement(float(moved[0]) + 1, float(moved[1]) - 1))
+    link = registrar.turned_link(a, b, motion, (0.8 * turn, 1.0), MotionModel.RIGID, registrar.view())
     assert link is not None
     assert link.observed
     assert abs(np.rad2deg(link.turn) - degrees) < 0.1
@@ -105,15 +104,8 @@ def test_motion_of_the_earlier_frame_is_undone_before_it_is_turned() -> None:
     sheared = np.array([[1 + velocity.row / r, 0.0], [velocity.col / r, 1.0]])
     upright(a.image.copy(), a.image, GRID.centre, np.linalg.inv(sheared))
     registrar.prepare(a)
-    link = registrar.turned_link(
-        a,
-        b,
-        (0.0, 0.0, np.deg2rad(4.5), 1.0),
-        (velocity, Velocity(0.0, 0.0)),
-        LOOSE,
-        MotionModel.RIGID,
-        registrar.view(),
-    )
+    motion = about(GRID.shutter, Warp())._replace(before=velocity)
+    link = registrar.turned_link(a, b, motion, (np.deg2rad(4.5), 1.0), MotionModel.RIGID, registrar.view())
     assert link is not None
     expected = GRID.shutter.warp(velocity, Velocity(0.0, 0.0), Displacement(0.0, 0.0))
     assert abs(link.warp.a - expected.a) < 2e-3

@@ -23,7 +23,7 @@ def links(velocities: np.ndarray, noise: float = 3e-4, seed: int = 0) -> list:
         step = TRUE.step(Velocity(*before), Velocity(*after))
         warp = TRUE.warp(Velocity(*before), Velocity(*after), step)
         warp = warp._replace(a=warp.a + rng.normal(0, noise), s=warp.s + rng.normal(0, noise))
-        found.append((k, k + 1, step, PairRegistration(warp, np.eye(4), 0.99, 0.9, 1.0)))
+        found.append((k, k + 1, step, PairRegistration(warp, 1e4 * np.eye(4), 0.99, 0.9, 50.0)))
     return found
 
 
@@ -48,8 +48,8 @@ def test_links_whose_stretch_the_timing_told_tell_nothing_of_it() -> None:
     t = np.arange(80) * 0.12
     found = links(np.stack([25 * np.sin(t), 20 * np.cos(1.3 * t)], 1))
     assert estimate_line_periods_per_frame(found, TRUE) is not None
-    again = [(a, b, moved, link._replace(again=3.0)) for a, b, moved, link in found]
-    assert estimate_line_periods_per_frame(again, TRUE) is None
+    little = [(a, b, moved, link._replace(information=10 * np.eye(4))) for a, b, moved, link in found]
+    assert estimate_line_periods_per_frame(little, TRUE) is None
 
 
 def untimed(speed: float) -> tuple[float | None, str]:

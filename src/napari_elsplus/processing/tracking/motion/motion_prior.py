@@ -94,7 +94,7 @@ class MotionPrior(NamedTuple):
     def _of_differences(self) -> tuple[float, float, float]:
         """Variances of the difference of the velocities and of the shift, and their covariance."""
         c = self.covariance
-        return c[0, 0] + c[2, 2] - 2 * c[0, 2], c[1, 1], c[1, 2] - c[0, 1]
+        return float(c[0, 0] + c[2, 2] - 2 * c[0, 2]), float(c[1, 1]), float(c[1, 2] - c[0, 1])
 
     def at(self, b: float, d: float) -> Warp:
         """Return the expected warp at another shift in rows and columns, pixels."""
@@ -112,31 +112,34 @@ class MotionPrior(NamedTuple):
         covariance : numpy.ndarray
             (4, 4) covariance of a, b, s, d.
         """
-        variance, of_shift, both = self._of_differences()
+        aa, bb, ab = self._of_differences()
         c, rows = self.covariance, self.shutter.line_periods_per_frame
         # regression of the later velocity on the difference of the velocities (earlier - later) and on minus the shift
-        of = np.array([[variance, both], [both, of_shift]])
-        with_later = np.array([c[0, 2] - c[2, 2], -c[1, 2]])
+        with_difference, with_shift = float(c[0, 2] - c[2, 2]), -float(c[1, 2])
         if not isfinite(rows):
-            of[0, 1] = of[1, 0] = with_later[0] = 0.0
-        of[0, 0] += 1e-12
-        slopes = np.linalg.solve(of, with_later)
-        scale = np.array([rows if isfinite(rows) else 0.0, 1.0])
-        after = self.after
+            ab = with_difference = rows = 0.0
+        aa += 1e-12
+        determinant = aa * bb - ab * ab
+        p = (bb * with_difference - ab * with_shift) / determinant
+        q = (aa * with_shift - ab * with_difference) / determinant
+        after, surprise = self.after, 0.0
         for _ in range(_ROUNDS):  # the displacement depends on the later velocity
             moved = self.shutter.displacement(warp, after)
-            gained = Velocity(0.0, 0.0)
-            if isfinite(rows):
-                before = Velocity(rows * (warp.a * (1 + after.row / rows) - 1), warp.s * rows + warp.a * after.col)
-                gained = Velocity(before.row - after.row, before.col - after.col)
-            expected = Velocity(self.before.row - self.after.row, self.before.col - self.after.col)
-            miss = np.array([np.subtract(gained, expected), np.subtract(self.displacement, moved)]).T
-            row, col = miss @ slopes
-            after = Velocity(self.after.row + float(row), self.after.col + float(col))
+            gained = rows * (warp.a - 1) + (warp.a - 1) * after.row, warp.s * rows + (warp.a - 1) * after.col
+            found, surprise = [], 0.0
+            for axis in range(2):
+                x = (gained[axis] - self.before[axis] + self.after[axis]) if rows else 0.0
+                y = self.displacement[axis] - moved[axis]
+                found.append(self.after[axis] + p * x + q * y)
+                surprise += (bb * x * x - 2 * ab * x * y + aa * y * y) / determinant
+            after = Velocity(*found)
+        scaled = p * rows
         spread = max(
-            float((slopes * scale) @ covariance[k : k + 2, k : k + 2] @ (slopes * scale)) for k in (0, 2)
+            float(
+                scaled**2 * covariance[k, k] + 2 * scaled * q * covariance[k, k + 1] + q * q * covariance[k + 1, k + 1]
+            )
+            for k in (0, 2)
         )
-        surprise = float((np.linalg.solve(of, miss.T) * miss.T).sum())
-        left = max(float(c[2, 2] - slopes @ with_later), 0.0)
+        left = max(float(c[2, 2]) - p * with_difference - q * with_shift, 0.0)
         left *= (DEGREES_OF_FREEDOM + surprise) / (DEGREES_OF_FREEDOM + 4)
         return after, left + spread

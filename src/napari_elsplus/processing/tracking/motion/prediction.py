@@ -6,7 +6,7 @@ learnt from how far the last ones were.
 
 from __future__ import annotations
 
-from math import hypot, isfinite
+from math import hypot
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -24,9 +24,12 @@ _MIN_SPREAD: Final = 0.3
 """Smallest standard deviation of the next velocity, pixels per frame period; chosen, about a hand's tremor."""
 _MEMORY: Final = 0.3
 FIRST_SPEED: Final = 0.3
-"""Standard deviation of an unknown velocity, diameters per frame period; chosen, half of the farthest that is tracked."""
+"""Standard deviation of an unknown velocity, diameters per frame period; chosen, half of the fastest tracked."""
 _FIRST_SURPRISE: Final = 4.0
+"""Mean distance of velocities from those expected, before any was observed, pixels per frame period; chosen, wide."""
 _SPREAD_OF_SURPRISE: Final = 1.0
+"""Standard deviation of a velocity, in each axis, over the mean distance of recent ones from those expected; 0.8 for a
+normal distribution, 1 for heavier tails."""
 _FIRST_TURN: Final = 0.004
 _LEAST_TURN: Final = 0.0005
 """Radians per frame by which a turn may well differ from what is expected: before any was seen, and at least."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
 
 CORRELATED_PX: Final = 20.0
-"""Pixels of full resolution for each independent noise value: the front end smooths over 13, interpolation over more."""
+"""Pixels of full resolution per independent noise value; the front end smooths over 13, interpolation over more."""
 BLOCK_PX: Final = 8
 """Side of the blocks, pixels of half resolution."""
 _FLOOR_DN2: Final = 0.3
@@ -36,10 +36,14 @@ _COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0)
 """Distances of competing shifts, pixels of full resolution."""
 _NEAR_PX: Final = 2.0
 """Distance of the nearest competing shift, whose likelihood follows from the shared curvature: just wrong."""
+_BEYOND_DOUBT_NATS: Final = 60.0
+"""Odds against the shifts on both sides that make the nearer and the farther ones needless; chosen, ten times those
+that are needed."""
 _STEPS: Final = 2
 _HELD: Final = 1e8
 """Information that holds a competing shift where it is, 1 / px^2."""
 _ROW_STEP: Final = 2
+"""Of the rows of half resolution, every how many competing warps are fitted to; likelihoods take all."""
 
 
 def blocks(side: int) -> NDArray[np.float64]:
@@ -253,11 +257,15 @@ def log_odds(
     held, scratch, rival, start, full = equations[3], equations[4], equations[5, 0], equations[5, 1], equations[5, 2]
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), start)
     found = log_likelihood(template, image, first, last, middle, start, sums) - prior_terms(warp, expected, terms)[1]
-    shared = shared_curvature(
-        template, image, first, last, middle, start, down, across, work.tone[2], sums
-    )
-    against = np.exp(-0.5 * _NEAR_PX * _NEAR_PX * max(shared, 0.0)) + np.exp(-found)
-    for px in _COMPETITORS_PX:
+    against = np.exp(-found)
+    for k, px in enumerate(_COMPETITORS_PX):
+        if k == 2:
+            if against < np.exp(-_BEYOND_DOUBT_NATS):
+                break
+            in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), start)
+            log_likelihood(template, image, first, last, middle, start, sums)
+            shared = shared_curvature(template, image, first, last, middle, start, down, across, work.tone[2], sums)
+            against += np.exp(-0.5 * _NEAR_PX * _NEAR_PX * max(shared, 0.0))
         b, d = warp[1] + px * down, warp[3] + px * across
         full[0], full[1] = warp[0] + px * a_follows, b
         full[2], full[3] = warp[2] + px * s_follows, d
@@ -334,5 +342,3 @@ def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, f
         a_row * across + a_col * along,
         s_row * across + s_col * along,
     )
-
-

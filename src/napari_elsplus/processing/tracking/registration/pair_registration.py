@@ -7,14 +7,13 @@ Lucas-Kanade steps to full resolution; then against competing shifts.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import exp, hypot, inf, isfinite, log
+from math import exp, hypot, inf, log
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
 import numpy as np
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, lit_pixels, overlap_of_discs
-from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models as ladder
 from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
@@ -32,12 +31,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 
 MIN_ODDS_NATS: Final = 6.0
 """Log posterior odds from which a registration is accepted: one wrong in 400 if the noise model held; measured by
 ``benchmarks.studies.acceptance``."""
+SHARP_PX: Final = 0.025
+"""Uncertainty of a shift at half resolution, pixels, below which noise matters less than what does not move at the rim:
+the image itself is then used, without its rim, else the high-passed one."""
 HIGH_PASS_PX: Final = 8.0
 """Standard deviation of the Gaussian whose result is subtracted from images, pixels of full resolution."""
+_KERNEL: Final = (11, 11)
+"""Its size, pixels of quarter resolution: two and a half standard deviations on either side."""
 COMPETING_PX: Final = 4.0
 """Distance from which two peaks of the search are different shifts, pixels."""
 _AT_REST: Final = Velocity(0.0, 0.0)
@@ -49,14 +54,21 @@ _SMALL_TURN: Final = 0.004
 
 @dataclass(slots=True)
 class PreparedFrame:
-    """A tracking image, its high-passed pyramid at full, half and quarter resolution, and its spectra once needed.
+    """A tracking image, high-passed at half and quarter resolution, and its spectra once needed.
 
     The arrays belong to the view and are filled anew by :meth:`Registrar.prepare`.
     """
 
-    image: NDArray[np.float32]
     levels: tuple[NDArray[np.float32], ...]
+    high_passed: NDArray[np.float32]
+    smooth: NDArray[np.float32]
     spectra: NDArray[np.complex64] | None = field(default=None, repr=False)
+    is_high_passed: bool = False
+
+    @property
+    def image(self) -> NDArray[np.float32]:
+        """The image at full resolution."""
+        return self.levels[0]
 
 
 class PairRegistration(NamedTuple):
@@ -137,44 +149,58 @@ class Registrar:
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         self._spans = [grid.spans(level=level) for level in range(LEVELS)]
-        self._lit = np.zeros((LEVELS + 1, 2, grid.side), np.int32)
-        for columns, spans in zip(self._lit, (*self._spans, grid.spans(INNER_FIELD)), strict=True):
+        self._lit = np.zeros((LEVELS, 2, grid.side), np.int32)
+        for columns, spans in zip(self._lit, self._spans, strict=True):
             columns[:, : len(spans[0])] = spans
+        self._lit_inner = self._lit.copy()
+        self._lit_inner[0] = grid.spans(INNER_FIELD)
         self._middles = tuple(grid.middle(level) for level in range(LEVELS))
         self._centre = self._middles[1], (grid.centre[1] - 0.5) / 2
         self.work = Workspace.of(grid.side)
         self._sums = blocks(grid.side)
         self._everywhere = ShiftSearch(*self._spans[-1], 2.0 ** (LEVELS - 1))
-        self._inside = [lit_pixels(*grid.spans(1.0, level)).astype(np.float32) for level in (0, LEVELS - 1)]
-        self._weight = np.maximum(_blurred(self._inside[1]), 1e-3)
-        self._smooth = np.zeros_like(self._inside[0])
+        self._inside = [lit_pixels(*grid.spans(1.0, level)).astype(np.float32) for level in range(LEVELS)]
+        self._weight = np.maximum(_blurred(self._inside[-1]), 1e-3)
+        self._smooth = tuple(np.zeros_like(inside) for inside in self._inside)
 
     def view(self) -> PreparedFrame:
         """Return an empty view, to be filled again and again."""
         side = self.grid.side
-        return PreparedFrame(
-            np.zeros((side, side), np.float32),
-            tuple(np.zeros((side >> level, side >> level), np.float32) for level in range(LEVELS)),
-        )
+        levels = tuple(np.zeros((side >> level, side >> level), np.float32) for level in range(LEVELS))
+        return PreparedFrame(levels, np.zeros_like(levels[0]), np.zeros_like(levels[-1]))
 
     def prepare(self, view: PreparedFrame) -> PreparedFrame:
-        """Fill the high-passed pyramid from the image.
+        """Fill the high-passed coarser levels from the image.
 
         Parameters
         ----------
         view : PreparedFrame
             Of which the image was filled.
         """
-        view.spectra = None
-        np.copyto(view.levels[0], view.image)
-        fill_coarser(view.levels)
-        fine, coarse = self._inside
-        low = _blurred(view.levels[-1] * coarse) / self._weight
-        cv2.resize(low, fine.shape[::-1], dst=self._smooth, interpolation=cv2.INTER_LINEAR)
-        np.subtract(view.image, self._smooth, out=view.levels[0])
-        np.multiply(view.levels[0], fine, out=view.levels[0])
-        fill_coarser(view.levels)
+        view.spectra, view.is_high_passed = None, False
+        fill_coarser(view.levels, 1)
+        fill_coarser(view.levels, 2)
+        self._high_pass(view, 1, view.levels[1])
+        fill_coarser(view.levels, 2)
         return view
+
+    def _high_pass(self, view: PreparedFrame, level: int, out: NDArray[np.float32]) -> None:
+        """Write a level without what is smooth in it."""
+        if level:
+            np.multiply(view.levels[-1], self._inside[-1], out=view.smooth)
+            cv2.GaussianBlur(view.smooth, _KERNEL, HIGH_PASS_PX / 2 ** (LEVELS - 1), dst=view.smooth)
+            np.divide(view.smooth, self._weight, out=view.smooth)
+        inside, smooth = self._inside[level], self._smooth[level]
+        cv2.resize(view.smooth, inside.shape[::-1], dst=smooth, interpolation=cv2.INTER_LINEAR)
+        np.subtract(view.levels[level], smooth, out=out)
+        np.multiply(out, inside, out=out)
+
+    def _fine(self, view: PreparedFrame) -> tuple[NDArray[np.float32], ...]:
+        """Return the levels high-passed at full resolution, too; made when they are needed."""
+        if not view.is_high_passed:
+            self._high_pass(view, 0, view.high_passed)
+            view.is_high_passed = True
+        return view.high_passed, *view.levels[1:]
 
     def link(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> PairRegistration:
         """Register two frames from the expected warp.
@@ -193,9 +219,16 @@ class Registrar:
     ) -> PairRegistration:
         expected, warp, information = np.array(motion.warp), np.array(start, float), np.empty((4, 4))
         correlation, _ = descend(
-            earlier.levels, later.levels, self._lit, self._middles, coarsest, 0, expected, motion.terms, warp,
+            earlier.levels, later.levels, self._lit, self._middles, coarsest, 1, expected, motion.terms, warp,
             information, self.work,
         )  # fmt: skip
+        if correlation > 0:
+            sharp = 2 * weakest_direction(information)[0] < SHARP_PX
+            levels = (earlier.levels, later.levels) if sharp else (self._fine(earlier), self._fine(later))
+            correlation, _ = descend(
+                *levels, self._lit_inner if sharp else self._lit, self._middles, 0, 0, expected, motion.terms, warp,
+                information, self.work,
+            )  # fmt: skip
         odds = 0.0
         if correlation > 0:
             odds = log_odds(
@@ -360,5 +393,5 @@ class Registrar:
 
 
 def _blurred(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    smooth: NDArray[np.float32] = cv2.GaussianBlur(image, (0, 0), HIGH_PASS_PX / 2 ** (LEVELS - 1))
+    smooth: NDArray[np.float32] = cv2.GaussianBlur(image, _KERNEL, HIGH_PASS_PX / 2 ** (LEVELS - 1))
     return smooth

@@ -12,7 +12,6 @@ from napari_elsplus.processing.tracking.registration.odds import (
     CORRELATED_PX,
     in_pixels_of,
     prior_terms,
-    weakest_direction,
     write_prior,
 )
 
@@ -32,8 +31,6 @@ _STAGES: Final = (
 )
 """Down the pyramid: level, every how many rows are used, whether they are sampled finely, largest number of steps, and
 smallest step in the level's own pixels."""
-_KNOWN_PX: Final = 0.025
-"""Uncertainty of a shift below which noise matters less than what does not move at the rim."""
 
 
 @lean_kernel
@@ -57,8 +54,7 @@ def descend(
     earlier, later : tuple of numpy.ndarray
         Frames at full, half and quarter resolution, (n, n) float32.
     lit : numpy.ndarray
-        (LEVELS + 1, 2, n) int32: first lit column of each row, and the one after the last, at each level; and once more
-        at full resolution without the rim, which is left out where the frames constrain the shift without it.
+        (LEVELS, 2, n) int32: first lit column of each row, and the one after the last, at each level.
     middles : tuple of float
         Row of the bundle's centre at each level.
     coarsest, finest : int
@@ -76,7 +72,7 @@ def descend(
     """
     equations = work.equations
     stiff, centre, scaled = equations[3], equations[5, 0], equations[5, 1]
-    correlation, count, columns_at = 0.0, 0.0, 0
+    correlation, count = 0.0, 0.0
     for level, row_step, finely, steps, tolerance_px in _STAGES:
         if level > coarsest or level < finest:
             continue
@@ -84,7 +80,7 @@ def descend(
         write_prior(px, terms, prior_terms(warp, expected, terms)[0], stiff)
         in_pixels_of(px, (expected[0], expected[1], expected[2], expected[3]), centre)
         in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
-        columns = lit[level if level else columns_at, :, : len(earlier[level])]
+        columns = lit[level, :, : len(earlier[level])]
         correlation, count = align(
             earlier[level], later[level], columns[0], columns[1], middles[level], row_step, steps, tolerance_px,
             finely, centre, stiff, CORRELATED_PX / row_step / 4**level, scaled, information, work,
@@ -93,18 +89,15 @@ def descend(
             break
         count *= row_step * 4.0**level
         in_pixels_of(1 / px, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
-        if level and px * weakest_direction(information)[0] < _KNOWN_PX:
-            columns_at = LEVELS
     return correlation, count
 
 
 @lean_kernel
-def fill_coarser(levels: Levels) -> None:
-    """Fill each level but the first with the means of two by two pixels of the finer one."""
+def fill_coarser(levels: Levels, level: int) -> None:
+    """Fill a level with the means of two by two pixels of the finer one."""
     quarter = np.float32(0.25)
-    for level in range(1, LEVELS):
-        fine, coarse = levels[level - 1], levels[level]
-        for row in range(coarse.shape[0]):
-            upper, lower, into = fine[2 * row], fine[2 * row + 1], coarse[row]
-            for col in range(coarse.shape[1]):
-                into[col] = quarter * (upper[2 * col] + upper[2 * col + 1] + lower[2 * col] + lower[2 * col + 1])
+    fine, coarse = levels[level - 1], levels[level]
+    for row in range(coarse.shape[0]):
+        upper, lower, into = fine[2 * row], fine[2 * row + 1], coarse[row]
+        for col in range(coarse.shape[1]):
+            into[col] = quarter * (upper[2 * col] + upper[2 * col + 1] + lower[2 * col] + lower[2 * col + 1])
