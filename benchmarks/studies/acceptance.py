@@ -212,6 +212,7 @@ def recorded(row: Row, seed: int, frames: int = FRAMES) -> TruePath:
         path = HandHeld(_SLOW_SPEED_UM_S if row.rate_hz < _SLOW_RATE_HZ else _SPEED_UM_S, seed=seed)
     else:
         path = {"jerky": jerky, "jolted": jolted}[row.motion](rig, frames, seed)
+    path = _centred(path, rig, frames)
     extent_um = _LONE_SCENE_UM if row.fibres == _LONE_FIBRES else _SCENE_UM
     scene = few_fibres(seed, row.fibres, extent_um) if row.fibres else fibres(seed)
     images = np.stack(rig.tracking_images(rig.recording(scene, path, frames, seed=seed)))
@@ -222,6 +223,13 @@ def recorded(row: Row, seed: int, frames: int = FRAMES) -> TruePath:
         even &= change_of_view(scene, positions, grid, grid.binning * rig.um_per_px) > CONSTRAINED
     overlap = np.hypot(*np.diff(positions, axis=0).T) < 0.6 * grid.diameter
     return TruePath(images, positions, even & overlap)
+
+
+def _centred(path: Trajectory, rig: SimulatedRig, frames: int) -> Recorded:
+    """Return a path about the middle of the scene, which it then does not leave."""
+    times_s = np.arange(0, frames + 1, 1 / 16) * rig.instrument.optics.frame_period_s
+    path_um = path.positions_um(times_s)
+    return Recorded(times_s, path_um - (path_um.max(axis=0) + path_um.min(axis=0)) / 2)
 
 
 def grid_of(row: Row) -> Grid:

@@ -30,6 +30,9 @@ _FIRST_SURPRISE: Final = 4.0
 _SPREAD_OF_SURPRISE: Final = 1.0
 """Standard deviation of a velocity, in each axis, over the mean distance of recent ones from those expected; 0.8 for a
 normal distribution, 1 for heavier tails."""
+_MIN_SHARE: Final = 2.0
+"""Smallest variance of an estimated velocity over that of the next one; chosen. Distortion of the optics adds the same
+to the stretch of every frame: were velocities trusted more than displacements, such errors would add up."""
 _FIRST_TURN: Final = 0.004
 _LEAST_TURN: Final = 0.0005
 """Radians per frame by which a turn may well differ from what is expected: before any was seen, and at least."""
@@ -84,7 +87,8 @@ class Motion:
             miss = hypot(velocity.row - expected.row, velocity.col - expected.col)
             self.surprise += _MEMORY * (miss - self.surprise)
             gained = Velocity(velocity.row - self.velocity.row, velocity.col - self.velocity.col)
-        self.velocity, self.variance, self.change, self.known = velocity, variance, gained, True
+        self.velocity, self.change, self.known = velocity, gained, True
+        self.variance = max(variance, _MIN_SHARE * self.spread**2)
 
     def unevenness(self, velocity: Velocity, warp: Warp) -> float:
         """Return the error of a displacement, pixels, because the probe did not move evenly within the frames.

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 MIN_ODDS_NATS: Final = 6.0
 """Log posterior odds from which a registration is accepted: one wrong in 400 if the noise model held; measured by
 ``benchmarks.studies.acceptance``."""
-SHARP_PX: Final = 0.025
+SHARP_PX: Final = 0.04
 """Uncertainty of a shift at half resolution, pixels, below which noise matters less than what does not move at the rim:
 the image itself is then used, without its rim, else the high-passed one."""
 HIGH_PASS_PX: Final = 8.0
