@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
-from napari_elsplus.processing.tracking.motion.prediction import AT_REST, Motion, Turning
+from napari_elsplus.processing.tracking.motion.prediction import AT_REST, MIN_SHARE, Motion, Turning
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
@@ -35,8 +35,8 @@ FARTHEST: Final = 0.6
 """Predicted displacement, in bundle diameters, beyond which no link is tried."""
 SURE_CORRELATION: Final = 0.9
 """Correlation below which a predicted link is compared with all other shifts."""
-MAX_SIGMA_PX: Final = 0.5
-"""Standard deviation of a displacement, pixels, up to which it is used: a third of a core pitch."""
+MAX_SIGMA_PX: Final = 0.7
+"""Standard deviation of a displacement, pixels, up to which it is used: below a core pitch."""
 FALL_OF_CORRELATION: Final = 0.08
 """Correlation of a registration below the recent mean from which it is rejected: frames that show the same differ by
 noise, which is the same for all."""
@@ -218,14 +218,14 @@ class Tracker:
             gone = float(row), float(col)
         return Displacement(gone[0] + ahead.row, gone[1] + ahead.col)
 
-    def _prior(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> MotionPrior:
+    def _prior(self, earlier: _Placed, here: _Placed, ahead: Displacement, min_share: float = 0.0) -> MotionPrior:
         """Return the prior of the motion from a placed frame."""
         last = self._last
         assert last is not None
         if not self._motion.known:
             return self._motion.prior(ahead, here.index - earlier.index)
         before = None if earlier is last else (earlier.velocity, earlier.velocity_variance)
-        return self._motion.prior(ahead, here.index - last.index, before)
+        return self._motion.prior(ahead, here.index - last.index, before, min_share)
 
     def _link(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> PairRegistration | None:
         """Register two frames, first at the expected shift, else over all; None if no shift is accepted."""
@@ -284,7 +284,7 @@ class Tracker:
         """Set a frame's pose and velocity; return False if the probe moved too unevenly within the frames."""
         shutter, last = self.grid.shutter, self._last
         assert last is not None
-        motion = self._prior(earlier, here, self._expected(earlier, here.index))
+        motion = self._prior(earlier, here, self._expected(earlier, here.index), MIN_SHARE)
         after, here.velocity_variance = motion.later_velocity(link.warp, link.warp_covariance)
         by_velocity = hypot(link.warp.b, link.warp.d) / shutter.line_periods_per_frame
         here.sigma = hypot(

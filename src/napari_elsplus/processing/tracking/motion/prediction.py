@@ -30,7 +30,7 @@ _FIRST_SURPRISE: Final = 4.0
 _SPREAD_OF_SURPRISE: Final = 1.0
 """Standard deviation of a velocity, in each axis, over the mean distance of recent ones from those expected; 0.8 for a
 normal distribution, 1 for heavier tails."""
-_MIN_SHARE: Final = 2.0
+MIN_SHARE: Final = 2.0
 """Smallest variance of an estimated velocity over that of the next one; chosen. Distortion of the optics adds the same
 to the stretch of every frame: were velocities trusted more than displacements, such errors would add up."""
 _FIRST_TURN: Final = 0.004
@@ -88,7 +88,7 @@ class Motion:
             self.surprise += _MEMORY * (miss - self.surprise)
             gained = Velocity(velocity.row - self.velocity.row, velocity.col - self.velocity.col)
         self.velocity, self.change, self.known = velocity, gained, True
-        self.variance = max(variance, _MIN_SHARE * self.spread**2)
+        self.variance = variance
 
     def unevenness(self, velocity: Velocity, warp: Warp) -> float:
         """Return the error of a displacement, pixels, because the probe did not move evenly within the frames.
@@ -128,7 +128,11 @@ class Motion:
         return Displacement(step.row + (frames - 1) * later.row, step.col + (frames - 1) * later.col)
 
     def prior(
-        self, displacement: Displacement, frames: int, before: tuple[Velocity, float] | None = None
+        self,
+        displacement: Displacement,
+        frames: int,
+        before: tuple[Velocity, float] | None = None,
+        min_share: float = 0.0,
     ) -> MotionPrior:
         """Return the prior of the motion from an earlier frame to one so many frames after the last registered one.
 
@@ -140,8 +144,11 @@ class Motion:
             Frame periods since the last registered frame.
         before : tuple, optional
             Velocity of the earlier frame and its variance, if that is another than the last registered one.
+        min_share : float
+            Smallest variance of the last velocity over that of the next one: :data:`MIN_SHARE` to estimate velocities.
         """
-        q, own = self.spread**2, self.variance
+        q = self.spread**2
+        own = max(self.variance, min_share * q)
         with_shift, with_later = (own * frames, own) if before is None else (0.0, 0.0)
         velocity, variance = (self.velocity, own) if before is None else before
         shift = own * frames**2 + q * frames**3 / 3
