@@ -97,7 +97,13 @@ class MotionPrior(NamedTuple):
         return float(c[0, 0] + c[2, 2] - 2 * c[0, 2]), float(c[1, 1]), float(c[1, 2] - c[0, 1])
 
     def at(self, b: float, d: float) -> Warp:
-        """Return the expected warp at another shift in rows and columns, pixels."""
+        """Return the expected warp at another shift.
+
+        Parameters
+        ----------
+        b, d : float
+            Shift in rows and columns, pixels.
+        """
         a, b0, s, d0 = self.warp
         slope = self.terms[1]
         return self.warp._replace(a=a + slope * (b - b0), b=b, s=s + slope * (d - d0), d=d)

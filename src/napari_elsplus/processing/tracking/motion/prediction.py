@@ -80,7 +80,17 @@ class Motion:
         self.surprise = _FIRST_SURPRISE
 
     def follow(self, velocity: Velocity, variance: float, *, successive: bool) -> None:
-        """Add the velocity of a registered frame; `successive` if the frame just before it was registered as well."""
+        """Add the velocity of a registered frame.
+
+        Parameters
+        ----------
+        velocity : Velocity
+            Pixels per frame period.
+        variance : float
+            Of the velocity.
+        successive : bool
+            True if the frame just before it was registered as well.
+        """
         gained = AT_REST
         if self.known and successive:
             expected = self.next_velocity
