@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QMainWindow
+from qtpy.QtWidgets import QMainWindow, QWidget
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from qtpy.QtWidgets import QWidget
 
 SEARCH_INTERVAL_MS: Final = 20
 """Interval of the search for the main window until the panel is docked, milliseconds; chosen."""
@@ -34,14 +32,23 @@ def when_docked(panel: QWidget, call: Callable[[QMainWindow], None]) -> None:
     call : callable
         Called once, not before this function returns.
     """
-    search = QTimer(panel)
+    _Search(panel, call)
 
-    def look() -> None:
-        window = main_window(panel)
+
+class _Search(QTimer):
+    """Calls a function once the panel is docked; its slot is a bound method, which keeps no panel alive."""
+
+    def __init__(self, panel: QWidget, call: Callable[[QMainWindow], None]) -> None:
+        super().__init__(panel)
+        self._call = call
+        self.setInterval(SEARCH_INTERVAL_MS)
+        self.timeout.connect(self._search)
+        self.start()
+
+    def _search(self) -> None:
+        panel = self.parent()
+        window = main_window(panel) if isinstance(panel, QWidget) else None
         if window is not None:
-            search.stop()
-            call(window)
-
-    search.setInterval(SEARCH_INTERVAL_MS)
-    search.timeout.connect(look)
-    search.start()
+            self.stop()
+            self._call(window)
+            self.deleteLater()
