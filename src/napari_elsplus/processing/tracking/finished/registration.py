@@ -37,6 +37,8 @@ _SEARCH_SIGMA_CELLS: Final = 0.5
 """Standard deviation of a searched shift; chosen, about what parabolic peaks of soft texture scatter by."""
 _FLOOR_PX: Final = 0.01
 """Standard deviation of a displacement that no registration undercuts, pixels; chosen, as of raw frames."""
+_MARGIN_PX: Final = 4.0
+"""Margin of the high-passed images about the field, pixels of its diameter: the slopes at its edge need it."""
 _AT_REST: Final = Velocity(0.0, 0.0)
 
 
@@ -95,7 +97,8 @@ class FinishedRegistration:
         self._field = field
         self._odds = ShiftOdds(field.mask, field.coarse_diameter)
         self.binning = max(1, round(FIELD * field.grid.diameter / REFINED_DIAMETER_PX))
-        self._registrar = Registrar(_binned(field.grid, self.binning))
+        grid = _binned(field.grid, self.binning)
+        self._registrar = Registrar(grid, FIELD + _MARGIN_PX / grid.diameter)
 
     @property
     def grid(self) -> Grid:

@@ -144,9 +144,12 @@ class Registrar:
     ----------
     grid : Grid
         The grid of the tracking images.
+    lit : float
+        Part of the diameter within which images are lit, all of it by default: dark pixels beyond would leave a static
+        rim in high-passed images.
     """
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
         self._spans = [grid.spans(level=level) for level in range(LEVELS)]
         self._lit = np.zeros((LEVELS, 2, grid.side), np.int32)
@@ -159,7 +162,7 @@ class Registrar:
         self.work = Workspace.of(grid.side)
         self._sums = blocks(grid.side)
         self._everywhere = ShiftSearch(*self._spans[-1], 2.0 ** (LEVELS - 1))
-        self._inside = [lit_pixels(*grid.spans(1.0, level)).astype(np.float32) for level in range(LEVELS)]
+        self._inside = [lit_pixels(*grid.spans(lit, level)).astype(np.float32) for level in range(LEVELS)]
         self._weight = np.maximum(_blurred(self._inside[-1]), 1e-3)
         self._smooth = tuple(np.zeros_like(inside) for inside in self._inside)
 
