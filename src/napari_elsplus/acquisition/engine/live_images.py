@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
+from napari_elsplus.acquisition.streaming.priority import ordinary_priority
 from napari_elsplus.acquisition.streaming.ring import Layout
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.cores import CoreFilter
@@ -139,7 +140,8 @@ class LiveImages:
         self._last_number: int | None = None
         self._first = True
         self._finished = np.zeros(square, np.float32)
-        self._warm_up(frame_shape)
+        with ordinary_priority():
+            self._warm_up(frame_shape)
 
     @property
     def averages(self) -> bool:

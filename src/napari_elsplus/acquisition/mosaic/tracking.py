@@ -13,6 +13,7 @@ import numpy as np
 
 from napari_elsplus.acquisition.mosaic.insertion import ElsaInsertion, LiveInsertion, TrackedFrame
 from napari_elsplus.acquisition.mosaic.loop_closure import LoopClosureThread, NewNode
+from napari_elsplus.acquisition.streaming.priority import ordinary_priority
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
@@ -122,7 +123,8 @@ class LiveTrack:
         self._closed = False
         self._um_per_px = np.nan if calibration.um_per_px is None else calibration.um_per_px
         how = {"method": plan.method, "insertion": plan.insertion}
-        warm_up(Pipeline(calibration, frame_shape, plan.tracked, **how), frame_shape)  # type: ignore[arg-type]
+        with ordinary_priority():
+            warm_up(Pipeline(calibration, frame_shape, plan.tracked, **how), frame_shape)  # type: ignore[arg-type]
         self._insertions = {
             mode: self._new_insertion(calibration, frame_shape, mode, image) for image, mode in enumerate(plan.modes)
         }

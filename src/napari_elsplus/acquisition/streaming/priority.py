@@ -5,8 +5,11 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from contextlib import suppress
-from typing import Final
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 _MIN_REAL_TIME_PRIORITY: Final = 1
 _SWITCH_INTERVAL_S: Final = 5e-5
@@ -44,3 +47,20 @@ def keep_pace() -> bool:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_MIN_REAL_TIME_PRIORITY))
         return True
     return False
+
+
+@contextmanager
+def ordinary_priority() -> Iterator[None]:
+    """Give this thread ordinary priority within the context, for what takes seconds before frames stream.
+
+    Compiling kernels at real-time priority would starve the processes that guard the galvo.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, parameters)
