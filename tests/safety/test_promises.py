@@ -95,10 +95,12 @@ def test_a_ramp_that_does_not_fit_is_refused_with_its_remedy() -> None:
         assert rig.bench is not None
         calibration = rig.bench.optics.calibration(preset("240hz"))
         assert calibration.bundle is not None
+        assert calibration.galvo is not None
         larger = calibration.bundle.model_copy(update={"diameter_px": 530.0})
+        farther = calibration.galvo.model_copy(update={"park_v": -0.45})  # clear of that bundle, too
         with Engine(rig) as engine:
             engine.configure(Settings("240hz"))
-            engine.use(calibration.model_copy(update={"bundle": larger}))
+            engine.use(calibration.model_copy(update={"bundle": larger, "galvo": farther}))
             with pytest.raises(InputError, match=r"flyback|frame rate"):
                 engine.start()
             assert rig.scanner.park_state.parked
