@@ -29,7 +29,7 @@ LIBUSB_REMEDIES: Final = {
     "darwin": "brew install libusb",
     "win32": "put libusb-1.0.dll (from libusb.info) into a folder that is on PATH",
 }
-"""How to install libusb, by ``sys.platform``."""
+"""Remedy where libusb is absent, by ``sys.platform``."""
 DEVICE_FILES = Path("/dev/bus/usb")
 """Device files of USB on Linux."""
 

@@ -192,12 +192,12 @@ class Guardian:
 
     @property
     def order(self) -> ParkOrder:
-        """What it does if this process dies."""
+        """Action of the guardian if this process dies."""
         return self._order
 
     @property
     def reports(self) -> tuple[DeviceError, ...]:
-        """What has happened to guardians, oldest first."""
+        """Events of the guardians, oldest first."""
         return tuple(self._reports)
 
     def on_report(self, callback: Callable[[DeviceError], None]) -> None:

@@ -92,7 +92,7 @@ class ParkState:
 
     @property
     def message(self) -> str:
-        """What to do by hand while the galvo is not parked; else the time that a reset may have exposed the bundle."""
+        """Instruction while the galvo is not parked; else the time that a reset may have exposed the bundle."""
         if self.stage is ParkStage.NOT_PARKED:
             return f"{LASER_OFF} ({self.problem}; parking is retried)"
         if self.resets:
@@ -101,7 +101,7 @@ class ParkState:
 
 
 class ParkingOutput(Protocol):
-    """What parking needs of an analog output; every method raises `DeviceError` where the card refuses."""
+    """Operations of an analog output that parking needs; every method raises `DeviceError` where the card refuses."""
 
     def laser_off(self) -> None:
         """Switch the laser off, where a line is wired to it."""

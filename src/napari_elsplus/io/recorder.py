@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
 FLUSH_PERIOD_S: Final = 1.0
-"""What a power cut may cost. Chosen: part of the contract of recordings; a flush each second costs no frame."""
+"""Maximum loss at a power cut. Chosen: part of the contract of recordings; a flush each second costs no frame."""
 
 
 class RecordingWriter:

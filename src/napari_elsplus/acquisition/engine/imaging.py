@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Imaging:
-    """What the live images are made of; each change makes them anew.
+    """Settings of the live images; the images are rebuilt after each change.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What passes between the engine's process and its client."""
+"""Messages between the engine's process and its client."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What a command returned or raised."""
+    """Result or exception of a command."""
 
     number: int
     result: Any = None

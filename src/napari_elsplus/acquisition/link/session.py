@@ -95,7 +95,7 @@ class Session:
 
     @property
     def status(self) -> Status:
-        """How the engine, the mosaic and the procedure are."""
+        """Return the status of the engine, the mosaic and the procedure."""
         if self._opened is None:
             return Status(progress=self._progress)
         _, engine, mosaic = self._opened

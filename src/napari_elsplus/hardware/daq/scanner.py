@@ -42,7 +42,7 @@ CLOSE_TIMEOUT_S: Final = 1.9
 
 
 class ResetResult(NamedTuple):
-    """What a reset of the card did to its output."""
+    """Effect of a reset of the card on its output."""
 
     reset_s: float
     """Seconds that the reset took."""

@@ -38,7 +38,7 @@ PERMISSION_REMEDIES: Final = {
     "sudo udevadm trigger`, plug it in again",
     "win32": "give it the WinUSB driver with Zadig (the maker's own viewer then stops working with it)",
 }
-"""What permits access to the camera, by ``sys.platform``."""
+"""Remedy where access to the camera is denied, by ``sys.platform``."""
 UNPLUGGED: Final = (errno.ENODEV, errno.EIO, errno.ESHUTDOWN)
 """System errors of a device that is gone."""
 

@@ -39,7 +39,7 @@ LEFT_ON: Final = {
     "binning": (VIDEO_MODE, 7 << 29),
     "numbers in the first pixels of the image": (FRAME_INFO, 0x3FF),
 }
-"""What other programs may leave on that changes the images: register, and bits that have to be 0."""
+"""Features that other programs may leave on and that change the images: register, and bits that have to be 0."""
 UNIT_PX: Final = (2, 4)
 """Rows and columns in which the region moves; the sizes' unit is read from the camera."""
 

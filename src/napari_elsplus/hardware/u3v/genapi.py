@@ -45,7 +45,7 @@ UNREADABLE: Final = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
     OSError, EOFError, ValueError, LookupError, RuntimeError,
 )  # fmt: skip
-"""What Python's reader of archives raises on those that are none."""
+"""Exceptions of Python's archive reader on files that are no archives."""
 
 
 def read_description(control: Control) -> bytes:

@@ -25,7 +25,7 @@ ProgressWrapper = Callable[[Iterable[int]], Iterable[int]]
 
 
 class Target(StrEnum):
-    """What must lie before the probe for a step."""
+    """Scene that must lie before the probe during a step."""
 
     FAR_END_LIT = "light the bundle from its far end"
     FLUORESCENT = "put the probe onto an evenly fluorescent target"
@@ -33,7 +33,7 @@ class Target(StrEnum):
 
 
 class Capture(StrEnum):
-    """How the line moves while a step's frames are taken."""
+    """Motion of the line while a step's frames are taken."""
 
     HELD = "line held on the middle of the bundle"
     SWEEP = "line held at one voltage after another"

@@ -1,4 +1,4 @@
-"""What disturbs an imperfect instrument's frames from row to row, from pixel to pixel and from frame to frame."""
+"""Disturbances of an imperfect instrument's frames from row to row, from pixel to pixel and from frame to frame."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ Values = dict[str, Any]
 
 @dataclass(frozen=True)
 class BatchJob:
-    """What is made of every recording.
+    """Products made of every recording.
 
     Parameters
     ----------

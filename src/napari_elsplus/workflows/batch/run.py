@@ -36,7 +36,7 @@ LOCAL: Final = "127.0.0.1"
 
 @dataclass(frozen=True)
 class BatchResult:
-    """What became of a batch.
+    """Outcome of a batch.
 
     Attributes
     ----------

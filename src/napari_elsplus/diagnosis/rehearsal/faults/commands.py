@@ -25,7 +25,7 @@ GAIN_DB = 60.0
 
 @fault("configure-fails", "the settings of before, or unconfigured and refuses to start", EXECUTED_WITHIN_S)
 def _configure_fails(stage: Stage, limit_s: float) -> None:
-    """Ask for a frame rate that the camera has, and a gain that it does not have."""
+    """Request a frame rate that the camera has, and a gain that it does not have."""
     stage.scan(record=False)
     stage.fault_s = time.perf_counter()
     stage.expect_refused(

@@ -21,7 +21,7 @@ CHUNK_BYTES: Final = 24
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """What a make of sensor can do.
+    """Capabilities of a make of sensor.
 
     Parameters
     ----------
