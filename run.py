@@ -40,6 +40,8 @@ NOT_FOR_CHILDREN = ("PYTHONHOME", "PYTHONPATH", "PIP_USER", "PIP_TARGET")
 """Variables that would make the .venv import, or install into, other places than itself."""
 
 EXTRAS = "pyqt,video,zarr,batch,genicam"
+PURE = ("tests/instrument", "tests/io", "tests/processing", "tests/simulation", "tests/workflows")
+"""Tests of computation alone, with no window, device or clock: these run in two processes, the others in turn."""
 WINDOW_LIBRARIES = {
     "libdbus-1-3": "libdbus-1.so.3",
     "libegl1": "libEGL.so.1",
@@ -231,17 +233,20 @@ def test(everything: bool) -> int:
     """Lint, types, manifest and tests; every step runs, and the first failure gives the exit code."""
     prepare("lint", "test")
     pytest = [python(), "-m", "pytest", "--durations=15", *([] if everything else ["-m", "not slow"])]
+    in_parallel = [*pytest, "--numprocesses=2", "--dist=loadfile", *PURE]
+    in_turn = [*pytest, *(f"--ignore={folder}" for folder in PURE)]
     if sys.platform.startswith("linux") and not screen_answers():
         missing = missing_packages(virtual_screen=True)
         if missing:
             system_packages(missing, "testing the windows")
-        pytest = ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1280x1024x24", *pytest]
+        in_turn = ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1280x1024x24", *in_turn]
     steps = (
         ("ruff check", [python(), "-m", "ruff", "check", "."]),
         ("ruff format", [python(), "-m", "ruff", "format", "--check", "."]),
         ("mypy", [python(), "-m", "mypy"]),
         ("npe2 validate", [python(), "-m", "npe2", "validate", "--imports", "napari-elsplus"]),
-        ("pytest", pytest),
+        ("pytest in two processes", in_parallel),
+        ("pytest", in_turn),
     )
     codes = {}
     with tempfile.TemporaryDirectory() as folder:

@@ -233,6 +233,16 @@ def test_tests_run_every_check(arguments: list[str], selects: bool, run: ModuleT
     assert not Path(recorder.environments[-1]["NAPARI_CONFIG"]).exists()
 
 
+def test_every_test_runs_once_in_two_processes_or_in_turn(run: ModuleType, recorder: Recorder) -> None:
+    run.main(["test"])
+    in_parallel, in_turn = recorder.commands[-2:]
+    assert "--numprocesses=2" in in_parallel
+    for folder in run.PURE:
+        assert (PROJECT / folder).is_dir()
+        assert folder in in_parallel
+        assert f"--ignore={folder}" in in_turn
+
+
 def test_one_check_that_fails_does_not_hide_the_others(
     run: ModuleType, recorder: Recorder, capsys: pytest.CaptureFixture[str]
 ) -> None:
