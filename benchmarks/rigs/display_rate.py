@@ -24,12 +24,14 @@ from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.widgets.live.panel import LivePanel
+from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from napari_elsplus.acquisition.link.client import EngineClient
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.widgets.shared.connection import Connection
 
 PRESET: Final = "240hz"
 SETTLE_S: Final = 1.0
@@ -81,11 +83,10 @@ def measure(seconds: float, canvases_px: Sequence[int], most: int) -> None:
     panel = LivePanel(viewer)
     viewer.window.add_dock_widget(panel, name="Live")
     try:
-        client = panel.connection.connect(SIMULATED, Settings(PRESET))
-        client.use(_calibration()).result()
-        _until(lambda: not panel.requests.busy)
-        panel.toggle()
-        _until(lambda: panel.live)
+        panel.connection.apply(_calibration())
+        panel.requests.run(lambda: _connected(panel.connection), lambda _: panel.toggle())  # in a thread
+        _until("the stream was live", lambda: panel.live)
+        client = panel.connection.require()
         for wanted_px in canvases_px:
             _give_the_canvas(panel, wanted_px)
             for layers in range(1, most + 1):
@@ -100,7 +101,10 @@ def measure(seconds: float, canvases_px: Sequence[int], most: int) -> None:
 def _measure(panel: LivePanel, client: EngineClient, layers: int, wanted_px: int, seconds: float) -> Rate:
     for place, box in enumerate(reversed(panel.form.kinds.values())):  # ELSA, ELS+, residual, LS, raw
         box.value = place < layers
-    _until(lambda: sum(layer.visible for layer in panel.layers.images.values()) == layers)
+    _until(
+        f"{layers} layers were visible",
+        lambda: sum(layer.visible for layer in panel.layers.images.values()) == layers,
+    )
     panel.viewer.reset_view()
     took_s: list[float] = []
     update = panel.layers.update
@@ -150,6 +154,11 @@ def _give_the_canvas(panel: LivePanel, size_px: int) -> None:
         window.resize(window.width() + size_px - canvas.width(), window.height() + size_px - canvas.height())
 
 
+def _connected(connection: Connection) -> None:
+    client = connection.connect(SIMULATED, Settings(PRESET))
+    client.set_heartbeat_timeout(_PATIENCE_S).result()  # a window's first images take seconds on a busy machine
+
+
 def _calibration() -> Calibration:
     simulation = Simulation()
     perfect = true_calibration(Instrument.of(PRESET, offset_um=simulation.offset_um))
@@ -157,11 +166,14 @@ def _calibration() -> Calibration:
     return perfect.model_copy(update={"galvo": perfect.galvo.model_copy(update={"lag_s": simulation.galvo.lag_s})})
 
 
-def _until(condition: Callable[[], bool]) -> None:
+def _until(what: str, condition: Callable[[], bool]) -> None:
+    """Process the window's events until a condition holds; an error that a panel reports ends the program."""
     end_s = time.perf_counter() + _PATIENCE_S
     while not condition():
+        if problems.newest:
+            raise RuntimeError(f"before {what}: {problems.newest}")
         if time.perf_counter() > end_s:
-            raise TimeoutError("the window did not come so far")
+            raise TimeoutError(f"{_PATIENCE_S:g} s passed before {what}")
         _go_on(0.02)
 
 

@@ -30,10 +30,10 @@ def test_a_small_run_gives_every_default_a_finite_error(name: str, tmp_path: Pat
     assert chosen.name == name
     result = run(chosen, quick=True)
     defaults = [row for row in result.rows if row.role is Role.DEFAULT]
-    assert defaults
+    assert defaults, f"no row of the default: {result.absent}"
     if chosen.chart is not Chart.FAILURES:
         assert all(np.isfinite(row.error) for row in defaults)
-    assert all("PyFibreBundle" in name for name in result.absent)
+    assert all("PyFibreBundle" in name for name in result.absent), result.absent
     save_figure(draw_benchmark(result), tmp_path / "chart.png")
     assert (tmp_path / "chart.png").stat().st_size > 5000
 
