@@ -210,7 +210,7 @@ def test_disconnecting_while_images_are_copied(client: EngineClient, calibration
     reader.start()
     for _ in range(rounds):
         client.open("small").result(60)
-        client.configure(SLOW).result(60)
+        client.configure(Settings("240hz", frame_rate_hz=60.0)).result(60)
         client.use(calibration).result(60)
         client.start().result(60)
         until(lambda: client.status.processed > 2)
