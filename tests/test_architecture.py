@@ -47,6 +47,8 @@ ORDER = (
     "hardware.u3v",
     "hardware.daq",
     "hardware.detached",
+    "hardware.outside",
+    "hardware.driver_takeover",
     "hardware.guardian",
     "hardware.virtual.timeline",
     "hardware.virtual.galvo",

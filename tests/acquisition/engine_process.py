@@ -15,6 +15,7 @@ from pathlib import Path
 from napari_elsplus.acquisition.link.server import run
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
+from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.guardian import guard_scanner
 from napari_elsplus.io import RecordingWriter
 
@@ -28,7 +29,7 @@ def open_rig(name: str) -> object:
     if len(sys.argv) > 2:
         rig.scanner = DaqScanner(CardSettings(small["PARK_V"], address=sys.argv[2]), rig.limits)
         held = ExitStack()
-        rig.guardian = guard_scanner(rig.scanner, held)
+        rig.guardian = guard_scanner(rig.scanner, CardOrder.of(rig.scanner), held, rig.scanner.interrupt)
         close, rig.close = rig.close, lambda: (held.close(), close())
         return rig
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +59,71 @@ def test_the_engine_runs_it(frames) -> None:
         np.testing.assert_array_equal(np.sort(engine.fresh_frames(3).sum((1, 2))), np.sort(frames.sum((1, 2))))
         engine.stop()
         assert not engine.status().faults
+
+
+LINE = """
+from pathlib import Path
+from napari_elsplus.errors import DeviceError
+from scanner import StillScanner
+
+class LineScanner(StillScanner):
+    '''A galvo whose position is the content of a file, and stays when the program dies.'''
+
+    def __init__(self, card, limits, *, place):
+        super().__init__(card, limits)
+        self._place = Path(place)
+        if self._place.with_suffix(".busy").exists():
+            raise DeviceError("the galvo is busy", "wait")
+        self.hold(card.park_v)
+
+    def hold(self, volts):
+        self._place.write_text(f"{volts}")
+
+    def park(self):
+        self.hold(self.park_v)
+
+    def close(self):
+        self.park()
+"""
+DRIVE = """
+import sys, time
+sys.path.append(sys.argv[1])
+from napari_elsplus.hardware.rigs import open_rig
+with open_rig("mine") as rig:
+    rig.scanner.hold(0.3)
+    print("holds", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_scanner_of_ones_own_is_parked_when_its_process_is_killed(frames, tmp_path, busy) -> None:
+    place = tmp_path / "place"
+    (tmp_path / "mine.py").write_text(LINE)
+    text = (tmp_path / "rigs" / "playback.toml").read_text("utf-8").split("[scanner]")[0]
+    scanner = (
+        f'[scanner]\nkind = "mine:LineScanner"\noptions = {{ place = "{place.as_posix()}" }}\n[card]\npark_v = -0.7\n'
+    )
+    (tmp_path / "rigs" / "mine.toml").write_text(text + scanner)
+    (tmp_path / "drive.py").write_text(DRIVE)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [*sys.path, str(EXAMPLE)]))}
+    command = [sys.executable, str(tmp_path / "drive.py"), str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as driver:
+        assert driver.stdout is not None
+        assert driver.stdout.readline() == "holds\n"
+        assert place.read_text() == "0.3"
+        if busy:
+            place.with_suffix(".busy").touch()
+        driver.kill()
+    if busy:
+        time.sleep(0.5)
+        assert place.read_text() == "0.3"
+        place.with_suffix(".busy").unlink()
+    until_s = time.perf_counter() + 10
+    while place.read_text() != "-0.7":
+        assert time.perf_counter() < until_s
+        time.sleep(0.01)
 
 
 @pytest.mark.parametrize(

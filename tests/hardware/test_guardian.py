@@ -16,7 +16,7 @@ from dataclasses import asdict, replace
 import pytest
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.daq.takeover import ParkOrder
+from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.guardian import SILENT_S, Guardian, guard
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
@@ -88,7 +88,7 @@ def test_the_mirror_is_parked_however_the_driving_process_dies(how) -> None:
 def test_a_dismissed_guardian_leaves_the_mirror_alone() -> None:
     card = VirtualCard()
     with CardServer(card) as server:
-        with Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)) as guardian:
+        with Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)) as guardian:
             assert card.last_volts == 0.0
         assert card.last_volts == 0.0
         assert not guardian._process.alive
@@ -97,7 +97,7 @@ def test_a_dismissed_guardian_leaves_the_mirror_alone() -> None:
 def test_a_guardian_to_whom_a_process_that_ends_hands_over_parks_at_once() -> None:
     card = VirtualCard()
     with CardServer(card) as server:
-        guardian = Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
+        guardian = Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
         guardian.hand_over()
         seconds_until(lambda: card.last_volts == -0.7)
         seconds_until(lambda: not guardian.on_guard)
@@ -108,7 +108,7 @@ def test_a_guardian_to_whom_a_process_that_ends_hands_over_parks_at_once() -> No
 def test_orders_that_end_without_a_farewell_are_carried_out(end, volts) -> None:
     card = VirtualCard()
     with CardServer(card) as server:
-        order = json.dumps(asdict(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)))
+        order = json.dumps(asdict(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)))
         answers = io.StringIO()
         guard(io.StringIO(f"{order}\n{end}"), answers)
     assert answers.getvalue() == "ready\n"
@@ -119,7 +119,7 @@ def test_orders_that_end_without_a_farewell_are_carried_out(end, volts) -> None:
 def test_the_last_whole_order_counts(later, volts) -> None:
     card = VirtualCard()
     with CardServer(card) as server:
-        first = ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)
+        first = CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)
         second = '{"device": "Dev1", "outp' if later is None else json.dumps(asdict(replace(first, volts=later))) + "\n"
         guard(io.StringIO(json.dumps(asdict(first)) + "\n" + second), io.StringIO())
     assert card.last_volts == volts
@@ -129,7 +129,7 @@ def test_a_guardian_that_is_killed_is_replaced_with_the_newest_order_and_that_is
     """Before: nothing was on guard any more, without a word."""
     with (
         CardServer(VirtualCard()) as server,
-        Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)) as guardian,
+        Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)) as guardian,
     ):
         first = guardian.pid
         guardian.revise(-0.9)
@@ -145,7 +145,7 @@ def test_a_guardian_that_stands_still_is_replaced_and_that_is_reported() -> None
     lost: list[DeviceError] = []
     with (
         CardServer(VirtualCard()) as server,
-        Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address), lost.append) as guardian,
+        Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address), lost.append) as guardian,
     ):
         time.sleep(3 * SILENT_S)
         assert not guardian.reports, "one that answers is left alone"
@@ -164,7 +164,7 @@ def test_a_guardian_that_stands_still_is_replaced_and_that_is_reported() -> None
 
 def test_a_guardian_that_cannot_reach_the_card_does_not_pretend_to_watch() -> None:
     with pytest.raises(DeviceError, match="guardian did not start"):
-        Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, "127.0.0.1:9"))
+        Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, "127.0.0.1:9"))
 
 
 SCRIPT = """
@@ -269,7 +269,7 @@ def test_a_guardian_is_dismissed_only_when_the_galvo_is_parked() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 def test_a_guardian_that_stands_still_does_not_hold_up_its_dismissal() -> None:
     with CardServer(VirtualCard()) as server:
-        guardian = Guardian(ParkOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
+        guardian = Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
         os.kill(guardian.pid, signal.SIGSTOP)
         begun_s = time.perf_counter()
         guardian.dismiss()

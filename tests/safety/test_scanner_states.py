@@ -33,7 +33,7 @@ from napari_elsplus.hardware.daq import scanner as scanner_module
 from napari_elsplus.hardware.daq import takeover as takeover_module
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
-from napari_elsplus.hardware.daq.takeover import park_order, take_over
+from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.parking import Parking
 from napari_elsplus.hardware.scan.timing import ScanTiming
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
@@ -204,11 +204,11 @@ class Scanning(RuleBasedStateMachine):
     @rule()
     def die(self) -> None:
         """The process is killed; its guardian parks, and another is started."""
-        order = park_order(self.scanner)
+        order = CardOrder.of(self.scanner)
         self.world.kill(*(w for w in self.world.workers if w is not self.world.main))
         self.heal()
         begun_s = self.world.now_s
-        state = take_over(order)
+        state = order.take_over()
         assert state.parked
         assert self.world.now_s - begun_s <= PARKED_S
         assert self.output_is_parked(order.volts)

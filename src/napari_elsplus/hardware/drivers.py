@@ -5,14 +5,11 @@ A rig file is the only place from which a driver is imported: recordings and cal
 
 from __future__ import annotations
 
-from contextlib import suppress
 from functools import partial
-from importlib import import_module
-from inspect import getattr_static
 from typing import TYPE_CHECKING, Any
 
-from napari_elsplus.errors import DeviceError, ElsPlusError, InputError
 from napari_elsplus.hardware.daq.scanner import DaqScanner
+from napari_elsplus.hardware.outside import open_outside
 from napari_elsplus.hardware.protocols import Camera, Scanner
 
 if TYPE_CHECKING:
@@ -39,7 +36,7 @@ def open_camera(table: CameraTable) -> Camera:
         If the camera is absent, busy or fails.
     """
     if ":" in table.kind:
-        camera: Camera = _open_outside(table.kind, Camera, **table.options)
+        camera: Camera = open_outside(table.kind, Camera, **table.options)
         return camera
     from napari_elsplus.hardware.u3v.camera import U3vCamera
     from napari_elsplus.hardware.u3v.discovery import choose_camera
@@ -65,7 +62,7 @@ def open_scanner(settings: RigSettings) -> Scanner:
     """
     kind, card, limits = settings.scanner.kind, settings.card_settings(), settings.limits()
     if ":" in kind:
-        scanner: Scanner = _open_outside(kind, Scanner, card, limits, **settings.scanner.options)
+        scanner: Scanner = open_outside(kind, Scanner, card, limits, **settings.scanner.options)
         return scanner
     return DaqScanner(card, limits)
 
@@ -86,37 +83,3 @@ def features_of(table: CameraTable) -> Callable[[Control], Features]:
     from napari_elsplus.hardware.u3v.genapi import GenicamFeatures
 
     return partial(GenicamFeatures, **wiring)
-
-
-def _open_outside(kind: str, protocol: type, *arguments: object, **options: Any) -> Any:
-    """Import a driver and open its device; whatever a stranger's module raises becomes one line."""
-    module, _, name = kind.partition(":")
-    try:
-        driver = getattr(import_module(module), name)
-    except Exception as error:
-        raise InputError(
-            f"the driver {kind} cannot be imported ({type(error).__name__}: {error})",
-            "install its package into this environment, or correct kind in the rig's file",
-        ) from error
-    try:
-        device = driver(*arguments, **options)
-    except ElsPlusError:
-        raise
-    except Exception as error:
-        raise DeviceError(
-            f"the driver {kind} cannot open its device ({type(error).__name__}: {error})",
-            "check its options in the rig's file, and the device",
-        ) from error
-    lacking = [member for member in _members(protocol) if getattr_static(device, member, None) is None]
-    if lacking:
-        with suppress(Exception):  # it may lack close as well
-            device.close()
-        raise InputError(
-            f"the driver {kind} lacks {', '.join(lacking)}",
-            f"implement napari_elsplus.hardware.protocols.{protocol.__name__}",
-        )
-    return device
-
-
-def _members(protocol: type) -> list[str]:
-    return [name for name in vars(protocol) if not name.startswith("_") or name in {"__enter__", "__exit__"}]

@@ -17,20 +17,23 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import asdict, replace
-from typing import IO, TYPE_CHECKING, Any, Final, Self, cast
+from typing import IO, TYPE_CHECKING, Any, Final, Self, TypeAlias, cast
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.daq.takeover import ParkOrder, park_order, preload, take_over
+from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.detached import DETACHED
+from napari_elsplus.hardware.driver_takeover import DriverOrder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import ExitStack
     from typing import TextIO
 
-    from napari_elsplus.hardware.daq.scanner import DaqScanner
     from napari_elsplus.hardware.parking import ParkState
     from napari_elsplus.hardware.protocols import Scanner
+
+ParkOrder: TypeAlias = CardOrder | DriverOrder
+"""Instruction by which another process parks: by the card, or by a driver outside this package."""
 
 READY: Final = "ready"
 FAREWELL: Final = "farewell"
@@ -268,24 +271,26 @@ class Guardian:
         return report
 
 
-def guard_scanner(scanner: DaqScanner, held: ExitStack, *, virtual: bool = False) -> Guardian:
+def guard_scanner(scanner: Scanner, order: ParkOrder, held: ExitStack, lost: Callable[[DeviceError], None]) -> Guardian:
     """Start the guardian of a scanner, which is dismissed when `held` is closed and the galvo is parked.
 
     Parameters
     ----------
-    scanner : DaqScanner
+    scanner : Scanner
         Open; closed before its guardian is dismissed.
+    order : CardOrder or DriverOrder
+        Action of the guardian if this process dies.
     held : contextlib.ExitStack
         Closed with the rig.
-    virtual : bool
-        The card is a virtual one.
+    lost : callable
+        Called with a `DeviceError` while nothing is on guard; has to park.
 
     Raises
     ------
     DeviceError
         If the guardian does not start.
     """
-    guardian = Guardian(park_order(scanner, virtual=virtual), scanner.interrupt)
+    guardian = Guardian(order, lost)
     scanner.on_park_state(lambda _: guardian.revise(scanner.park_v))
 
     def end() -> None:
@@ -327,8 +332,8 @@ def guard(orders: TextIO, answers: TextIO, report: Callable[[ParkState], None] =
     DeviceError
         If the driver cannot be reached when it comes on guard.
     """
-    order = ParkOrder(**json.loads(orders.readline()))
-    preload(order)
+    order = _read_order(orders.readline())
+    order.preload()
     answers.write(READY + "\n")
     answers.flush()
     while (line := orders.readline()).endswith("\n"):  # one that was cut off was never given
@@ -339,8 +344,13 @@ def guard(orders: TextIO, answers: TextIO, report: Callable[[ParkState], None] =
                 answers.write(line)
                 answers.flush()
             continue
-        order = ParkOrder(**json.loads(line))
-    take_over(order, report)
+        order = _read_order(line)
+    order.take_over(report)
+
+
+def _read_order(line: str) -> ParkOrder:
+    fields = json.loads(line)
+    return DriverOrder(**fields) if "kind" in fields else CardOrder(**fields)
 
 
 def _print_to_terminal(state: ParkState) -> None:

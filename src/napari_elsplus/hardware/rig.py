@@ -37,7 +37,7 @@ class Rig:
     strobe : StrobePhase
         Event that the camera's strobe marks.
     guardian : Guardian, optional
-        Parks from another process if this one dies; None where the card ends with this process, or is not NI's.
+        Parks from another process if this one dies; None where the card ends with this process.
     bench : VirtualBench, optional
         Ground truth and fault switches of the simulated rig; None for a real one.
     """

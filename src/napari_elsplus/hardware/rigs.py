@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
-from contextlib import ExitStack
-from dataclasses import replace
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
-from napari_elsplus.errors import InputError
+from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.daq.scanner import DaqScanner
+from napari_elsplus.hardware.daq.takeover import CardOrder
+from napari_elsplus.hardware.driver_takeover import DriverOrder
 from napari_elsplus.hardware.drivers import open_camera, open_scanner
 from napari_elsplus.hardware.guardian import guard_scanner
 from napari_elsplus.hardware.protocols import CountsFrames
@@ -17,6 +21,7 @@ from napari_elsplus.hardware.rig import SIMULATED, SIMULATED_REAL, Rig
 from napari_elsplus.hardware.rig_files import RigSettings, SimulatedRigSettings, rig_files, rig_settings
 
 if TYPE_CHECKING:
+    from napari_elsplus.hardware.protocols import Scanner
     from napari_elsplus.hardware.virtual.bench import Simulation
 
 
@@ -85,8 +90,18 @@ def _real_rig(name: str, settings: RigSettings, held: ExitStack) -> Rig:
     limits = settings.limits()
     camera = held.enter_context(open_camera(settings.camera))
     scanner = held.enter_context(open_scanner(settings))  # last in, first out: the galvo parks first
-    guardian = guard_scanner(scanner, held) if isinstance(scanner, DaqScanner) else None
+    if isinstance(scanner, DaqScanner):
+        guardian = guard_scanner(scanner, CardOrder.of(scanner), held, scanner.interrupt)
+    else:
+        kind, options, card = settings.scanner.kind, settings.scanner.options, asdict(settings.card_settings())
+        order = DriverOrder(kind, scanner.park_v, card, asdict(limits), options, tuple(sys.path))
+        guardian = guard_scanner(scanner, order, held, partial(_park, scanner))
     return Rig(name, camera, scanner, limits, settings.camera.strobe, guardian)
+
+
+def _park(scanner: Scanner, _: DeviceError) -> None:
+    with suppress(DeviceError):  # `park_state` shows it, and the scanner tries again
+        scanner.park()
 
 
 def _end_on_sigterm(held: ExitStack) -> None:

@@ -22,7 +22,7 @@ VIRTUAL_LIFE_S: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class ParkOrder:
+class CardOrder:
     """Output and voltage by which another process parks the galvo.
 
     Parameters
@@ -53,74 +53,70 @@ class ParkOrder:
     laser_on_high: bool = True
     virtual: bool = False
 
+    @classmethod
+    def of(cls, scanner: DaqScanner, *, virtual: bool = False) -> CardOrder:
+        """Return the order that parks the galvo of a scanner, on a real or a `virtual` card."""
+        card, limits = scanner.card, scanner.limits
+        return cls(
+            card.device,
+            card.output,
+            scanner.park_v,
+            limits.min_v,
+            limits.max_v,
+            card.address,
+            card.laser_line,
+            card.laser_on_high,
+            virtual,
+        )
 
-def park_order(scanner: DaqScanner, *, virtual: bool = False) -> ParkOrder:
-    """Return the order that parks the galvo of a scanner, on a real or a `virtual` card."""
-    card, limits = scanner.card, scanner.limits
-    return ParkOrder(
-        card.device,
-        card.output,
-        scanner.park_v,
-        limits.min_v,
-        limits.max_v,
-        card.address,
-        card.laser_line,
-        card.laser_on_high,
-        virtual,
-    )
+    def preload(self) -> None:
+        """Load all modules that parking needs, and call the driver once, so that it is fast later.
 
+        Raises
+        ------
+        DeviceError
+            If the driver cannot be reached.
+        """
+        import nidaqmx.stream_readers
+        import nidaqmx.stream_writers  # noqa: F401 - for later
 
-def take_over(order: ParkOrder, report: Callable[[ParkState], None] = lambda _: None) -> ParkState:
-    """Take the output over and park: a card goes on regenerating its waveform after its program died.
+        session = open_session(self.address)
+        with translate_daq_errors(self.device):
+            _ = session.system().driver_version
 
-    Tried until the card confirms, without end; on a virtual card until it has ended.
+    def take_over(self, report: Callable[[ParkState], None] = lambda _: None) -> ParkState:
+        """Take the output over and park: a card goes on regenerating its waveform after its program died.
 
-    Parameters
-    ----------
-    order : ParkOrder
-        Output and voltage.
-    report : callable
-        Called with the state whenever its stage changes.
+        Tried until the card confirms, without end; on a virtual card until it has ended.
 
-    Returns
-    -------
-    ParkState
-        The last state.
-    """
-    settings = CardSettings(
-        order.volts,
-        device=order.device,
-        output=order.output,
-        laser_line=order.laser_line,
-        laser_on_high=order.laser_on_high,
-        address=order.address,
-    )
-    output = Output(settings, GalvoLimits(min_v=order.min_v, max_v=order.max_v))
-    parking, begun_s = Parking(output, order.volts), time.monotonic()
-    stage = ParkStage.UNKNOWN
-    while True:
-        state = parking.attempt()
-        if state.stage is not stage:
-            stage = state.stage
-            report(state)
-        if state.parked or (order.virtual and time.monotonic() - begun_s > VIRTUAL_LIFE_S):
-            break
-        time.sleep(state.retry_s)
-    output.release()
-    return state
+        Parameters
+        ----------
+        report : callable
+            Called with the state whenever its stage changes.
 
-
-def preload(order: ParkOrder) -> None:
-    """Load all modules that parking by an `order` needs, and call the driver once, so that it is fast later.
-
-    Raises
-    ------
-    DeviceError
-        If the driver cannot be reached.
-    """
-    import nidaqmx.stream_readers
-    import nidaqmx.stream_writers  # noqa: F401 - for later
-
-    session = open_session(order.address)
-    with translate_daq_errors(order.device):
-        _ = session.system().driver_version
+        Returns
+        -------
+        ParkState
+            The last state.
+        """
+        settings = CardSettings(
+            self.volts,
+            device=self.device,
+            output=self.output,
+            laser_line=self.laser_line,
+            laser_on_high=self.laser_on_high,
+            address=self.address,
+        )
+        output = Output(settings, GalvoLimits(min_v=self.min_v, max_v=self.max_v))
+        parking, begun_s = Parking(output, self.volts), time.monotonic()
+        stage = ParkStage.UNKNOWN
+        while True:
+            state = parking.attempt()
+            if state.stage is not stage:
+                stage = state.stage
+                report(state)
+            if state.parked or (self.virtual and time.monotonic() - begun_s > VIRTUAL_LIFE_S):
+                break
+            time.sleep(state.retry_s)
+        output.release()
+        return state

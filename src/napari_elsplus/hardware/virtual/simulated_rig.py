@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
+from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.guardian import guard_scanner, when_parked
 from napari_elsplus.hardware.rig import Rig, VirtualBench
 from napari_elsplus.hardware.scan.timing import StrobePhase
@@ -63,7 +64,11 @@ def simulated_rig(name: str, simulation: Simulation, held: ExitStack) -> Rig:
     camera = held.enter_context(U3vCamera(device, Flea3, wait_for_reader=not simulation.real_time))
     scanner = DaqScanner(settings, limits, now_s=clock.now_s)
     opened.append(held.enter_context(scanner))
-    guardian = guard_scanner(scanner, held, virtual=True) if simulation.own_process else None
+    guardian = (
+        guard_scanner(scanner, CardOrder.of(scanner, virtual=True), held, scanner.interrupt)
+        if simulation.own_process
+        else None
+    )
     bench = VirtualBench(optics, card, plug)
     return Rig(name, camera, scanner, limits, StrobePhase.EXPOSURE, guardian, bench)
 

@@ -1,0 +1,90 @@
+"""Park the galvo of a scanner outside this package from another process, after the one that drove it died."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from napari_elsplus.errors import ElsPlusError
+from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.outside import import_driver, open_outside
+from napari_elsplus.hardware.parking import RETRY_LATER_S, ParkStage, ParkState
+from napari_elsplus.hardware.protocols import Scanner
+from napari_elsplus.hardware.scan.waveform import GalvoLimits
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+POLL_S: Final = 0.02
+"""Seconds between two looks at the state of parking; chosen: small against the 0.5 s within which a galvo parks."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriverOrder:
+    """Driver and voltage by which another process parks the galvo: a scanner is parked when its constructor returns.
+
+    Parameters
+    ----------
+    kind : str
+        ``"package.module:Class"``.
+    volts : float
+        Parking voltage.
+    card, limits, options : dict
+        Fields of `CardSettings` and `GalvoLimits`, and keywords, with which the class is called.
+    search_path : tuple of str
+        Folders from which the driver is imported: ``sys.path`` of the process that drives.
+    """
+
+    kind: str
+    volts: float
+    card: dict[str, Any]
+    limits: dict[str, Any]
+    options: dict[str, Any] = field(default_factory=dict)
+    search_path: tuple[str, ...] = ()
+
+    def preload(self) -> None:
+        """Import the driver, so that parking is fast later.
+
+        Raises
+        ------
+        InputError
+            If it cannot be imported.
+        """
+        sys.path.extend(folder for folder in self.search_path if folder not in sys.path)
+        import_driver(self.kind)
+
+    def take_over(self, report: Callable[[ParkState], None] = lambda _: None) -> ParkState:
+        """Open the scanner anew, which parks, and close it; tried until it is parked, without end.
+
+        Parameters
+        ----------
+        report : callable
+            Called with the state whenever its stage changes.
+
+        Returns
+        -------
+        ParkState
+            The last state.
+        """
+        card, limits = CardSettings(**{**self.card, "park_v": self.volts}), GalvoLimits(**self.limits)
+        stage, attempts = ParkStage.UNKNOWN, 0
+        while True:
+            attempts += 1
+            try:
+                with open_outside(self.kind, Scanner, card, limits, **self.options) as scanner:
+                    while True:
+                        state: ParkState = scanner.park_state
+                        if state.stage is not stage:
+                            stage = state.stage
+                            report(state)
+                        if state.parked:
+                            return state
+                        time.sleep(POLL_S)
+            except ElsPlusError as error:
+                failed = ParkState(ParkStage.NOT_PARKED, str(error), attempts)
+                if stage is not failed.stage:
+                    stage = failed.stage
+                    report(failed)
+                time.sleep(RETRY_LATER_S)
