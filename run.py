@@ -4,6 +4,7 @@
 python3 run.py               opens napari with the plugin; without a screen runs the demonstration
 python3 run.py test          lint, types and tests
 python3 run.py test --all    the same, with the slow accuracy sweeps
+python3 run.py test --rig    the camera's driver on Linux's own USB stack, in QEMU; two minutes, and Debian's packages
 python3 run.py bench NAME    speed against accuracy: a benchmark's table, CSV and chart; ``bench --help`` lists all
 python3 run.py bench docs    every chart and table of the documentation, measured anew
 python3 run.py screens       a picture of every panel in both themes and two sizes, and a list of clipped text
@@ -260,6 +261,12 @@ def test(everything: bool) -> int:
     return 0
 
 
+def rig() -> int:
+    """Run the camera's driver, and aravis, against the virtual camera on the bus of a kernel in QEMU."""
+    prepare()
+    return run([python(), "-m", "rig"], PYTHONPATH=str(ROOT / "tests"))
+
+
 def bench(arguments: list[str]) -> int:
     """Run the benchmarks' own command line in the user's folder, so that relative paths are the user's."""
     prepare()
@@ -294,6 +301,7 @@ def main(arguments: list[str] | None = None) -> int:
     commands = parser.add_subparsers(dest="command", metavar="test | bench | screens")
     testing = commands.add_parser("test", help="lint, types and tests")
     testing.add_argument("--all", action="store_true", help="with the slow accuracy sweeps")
+    testing.add_argument("--rig", action="store_true", help="only the camera's driver on a kernel in QEMU")
     commands.add_parser("bench", help="speed against accuracy", add_help=False)
     commands.add_parser("screens", help="a picture of every panel", add_help=False)
     options, rest = parser.parse_known_args(arguments)
@@ -304,7 +312,9 @@ def main(arguments: list[str] | None = None) -> int:
             return bench(rest)
         if options.command == "screens":
             return screens(rest)
-        return test(options.all) if options.command == "test" else start()
+        if options.command == "test":
+            return rig() if options.rig else test(options.all)
+        return start()
     except Stop as stop:
         print(stop, file=sys.stderr)
         return stop.code

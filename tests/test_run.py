@@ -274,6 +274,24 @@ def test_screens_are_drawn_on_a_virtual_screen_with_settings_of_their_own(
     assert not Path(recorder.environments[-1]["NAPARI_CONFIG"]).exists()
 
 
+def test_the_rig_is_run_alone_and_its_exit_code_is_passed_on(run: ModuleType, recorder: Recorder) -> None:
+    recorder.failing = "rig"
+    assert run.main(["test", "--rig"]) == 3
+    assert recorder.commands[-1] == [run.python(), "-m", "rig"]
+    assert recorder.environments[-1] == {"PYTHONPATH": str(run.ROOT / "tests")}
+
+
+@posix_only
+def test_the_rig_without_its_packages_prints_the_line_that_installs_them(tmp_path: Path) -> None:
+    paths = {"PYTHONPATH": os.pathsep.join(str(PROJECT / folder) for folder in ("src", "tests")), "PATH": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-m", "rig"], env=os.environ | paths, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert "sudo apt-get install --no-install-recommends qemu-system-x86 busybox-static kmod aravis-tools-cli" in line
+
+
 @pytest.mark.parametrize(
     "words", [["list"], ["line", "--out", "results", "--quick"], ["docs", "--only", "line"], ["--help"]]
 )

@@ -46,6 +46,11 @@ class Plug:
     unplugged: bool = False
     interfaces: set[int] = field(default_factory=set)
 
+    @property
+    def is_super(self) -> bool:
+        """The link is USB 3."""
+        return self.speed >= 4
+
 
 class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
     """The bus; its methods are those of `usb.backend.IBackend`.
@@ -69,7 +74,7 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
 
     def get_device_descriptor(self, dev: Plug) -> SimpleNamespace:
         """Describe a device; see :meth:`usb.backend.IBackend.get_device_descriptor`."""
-        (described,) = descriptors.parse(descriptors.device(dev.iidc))
+        (described,) = descriptors.parse(descriptors.device(dev.iidc, dev.is_super))
         place = {"address": 1 + self.plugs.index(dev), "bus": 1, "port_number": 1, "port_numbers": (1,)}
         return SimpleNamespace(**vars(described) | place, speed=dev.speed)
 
@@ -77,7 +82,7 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
         """Describe the configuration; see :meth:`usb.backend.IBackend.get_configuration_descriptor`."""
         if config:
             raise IndexError(config)
-        return next(descriptors.parse(descriptors.configuration(dev.iidc)))
+        return next(descriptors.parse(descriptors.configuration(dev.iidc, dev.is_super)))
 
     def get_interface_descriptor(self, dev: Plug, intf: int, alt: int, config: int) -> SimpleNamespace:
         """Describe the control or the stream interface; see :meth:`usb.backend.IBackend.get_interface_descriptor`."""
@@ -96,7 +101,9 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
         if dev.forbidden:
             raise USBError("Access denied (insufficient permissions)", -3, errno.EACCES)
         if self.capture is not None:
-            self.capture.enumeration(descriptors.device(dev.iidc), descriptors.configuration(dev.iidc))
+            self.capture.enumeration(
+                descriptors.device(dev.iidc, dev.is_super), descriptors.configuration(dev.iidc, dev.is_super)
+            )
         return dev
 
     def close_device(self, dev_handle: Plug) -> None:
@@ -185,4 +192,5 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
 
 def _parts(plug: Plug, kind: int) -> list[SimpleNamespace]:
     """Return the descriptors of a kind in a plug's configuration."""
-    return [part for part in descriptors.parse(descriptors.configuration(plug.iidc)) if part.bDescriptorType == kind]
+    parts = descriptors.parse(descriptors.configuration(plug.iidc, plug.is_super))
+    return [part for part in parts if part.bDescriptorType == kind]

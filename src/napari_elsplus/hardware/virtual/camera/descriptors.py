@@ -26,26 +26,51 @@ _FIELDS: Final = {
 """Fields of the descriptors in order, those of two bytes marked."""
 
 
-def device(iidc: bool) -> bytes:
-    """Return the device descriptor of a USB3 Vision camera, or of one with the older IIDC firmware."""
+CAPABILITIES: Final = (
+    bytes([5, 0x0F, 22, 0, 2])
+    + bytes([7, 0x10, 2, 2, 0, 0, 0])
+    + (bytes([10, 0x10, 3, 0, 0x0E, 0, 1, 0x0A, 0xFF, 0x07]))
+)
+"""Binary device object store: power management of links, and the speeds (USB 3.0, 9.6.2)."""
+
+
+def device(iidc: bool, super_speed: bool = True) -> bytes:
+    """Return the device descriptor of a USB3 Vision camera, or of one with the older IIDC firmware.
+
+    Parameters
+    ----------
+    iidc : bool
+        It has the older firmware.
+    super_speed : bool
+        The link is USB 3; otherwise USB 2, where the versions and the packets' sizes are others.
+    """
     classes, product = ((0, 0, 0), 0x3006) if iidc else ((0xEF, 0x02, 0x01), 0x3300)
-    return bytes([18, DEVICE, 0x00, 0x03, *classes, 9, 0x10, 0x1E, *product.to_bytes(2, "little"), 1, 0, 1, 2, 3, 1])
+    version, packet = ((0x00, 0x03), 9) if super_speed else ((0x10, 0x02), 64)  # 9: 2 ** 9 bytes
+    ids = [0x10, 0x1E, *product.to_bytes(2, "little")]
+    return bytes([18, DEVICE, *version, *classes, packet, *ids, 1, 0, 1, 2, 3, 1])
 
 
-def configuration(iidc: bool) -> bytes:
-    """Return the configuration descriptor with all that belongs to it, of a USB3 Vision or of an IIDC camera."""
+def configuration(iidc: bool, super_speed: bool = True) -> bytes:
+    """Return the configuration descriptor with all that belongs to it.
+
+    Parameters
+    ----------
+    iidc, super_speed : bool
+        As in `device`.
+    """
     classes = (0xFF, 0, 0) if iidc else (0xEF, 0x05, 0x00)
     parts = [] if iidc else [bytes([8, 0x0B, 0, 2, 0xEF, 0x05, 0x00, 0])]  # the association of both interfaces
     parts.append(bytes([9, INTERFACE, 0, 0, 2, *classes, 0]))
     if not iidc:
         versions = bytes([1, 0, 1, 0, 1, 0, 1, 0])  # GenCP 1.1, USB3 Vision 1.1
         parts.append(bytes([20, U3V_INFO, 0x01, *versions, 3, 1, 2, 0, 0, 0, 3, 0, 0x08]))
-    parts += [_endpoint(CONTROL_OUT), _endpoint(CONTROL_IN)]
+    parts += [_endpoint(CONTROL_OUT, super_speed), _endpoint(CONTROL_IN, super_speed)]
     if not iidc:
-        parts += [bytes([9, INTERFACE, 1, 0, 1, 0xEF, 0x05, 0x02, 0]), _endpoint(STREAM_IN)]
+        parts += [bytes([9, INTERFACE, 1, 0, 1, 0xEF, 0x05, 0x02, 0]), _endpoint(STREAM_IN, super_speed)]
     body = b"".join(parts)
     total = (9 + len(body)).to_bytes(2, "little")
-    return bytes([9, CONFIGURATION, *total, 1 if iidc else 2, 1, 0, 0x80, 112]) + body
+    power = 112 if super_speed else 250  # 896 mA in units of 8 mA, 500 mA in units of 2 mA
+    return bytes([9, CONFIGURATION, *total, 1 if iidc else 2, 1, 0, 0x80, power]) + body
 
 
 def string(index: int, serial: str) -> bytes:
@@ -79,6 +104,8 @@ def _named(part: bytes) -> SimpleNamespace:
     return SimpleNamespace(**values)
 
 
-def _endpoint(address: int) -> bytes:
-    """Return a bulk endpoint of 1024 bytes, with its SuperSpeed companion."""
-    return bytes([7, ENDPOINT, address, 0x02, 0x00, 0x04, 0, 6, 0x30, 0, 0, 0, 0])
+def _endpoint(address: int, super_speed: bool) -> bytes:
+    """Return a bulk endpoint: of 1024 bytes with its SuperSpeed companion, or of 512 bytes."""
+    if super_speed:
+        return bytes([7, ENDPOINT, address, 0x02, 0x00, 0x04, 0, 6, 0x30, 0, 0, 0, 0])
+    return bytes([7, ENDPOINT, address, 0x02, 0x00, 0x02, 0])
