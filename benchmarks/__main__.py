@@ -23,6 +23,7 @@ from benchmarks.harness.verdict import verdict
 from benchmarks.imperfect import study, survey
 from benchmarks.imperfect.cases import CASES
 from benchmarks.programs.mutations import mutations
+from benchmarks.programs.start import start
 from benchmarks.studies import line_fit
 from napari_elsplus.cli import run_program
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
@@ -157,6 +158,7 @@ def docs(folder: Path, quick: bool, only: tuple[str, ...], photographs: Path | N
 
 
 bench.add_command(mutations)
+bench.add_command(start)
 
 
 def _blocks(name: str, images: Path, quick: bool, report: Callable[[str], None]) -> dict[str, str]:

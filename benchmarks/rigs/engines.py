@@ -11,8 +11,8 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.link.server import STATUS_PERIOD_S
 from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
-from napari_elsplus.acquisition.streaming.priority import keep_pace, settle_memory
 from napari_elsplus.acquisition.streaming.usage import Usage, usage
+from napari_elsplus.hardware.priority import keep_pace, settle_memory
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.simulation.calibration_scenes import background

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -22,3 +24,10 @@ def config_folder() -> Path:
 def cache_folder() -> Path:
     """Return the folder for what can be made again, such as calibrations of simulated rigs; it need not exist."""
     return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_dir("napari-elsplus", appauthor=False))
+
+
+@cache
+def software_fingerprint() -> str:
+    """Return a hash of the package's sources: what one version has remembered, another does not recall."""
+    files = sorted(Path(__file__).parents[1].rglob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()

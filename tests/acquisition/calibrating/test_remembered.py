@@ -79,7 +79,7 @@ def test_other_devices_and_other_software_measure_again(
         remembered.remembered_file(simulation, engine.setup)
         for simulation in (Simulation(), Simulation(galvo=replace(GalvoModel(), natural_hz=800.0)), Simulation(seed=1))
     }
-    monkeypatch.setattr(remembered, "_sources", lambda: "edited")
+    monkeypatch.setattr(remembered, "software_fingerprint", lambda: "edited")
     files.add(remembered.remembered_file(Simulation(), engine.setup))
     assert len(files) == 4
 

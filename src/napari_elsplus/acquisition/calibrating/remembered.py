@@ -9,16 +9,15 @@ from __future__ import annotations
 import hashlib
 from contextlib import suppress
 from dataclasses import fields
-from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import napari_elsplus
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.io.calibrations import read_calibration, write_calibration
-from napari_elsplus.io.user_folders import cache_folder
+from napari_elsplus.io.user_folders import cache_folder, software_fingerprint
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from napari_elsplus.acquisition.engine.camera_setup import CameraSetup
     from napari_elsplus.hardware.virtual.bench import Simulation
     from napari_elsplus.instrument.calibration import Calibration
@@ -40,7 +39,7 @@ def remembered_file(simulation: Simulation, setup: CameraSetup) -> Path:
         The camera's settings.
     """
     devices = {part.name: getattr(simulation, part.name) for part in fields(simulation) if part.name not in PLAYED}
-    key = hashlib.sha256(f"{_sources()} {devices} {setup.acquired_with} {setup.frame_shape}".encode())
+    key = hashlib.sha256(f"{software_fingerprint()} {devices} {setup.acquired_with} {setup.frame_shape}".encode())
     return cache_folder() / "calibrations" / f"simulated-{key.hexdigest()[:16]}.json"
 
 
@@ -61,10 +60,3 @@ def remember_calibration(path: Path, calibration: Calibration) -> None:
         for old in kept[:-MAX_FILES]:
             old.unlink(missing_ok=True)
             old.with_suffix(".npz").unlink(missing_ok=True)
-
-
-@cache
-def _sources() -> str:
-    """Return a hash of the package's sources: any other version of the software measures again."""
-    files = sorted(Path(napari_elsplus.__file__).parent.rglob("*.py"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
-from napari_elsplus.acquisition.streaming.priority import ordinary_priority
 from napari_elsplus.acquisition.streaming.ring import Layout
 from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.priority import ordinary_priority
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.elsa import elsa_pair
 from napari_elsplus.processing.images.resampling import resampled

@@ -23,8 +23,8 @@ from napari_elsplus.acquisition.link.commands import COMMANDS, Turn, execute
 from napari_elsplus.acquisition.link.messages import QUIT, Activated, Heartbeat, Reply, Request
 from napari_elsplus.acquisition.link.session import Session
 from napari_elsplus.acquisition.streaming import shared_memory as shared
-from napari_elsplus.acquisition.streaming.priority import keep_pace
 from napari_elsplus.errors import ElsPlusError
+from napari_elsplus.hardware.priority import keep_pace
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,9 +12,9 @@ from napari_elsplus.acquisition.engine.live_mosaic import LiveMosaic
 from napari_elsplus.acquisition.engine.status import Progress, Status
 from napari_elsplus.acquisition.link.newest import Newest
 from napari_elsplus.acquisition.link.supervision import Supervision
-from napari_elsplus.acquisition.streaming.priority import settle_memory
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
 from napari_elsplus.errors import DeviceError, InputError, MeasurementError
+from napari_elsplus.hardware.priority import settle_memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -13,8 +13,8 @@ import numpy as np
 
 from napari_elsplus.acquisition.mosaic.insertion import ElsaInsertion, LiveInsertion, TrackedFrame
 from napari_elsplus.acquisition.mosaic.loop_closure import LoopClosureThread, NewNode
-from napari_elsplus.acquisition.streaming.priority import ordinary_priority
 from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.priority import ordinary_priority
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState

@@ -13,12 +13,12 @@ from napari_elsplus.acquisition.calibrating.simulated import use_simulated_calib
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
 from napari_elsplus.acquisition.session import live_engine
-from napari_elsplus.acquisition.streaming.priority import keep_pace, settle_memory
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.parking import ParkStage
+from napari_elsplus.hardware.priority import keep_pace, settle_memory
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.io import beside, read_calibration, replacing, write_mosaic, write_track

@@ -1,12 +1,17 @@
-"""Frames of the bench, cheap enough for real time: those of a closed path are rendered once and played again."""
+"""Frames of the bench, cheap enough for real time: those of a closed path are rendered once and played again.
+
+Those of a moving probe are remembered between starts, too (:mod:`remembered_frames`).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.hardware.virtual.remembered_frames import frames_key, recall_frames, remember_frames
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.trajectories import Still
 
@@ -70,6 +75,7 @@ class FrameSource:
         self._renderer = Renderer(instrument, scene, trajectory, seed=seed)
         recurs = ahead and not instrument.imperfections.bleaching_percent
         rounds = _frames_per_round(trajectory, instrument.optics.frame_rate_hz) if recurs else 0
+        self._key = "" if isinstance(trajectory, Still) or not rounds else frames_key(*self._made_for, seed)
         self._kept = np.empty((rounds, *instrument.frame_shape), np.uint8)
         self._is_kept = np.zeros(rounds, bool)
         self._rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
@@ -83,10 +89,22 @@ class FrameSource:
         return self._made_for == (instrument, scene, trajectory)
 
     def render_ahead(self, line_rows: NDArray[np.float64]) -> None:
-        """Render the frames that recur while the line is on `line_rows`; at least one, to compile everything."""
-        first = np.empty(self._kept.shape[1:], np.uint8)
-        for k in (0, *range(max(1, len(self._kept)))):  # a frame is kept once the line was the same before
-            self.fill(k, first, line_rows)
+        """Recall or render the frames that recur while the line is on `line_rows`; at least one, to compile all."""
+        seen = self._seen(line_rows)
+        self._renderer.render(0, line_rows=seen)
+        if len(self._kept) and not _alike(seen, self._kept_for):
+            self._keep_for(seen)
+        if self._is_kept.all():
+            return
+        recalled = recall_frames(self._key, self._kept, partial(_alike, seen)) if self._key else None
+        if recalled is not None:
+            self._kept = recalled
+            self._is_kept[:] = True
+            return
+        for place in np.flatnonzero(~self._is_kept).tolist():
+            self._keep(place)
+        if self._key:
+            remember_frames(self._key, self._kept_for, self._kept)
 
     def fill(self, frame: int, out: Frame, line_rows: NDArray[np.float64]) -> None:
         """Fill a frame; outside both images the line's row does not matter.
@@ -102,20 +120,32 @@ class FrameSource:
         line_rows : numpy.ndarray
             Row of the confocal view on which the line is, for each row of the frame.
         """
-        seen = np.where(self._dark, self._rows, line_rows)
+        seen = self._seen(line_rows)
         if not _alike(seen, self._kept_for):
             steady = _alike(seen, self._before)
             self._before = seen
             if not (steady and len(self._kept)):
                 self._renderer.render(frame, out, line_rows=seen)
                 return
-            self._kept_for = seen
-            self._is_kept[:] = False
+            self._keep_for(seen)
         place = frame % len(self._kept)
         if not self._is_kept[place]:
-            self._renderer.render(frame, self._kept[place], line_rows=self._kept_for)
-            self._is_kept[place] = True
+            self._keep(place)
         np.copyto(out, self._kept[place])
+
+    def _seen(self, line_rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the line's rows, those where they do not matter as of an ideal scan."""
+        return np.where(self._dark, self._rows, line_rows)
+
+    def _keep_for(self, seen: NDArray[np.float64]) -> None:
+        """Keep frames for a line on `seen` from now on."""
+        self._before = self._kept_for = seen
+        self._is_kept[:] = False
+
+    def _keep(self, place: int) -> None:
+        """Render a frame that recurs."""
+        self._renderer.render(place, self._kept[place], line_rows=self._kept_for)
+        self._is_kept[place] = True
 
 
 def _alike(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:

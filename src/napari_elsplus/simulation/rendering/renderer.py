@@ -212,6 +212,8 @@ class Renderer:
 
     def _follow_line(self, line_rows: NDArray[np.float64] | None) -> None:
         """Recompute the light on the cores if the line positions differ from those of the last frame."""
+        if line_rows is not None and self._line_rows is not None and np.array_equal(line_rows, self._line_rows):
+            return
         rows = np.arange(self.frame_shape[0], dtype=np.float64)
         if line_rows is not None:
             if line_rows.shape != rows.shape:
@@ -319,7 +321,7 @@ def gather(
     scale : numpy.ndarray
         (cores,) factor on the brightness.
     """
-    mask = window.shape[0] - 1
+    one, mask = np.uint64(1), np.uint64(window.shape[0] - 1)  # unsigned: no index is tested for being negative
     for n in range(len(values)):
         y, x = places[0, n], places[1, n]
         if down is None:
@@ -329,8 +331,8 @@ def gather(
             x += shift_um[n] * down[1, n]
         y, x = y * per_um, x * per_um
         fy, fx = np.floor(y), np.floor(x)
-        i, j = int(fy) & mask, int(fx) & mask
-        k, m = (i + 1) & mask, (j + 1) & mask
+        i, j = np.uint64(np.int64(fy)) & mask, np.uint64(np.int64(fx)) & mask
+        k, m = (i + one) & mask, (j + one) & mask
         dy, dx = np.float32(y - fy), np.float32(x - fx)
         top = window[i, j] + dx * (window[i, m] - window[i, j])
         bottom = window[k, j] + dx * (window[k, m] - window[k, j])

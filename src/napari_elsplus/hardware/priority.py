@@ -1,4 +1,4 @@
-"""Real-time priority of the engine, where the system allows it."""
+"""Priority of threads: real time for those that keep the pace of camera and card, where the system allows it."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from napari_elsplus.acquisition.streaming.priority import keep_pace, ordinary_priority
+from napari_elsplus.hardware.priority import keep_pace, ordinary_priority
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="policies of scheduling are those of Linux")
