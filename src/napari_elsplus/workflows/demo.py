@@ -125,12 +125,12 @@ def run_demo(folder: Path, *, force: bool = False, progress: Progress = without_
     stage = _Stage(Instrument.of("240hz"), folder, force, progress)
     calibration = _calibrate(stage)
     _record(stage, calibration)
-    tracks, mosaics = _process(stage, calibration)
+    tracks, mosaics, mosaic_um_per_px = _process(stage, calibration)
     slow = _slow_frames(stage.instrument)
     comparison = compare(slow, calibration)
     figure = draw_comparison(comparison)
     save_figure(figure, folder / "comparison.png", force=force)
-    sheet = draw_contact_sheet(slow[0], calibration, comparison, mosaics)
+    sheet = draw_contact_sheet(slow[0], calibration, comparison, mosaics, mosaic_um_per_px)
     save_figure(sheet, folder / "contact_sheet.png", force=force)
     report = {
         "software": f"napari-elsplus {__version__}",
@@ -176,8 +176,16 @@ def _record(stage: _Stage, calibration: Calibration) -> None:
 
 def _process(
     stage: _Stage, calibration: Calibration
-) -> tuple[dict[Mode, TrackErrors], dict[Mode, NDArray[np.float32]]]:
-    """Write images of the first frames, LS and ELS+ mosaics, each along its own track, and the track of ELS+."""
+) -> tuple[dict[Mode, TrackErrors], dict[Mode, NDArray[np.float32]], float | None]:
+    """Write images of the first frames, LS and ELS+ mosaics, each along its own track, and the track of ELS+.
+
+    Returns
+    -------
+    tracks, mosaics : dict
+        Errors of the track, and mosaic (rows, cols), of each mode.
+    um_per_px : float or None
+        Of the mosaics.
+    """
     optics = stage.instrument.optics
     tracks, mosaics = {}, {}
     with open_recording(stage.folder / "recording.ome.tif") as recording:
@@ -203,7 +211,7 @@ def _process(
             target = stage.folder / f"mosaic_{mode.value}.ome.tif"
             write_mosaic(target, mosaics[mode], pipeline.um_per_px, calibration=calibration, force=stage.force)
     write_track(stage.folder / "track.csv", pipeline.rows, force=stage.force)
-    return tracks, mosaics
+    return tracks, mosaics, pipeline.um_per_px
 
 
 def _sectioning(stage: _Stage, calibration: Calibration) -> dict[str, float]:

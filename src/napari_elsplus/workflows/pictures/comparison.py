@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.patheffects import withStroke
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
 from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, LineProfiles, line_profiles
 from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner, disc
 from napari_elsplus.workflows.pictures.files import save_figure
-from napari_elsplus.workflows.pictures.mosaic_picture import bar_length
+from napari_elsplus.workflows.pictures.scale_bar import draw_scale_bar
 
 if TYPE_CHECKING:
     import os
@@ -46,7 +45,6 @@ _PROFILE_MM: Final = 32.0
 """Height of the profiles with their labels; chosen."""
 _CAPTION_MM: Final = 8.0
 """Height of the title above and the number below an image; chosen for two lines of text."""
-_BAR_SHARE: Final = 0.32
 
 
 @dataclass(frozen=True)
@@ -189,7 +187,7 @@ def _draw_image(axes: Axes, comparison: ComparisonFigure, mode: Mode, letter: st
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
     if comparison.um_per_px is not None:
-        _draw_scale_bar(axes, len(image), comparison.um_per_px)
+        draw_scale_bar(axes, image.shape, comparison.um_per_px, SMALL_PT)
 
 
 def _draw_profiles(axes: Axes, comparison: ComparisonFigure, shown: list[Mode]) -> None:
@@ -209,15 +207,3 @@ def _draw_profiles(axes: Axes, comparison: ComparisonFigure, shown: list[Mode]) 
         borderaxespad=0, handlelength=2.5,
     )  # fmt: skip
     axes.margins(x=0)
-
-
-def _draw_scale_bar(axes: Axes, side: int, um_per_px: float) -> None:
-    length_um = bar_length(_BAR_SHARE * side * um_per_px)
-    length_px = length_um / um_per_px
-    outline = [withStroke(linewidth=1.5, foreground="black")]
-    right, bottom = 0.97 * side, 0.96 * side
-    axes.plot([right - length_px, right], [bottom] * 2, color="white", linewidth=1.5, solid_capstyle="butt")
-    axes.text(
-        right, 0.94 * side, f"{length_um:g} \N{MICRO SIGN}m", color="white", ha="right", va="bottom",
-        fontsize=SMALL_PT, path_effects=outline,
-    )  # fmt: skip

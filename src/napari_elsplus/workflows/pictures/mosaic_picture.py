@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, floor, log10
+from math import ceil
 from typing import TYPE_CHECKING, Final
 
 import cv2
@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from napari_elsplus.workflows.pictures.files import DPI
+from napari_elsplus.workflows.pictures.scale_bar import bar_length, length_label
 
 if TYPE_CHECKING:
     import numpy as np
@@ -47,21 +48,8 @@ def draw_mosaic(image: NDArray[np.float32], um_per_px: float | None, white: floa
         length, thick = length_um / (um_per_px * shrink), max(2.0, 0.008 * rows)
         left, top = 0.97 * cols - length, 0.97 * rows - thick
         axes.add_patch(Rectangle((left, top), length, thick, facecolor="white", edgecolor="black", linewidth=0.5))
-        label = f"{length_um / 1000:g} mm" if length_um >= 1000 else f"{length_um:g} \N{MICRO SIGN}m"
         axes.text(
-            left + length / 2, top - 0.6 * thick, label, color="white", ha="center", va="bottom",
+            left + length / 2, top - 0.6 * thick, length_label(length_um), color="white", ha="center", va="bottom",
             fontsize=max(8.0, 0.03 * min(rows, cols) * grow * 72 / DPI),
         )  # fmt: skip
     return figure
-
-
-def bar_length(longest: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is not longer than `longest`.
-
-    Examples
-    --------
-    >>> bar_length(730.0), bar_length(0.03), bar_length(1999.0)
-    (500.0, 0.02, 1000.0)
-    """
-    power = 10.0 ** floor(log10(longest))
-    return next(step * power for step in (5, 2, 1) if step * power <= longest * (1 + 1e-9))
