@@ -65,7 +65,7 @@ def test_it_is_stale_at_another_gain(added, dark):
     draft = added.accept(Draft(), elsplus.calibrate(dark=dark).found[KEY], setup)
     assert added.state(draft, setup)[0] is StepState.DONE
     louder = Setup(setup.frame, AcquiredWith(gain_db=6.0))
-    assert added.state(draft, louder) == (StepState.STALE, "gain_db was 0.0, is 6.0")
+    assert added.state(draft, louder) == (StepState.STALE, "gain changed from 0 to 6 dB")
 
 
 def test_the_engine_measures_it_in_its_own_process(added):

@@ -86,7 +86,7 @@ def test_what_went_stale_is_said_with_the_reason() -> None:
     assert calibration.stale_sections(AcquiredWith(objective="10x", slit_rows=3)) == {}
     stale = calibration.stale_sections(AcquiredWith(objective="4x"))
     assert set(stale) == {"offset", "galvo", "bundle", "optics"}
-    assert stale["galvo"] == "objective was 10x, is 4x"
+    assert stale["galvo"] == "objective changed from 10x to 4x"
     assert "bundle" in calibration.stale_sections(AcquiredWith(), FrameSection(shape=(100, 100)))
 
 

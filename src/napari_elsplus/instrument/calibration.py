@@ -7,7 +7,7 @@ impossible numbers. Files are read and written by :mod:`napari_elsplus.io`.
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,27 @@ class AcquiredWith(Section):
     slit_rows: Positive | None = None
     frame_rate_hz: Positive | None = None
     gain_db: Finite | None = None
+
+
+_SETTING_WORDS: Final = {
+    "slit_rows": ("slit", " rows"),
+    "frame_rate_hz": ("frame rate", " Hz"),
+    "gain_db": ("gain", " dB"),
+}
+"""Name and unit of the numbers of :class:`AcquiredWith`."""
+
+
+def changed_setting(name: str, then: Any, now: Any) -> str:
+    """Return the change of a setting of :class:`AcquiredWith` in words.
+
+    Examples
+    --------
+    >>> changed_setting("slit_rows", 3.0, 60.0), changed_setting("objective", "10x", "20x")
+    ('slit changed from 3 to 60 rows', 'objective changed from 10x to 20x')
+    """
+    words, unit = _SETTING_WORDS.get(name, (name, ""))
+    before, after = (f"{value:g}" if isinstance(value, int | float) else str(value) for value in (then, now))
+    return f"{words} changed from {before} to {after}{unit}"
 
 
 class OffsetSection(Section):
@@ -341,5 +362,5 @@ class Calibration(Section):
         for name, sections in affected.items():
             then, now = getattr(self.acquired_with, name), getattr(settings, name)
             if then is not None and now is not None and then != now:
-                stale |= dict.fromkeys(sections, f"{name} was {then}, is {now}")
+                stale |= dict.fromkeys(sections, changed_setting(name, then, now))
         return {name: reason for name, reason in stale.items() if getattr(self, name) is not None}

@@ -25,8 +25,8 @@ def test_a_scan_whose_lag_is_unknown_comes_with_advice():
 
 
 def test_what_does_not_hold_any_more_is_said_with_its_reason():
-    status = Status(live=True, stale={"background": "gain_db was 0.0, is 6.0"})
-    assert "stale: background (gain_db was 0.0, is 6.0)" in status_text(status, None, 30.0, busy=False)
+    status = Status(live=True, stale={"background": "gain changed from 0 to 6 dB"})
+    assert "stale: background (gain changed from 0 to 6 dB)" in status_text(status, None, 30.0, busy=False)
 
 
 def test_the_active_calibration_is_named_with_what_was_not_measured():

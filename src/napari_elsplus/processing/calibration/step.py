@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.instrument.calibration import utc_now
+from napari_elsplus.instrument.calibration import changed_setting, utc_now
 
 if TYPE_CHECKING:
     import numpy as np
@@ -92,11 +92,14 @@ class StepSummary:
         The numbers behind it.
     warnings : sequence of str
         What is not as it should be.
+    details : sequence of str
+        Evidence behind the numbers, for reports and tooltips.
     """
 
     headline: str
     lines: Sequence[str] = ()
     warnings: Sequence[str] = ()
+    details: Sequence[str] = ()
 
 
 def _none_outdated(_draft: Draft, _found: Any) -> Mapping[str, str]:
@@ -267,7 +270,7 @@ def _stale_steps(calibration: Calibration, setup: Setup) -> dict[str, str]:
         for name in step.settings:
             then, now = getattr(calibration.acquired_with, name, None), getattr(setup.acquired_with, name)
             if then is not None and now is not None and then != now:
-                stale[step.key] = f"{name} was {then}, is {now}"
+                stale[step.key] = changed_setting(name, then, now)
         if step.section in sections:
             stale[step.key] = sections[step.section]
     return stale

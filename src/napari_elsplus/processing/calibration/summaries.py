@@ -93,7 +93,7 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
         f"Ø {disc.diameter_px:.2f} ± {disc.diameter_uncertainty_px:.2f} px"
         for name, disc in (("confocal", pair.confocal), ("residual", pair.residual))
     ]
-    lines.append(f"view alignment: {alignment.model} to {alignment.uncertainty_px:.3f} px (BIC: {evidence})")
+    lines.append(f"view alignment: {alignment.model} to {alignment.uncertainty_px:.3f} px")
     lines.append(f"gain of the residual view {with_uncertainty(alignment.gain, alignment.gain_uncertainty)}")
     if known.gain_map is not None:
         lines.append(f"gain map: {100 * float(known.gain_map.std()):.1f} % over the field")
@@ -114,8 +114,8 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
         warnings.append("micrometres unknown: enter the diameter of the bundle")
     if known.offset is not None:
         lines.append(
-            f"offset: {with_uncertainty(known.offset.rows, known.offset.uncertainty_rows)} rows by the line, "
-            f"{with_uncertainty(pair.offset_rows, pair.offset_uncertainty_rows)} by the bundle"
+            f"offset: {with_uncertainty(known.offset.rows, known.offset.uncertainty_rows)} rows from the laser line, "
+            f"{with_uncertainty(pair.offset_rows, pair.offset_uncertainty_rows)} from the fibre cores"
         )
         difference = known.offset.rows - pair.offset_rows
         if abs(difference) > MAX_OFFSET_DIFFERENCE_ROWS:
@@ -128,7 +128,7 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
         headline = f"alignment error {raw:.2f} %\n{filtered:.2f} % after the {known.quality.core_filter} filter"
         lines.append(measure_alignment_errors(pair.image, known).text)
         lines.append(PAPER_TEXT)
-    return StepSummary(headline, lines, warnings)
+    return StepSummary(headline, lines, warnings, [f"BIC of the models of view alignment: {evidence}"])
 
 
 def seen_share(disc: Disc, frame_shape: tuple[int, ...]) -> float:

@@ -55,7 +55,7 @@ def offset_picture(
     confocal = _profile("confocal", found.confocal, 0.0, "blue")
     residual = _profile("residual", found.residual, found.rows, "orange")
     plot = Plot("rows from the confocal line", "grey levels", [*confocal, *residual], bands=bands)
-    return Picture(summary.headline, lines, summary.warnings, [plot], good, far)
+    return Picture(summary.headline, lines, summary.warnings, summary.details, [plot], good, far)
 
 
 def _predicted_performance(found: SlitOffset, draft: Draft, setup: Setup, scale: float) -> list[str]:

@@ -49,7 +49,7 @@ def picture(
     if step.key == "offset":
         return offset_picture(found, summary, draft, setup, target_um)
     plots = PLOTS[step.key](found) if step.key in PLOTS else ()
-    return Picture(summary.headline, summary.lines, summary.warnings, plots)
+    return Picture(summary.headline, summary.lines, summary.warnings, summary.details, plots)
 
 
 def _galvo(found: GalvoMap) -> Sequence[Plot]:
