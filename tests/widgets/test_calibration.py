@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -20,7 +21,7 @@ from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.instrument.optics import preset
-from napari_elsplus.io import read_calibration
+from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration
 from napari_elsplus.processing.calibration.step import REGISTERED, StepState, Target
 from napari_elsplus.processing.calibration.steps import calibration_steps, find_step
@@ -29,6 +30,7 @@ from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Still
 from napari_elsplus.widgets.calibration.bundle_layers import IMAGE, OUTLINES
+from napari_elsplus.widgets.calibration.history import HistoryDialog
 from napari_elsplus.widgets.calibration.panel import CalibrationPanel
 from processes import exists
 
@@ -363,7 +365,7 @@ def test_what_another_panel_changes_makes_steps_stale(live, qtbot):
     assert "✓" in button.text()
     live.connection.client.configure(Settings("240hz", gain_db=6.0)).result()
     qtbot.waitUntil(lambda: "⚠" in button.text(), timeout=LONG_MS)
-    assert button.toolTip() == "stale: gain_db was 0.0, is 6.0"
+    assert button.toolTip() == "stale: gain changed from 0 to 6 dB"
     assert "✓" in live.form.steps["pair"].text()
     live.connection.client.configure(Settings("240hz")).result()
     qtbot.waitUntil(lambda: "✓" in button.text(), timeout=LONG_MS)
@@ -449,3 +451,42 @@ def test_the_report_has_a_page_for_each_measured_step(panel, qtbot, open_recordi
     panel.form.accept.click()
     panel.save_report(tmp_path / "report.pdf")
     assert (tmp_path / "report.pdf").read_bytes().count(b"/Type /Page ") == 2
+
+
+def test_a_calibration_made_from_files_has_no_scan_lag_background_or_flat_field_of_zero(
+    panel, qtbot, open_recording, tmp_path
+):
+    from_file(qtbot, panel, "galvo", open_recording / "sweep.tif")
+    panel.form.accept.click()
+    panel.save(tmp_path / "cal.json")
+    saved = json.loads((tmp_path / "cal.json").read_text())
+    assert "lag_s" not in saved["galvo"]
+    assert not (tmp_path / "cal.npz").exists()
+    found = read_calibration(tmp_path / "cal.json")
+    assert (found.galvo.lag_s, found.background, found.flat) == (None, None, None)
+
+
+def test_the_history_plots_a_number_over_the_calibrations_of_a_folder(panel, qtbot, open_recording, tmp_path, said):
+    from_file(qtbot, panel, "offset", open_recording / "line.tif")
+    panel.form.accept.click()
+    panel.save(tmp_path / "today.json")
+    earlier = panel.draft.calibration.model_copy(update={"created": "2026-01-31T12:00:00Z"})
+    write_calibration(tmp_path / "january.json", earlier)
+    panel.form.history.click()
+    (shown,) = panel.findChildren(HistoryDialog)
+    assert shown.quantity.currentText() == "slit offset / rows"
+    assert len(shown.plot.curves[0].x) == 2
+    assert "2 calibrations" in shown.notes.text()
+    shown.quantity.setCurrentIndex(1)
+    assert shown.plot.curves[0].name == shown.history.trends[1].name
+    shown.plot.save(tmp_path / "history.csv")
+    panel.save_report(tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").read_bytes().count(b"/Type /Page ") == 3
+    shown.close()
+
+
+def test_the_number_of_voltages_is_the_range_of_the_progress_bar(panel, qtbot, open_recording):
+    ranges = set()
+    panel.work._poll.timeout.connect(lambda: ranges.add(panel.work._bar.maximum()))
+    from_file(qtbot, panel, "galvo", open_recording / "sweep.tif")
+    assert max(ranges) == len(np.loadtxt(open_recording / "sweep_volts.csv", skiprows=1))

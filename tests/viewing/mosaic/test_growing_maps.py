@@ -29,7 +29,11 @@ def counted_at_once(rows: TrackTable, part: Rectangle) -> Coverage:
 
 
 def same(one: Coverage | None, other: Coverage) -> bool:
-    return one is not None and np.array_equal(one.frames, other.frames) and np.allclose(one.quality, other.quality)
+    return (
+        one is not None
+        and np.array_equal(one.frames, other.frames)
+        and np.allclose(one.quality, other.quality, equal_nan=True)
+    )
 
 
 def test_they_are_those_of_all_frames_however_these_come(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -153,7 +153,7 @@ def test_a_comparison_that_is_cancelled_changes_nothing(viewer, panel, qtbot):
     assert not panel.comparing
     assert state(viewer) == before
     assert panel.start.enabled
-    assert "Select a recording" in panel.numbers.text()
+    assert "select a recording" in panel.numbers.text()
 
 
 def test_a_plot_that_cannot_be_written_is_one_notification(panel, qtbot, said, tmp_path, monkeypatch):

@@ -18,6 +18,7 @@ from napari_elsplus.io import write_calibration
 from napari_elsplus.processing.calibration.draft import Setup
 from napari_elsplus.processing.calibration.steps import calibration_steps
 from napari_elsplus.workflows.calibration import calibrate
+from napari_elsplus.workflows.calibration_report.history import calibration_history
 from napari_elsplus.workflows.calibration_report.report import refuse_other_than_pdf, save_calibration_report
 
 if TYPE_CHECKING:
@@ -53,7 +54,11 @@ def _step_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.option("--rig", help="Measure everything live on this rig instead; `simulated` runs unattended.")
 @click.option("--preset", type=click.Choice(list(PRESETS)), default="240hz", show_default=True, help="With --rig.")
 @click.option("-o", "--output", type=FILE, required=True, help="Calibration file to write, NAME.json.")
-@click.option("--report", type=FILE, help="PDF to write, too: every number, fit, residual and picture, and the date.")
+@click.option(
+    "--report",
+    type=FILE,
+    help="PDF to write, too: every number, fit, residual and picture, the date, and the folder's earlier calibrations.",
+)
 @force_option
 def command(
     rig: str | None,
@@ -102,7 +107,7 @@ def command(
         click.echo(line)
     click.echo(f"wrote {output}")
     if report is not None:
-        pages = save_calibration_report(draft, report, force=force)
+        pages = save_calibration_report(draft, report, history=calibration_history(output.parent), force=force)
         click.echo(f"wrote {report}: {pages} pages")
 
 
@@ -126,7 +131,7 @@ def summary(draft: Draft, setup: Setup) -> Iterator[str]:
     for step in calibration_steps():
         if step.key in draft.found:
             found = step.summary(draft, draft.found[step.key], setup)
-            for line in (f"{step.title}: {found.headline}", *(f"  {line}" for line in found.lines)):
+            for line in (f"{step.title}: {found.headline}", *(f"  {line}" for line in (*found.lines, *found.details))):
                 yield line.translate(PLAIN)
             for warning in found.warnings:
                 yield f"  note: {warning}".translate(PLAIN)

@@ -36,7 +36,7 @@ class Coverage:
     >>> coverage = Coverage(Rectangle(0, 0, 16, 24), 6.0)
     >>> coverage.add(np.array([[8.0, 8.0], [8.0, 16.0]]), np.array([np.nan, 0.5]))
     >>> coverage.frames.tolist(), coverage.quality.tolist()
-    ([[1.0, 2.0, 1.0], [1.0, 2.0, 1.0]], [[0.0, 0.5, 0.5], [0.0, 0.5, 0.5]])
+    ([[1.0, 2.0, 1.0], [1.0, 2.0, 1.0]], [[nan, 0.5, 0.5], [nan, 0.5, 0.5]])
     """
 
     def __init__(self, part: Rectangle, radius: float, cell_px: int = CELL_PX) -> None:
@@ -68,8 +68,8 @@ class Coverage:
 
     @property
     def quality(self) -> NDArray[np.float32]:
-        """Mean score of these frames, (rows, cols) float32; 0 where none has a score."""
-        return np.divide(self._total, self._scored, out=np.zeros_like(self._total), where=self._scored > 0)
+        """Mean score of these frames, (rows, cols) float32; NaN where none has a score."""
+        return np.divide(self._total, self._scored, out=np.full_like(self._total, np.nan), where=self._scored > 0)
 
 
 @kernel

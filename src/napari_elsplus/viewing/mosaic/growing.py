@@ -55,8 +55,8 @@ class GrowingImage:
     frame : Rectangle
         Part of the sheet that the image covers.
     levels : list
-        Full resolution first, each half of the one before. All but the last read the mosaic when indexed; the last is
-        an array that is updated in place.
+        Full resolution first, each half of the one before, NaN where nothing was drawn. All but the last read the
+        mosaic when indexed; the last is an array that is updated in place.
 
     Examples
     --------
@@ -107,22 +107,22 @@ class GrowingImage:
     @property
     def white_level(self) -> float:
         """Grey level displayed as white."""
-        return display_white_level(self._coarsest[self._coarsest != 0])
+        return display_white_level(self._coarsest[np.isfinite(self._coarsest)])
 
     @property
     def covered_px(self) -> float:
         """Number of covered pixels, estimated from the last level."""
-        return float(np.count_nonzero(self._coarsest) << 2 * max(len(self.levels) - 1, 0))
+        return float(np.count_nonzero(np.isfinite(self._coarsest)) << 2 * max(len(self.levels) - 1, 0))
 
     def _read(self, level: int, part: Rectangle) -> NDArray[np.float32]:
-        return self._pyramid.read(level, _halved(part, level))[0]
+        return _read(self._pyramid, level, _halved(part, level))
 
     def _fill_coarsest(self, dirty: Rectangle) -> None:
         level = len(self.levels) - 1
         whole = _halved(self.frame, level)
         part = dirty.intersection(whole)
         if 0 not in part.shape:
-            self._coarsest[part.slices(whole)] = self._pyramid.read(level, part)[0]
+            self._coarsest[part.slices(whole)] = _read(self._pyramid, level, part)
 
 
 def display_white_level(drawn: NDArray[np.float32]) -> float:
@@ -183,11 +183,18 @@ class LevelView:
                 rest.append(0)
         (top, bottom), (left, right) = bounds
         part = Rectangle(top, left, bottom, right).translated(self._part.top, self._part.left)
-        return self._pyramid.read(self._level, part)[0][tuple(rest)]
+        return _read(self._pyramid, self._level, part)[tuple(rest)]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        whole = self._pyramid.read(self._level, self._part)[0]
+        whole = _read(self._pyramid, self._level, self._part)
         return whole if dtype is None else whole.astype(dtype, copy=False)
+
+
+def _read(pyramid: Pyramid, level: int, part: Rectangle) -> NDArray[np.float32]:
+    """Copy a part of a level of a pyramid, NaN where nothing was drawn: napari displays that as transparent."""
+    image, weight = pyramid.read(level, part)
+    image[weight == 0] = np.nan
+    return image
 
 
 def _halved(frame: Rectangle, level: int) -> Rectangle:

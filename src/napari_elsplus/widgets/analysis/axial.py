@@ -32,7 +32,7 @@ from napari_elsplus.widgets.shared.choosing import (
     refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, set_enabled
+from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, next_hint, set_enabled
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.work import Work
@@ -45,7 +45,7 @@ STACK, MANUAL, SIMULATED = "axial stack", "manual steps", "simulated instrument"
 OPEN_SCAN: Final = "open a scan with NAME.depths.csv and a calibration beside it, or the sample axial scan"
 WAIT: Final = "wait until the present scan is measured"
 CURVES: Final = "signal and depth"
-HINT: Final = "Measure a scan for its drop-offs; several scans give drop-offs against slit offset or width."
+HINT: Final = "measure a scan for its drop-offs; several scans give drop-offs against slit offset or width."
 
 
 class AxialResponsePanel(Panel):
@@ -114,7 +114,7 @@ class AxialResponsePanel(Panel):
 
     def show_scans(self) -> None:
         """Plot the scans, the last one in full, or their drop-offs against the slit; list the drop-offs."""
-        self.numbers.setText(table(self.scans) if self.scans else HINT)
+        self.numbers.setText(table(self.scans) if self.scans else next_hint(HINT))
         saves = "Save the plot as PNG, its numbers as CSV, or the scans as JSON"
         set_enabled(self.save, bool(self.scans), saves, "measure a scan")
         set_enabled(self.clear, bool(self.scans), "Discard all scans", "measure a scan")

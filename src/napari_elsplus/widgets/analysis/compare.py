@@ -35,7 +35,7 @@ from napari_elsplus.widgets.shared.choosing import (
     refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, set_enabled
+from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, next_hint, set_enabled
 from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
@@ -57,7 +57,7 @@ BLINK_MS: Final = 600
 """Time for which each image is displayed, milliseconds; chosen, long enough to compare one detail."""
 FIGURES: Final = "Figures (*.pdf *.svg *.png)"
 PREPARING: Final = "Computing the first images; the first time after installation this takes some seconds."
-HINT: Final = "Select a recording and press Compare; then draw a line on any of the images."
+HINT: Final = "select a recording and press Compare; then draw a line on any of the images."
 
 
 class ComparePanel(Panel):
@@ -92,7 +92,6 @@ class ComparePanel(Panel):
         self.connect_signal(viewer.dims.events.current_step, self._schedule_refresh)
         self.connect_signal(viewer.events.theme, self._theme_changed)
         self._layers_changed()
-        self.show_numbers()
 
     @property
     def comparing(self) -> bool:
@@ -114,7 +113,8 @@ class ComparePanel(Panel):
 
             def made() -> Comparison:
                 comparison = compare_stack(facts["stack"], facts["calibration"], cores)
-                comparison.at(index)
+                for planes in self.work.progress(list(comparison.images.values())):
+                    planes[index]
                 prepare_shapes()
                 return comparison
 
@@ -156,7 +156,8 @@ class ComparePanel(Panel):
     def show_numbers(self) -> None:
         """Show contrast, background and line profiles of the displayed frame."""
         if self._comparison is None:
-            self.numbers.setText(PREPARING if self.work.busy else HINT)
+            hint = next_hint(HINT if self.recording.choices else OPEN_RECORDING_FIRST)
+            self.numbers.setText(PREPARING if self.work.busy else hint)
             return
         images = self._comparison.at(self._index())
         self.numbers.setText(_table(image_statistics(images, self._comparison.inside), self.plot))
@@ -291,6 +292,8 @@ class ComparePanel(Panel):
             return
         refresh_choices(self.recording)
         available, idle = bool(self.recording.choices), not self.work.busy
+        if not self.comparing:
+            self.show_numbers()
         for choice in (self.recording, self.cores, self.view):
             choice.enabled = idle
         self.start.text = "End comparison" if self.comparing else "Compare"

@@ -137,6 +137,7 @@ class ComparisonLayers:
                 one.planes.dask(), cache=False, colormap=SIGNED if one.signed else "gray",
                 interpolation2d=SMOOTH, **options,
             )  # fmt: skip
+            image.colorbar.visible = one.signed  # its grey levels are compared, those of the others are scaled
             self.images.append(image)
             self._viewer.layers.append(image)
         place = {key: options[key][1:] for key in ("scale", "units", "axis_labels")}

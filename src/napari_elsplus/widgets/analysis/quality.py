@@ -34,7 +34,7 @@ from napari_elsplus.widgets.shared.choosing import (
     refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, set_enabled
+from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, next_hint, set_enabled
 from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
@@ -54,9 +54,9 @@ BOX_COLOUR: Final = "#f0e442"
 NOT_ALIGNMENT: Final = 0.1
 """Filtered alignment error above which the views do not show one scene (laser on); chosen, ten times the paper's."""
 HINT: Final = (
-    "<b>Alignment</b>: display a frame lit from the distal end. <b>Measure USAF resolution</b>: display a USAF 1951 "
-    "target, and draw a box closely around the three bars of each element. <b>Edge map</b>: select a recording of a "
-    "moving probe."
+    "one of three. <b>Alignment</b>: display a frame lit from the distal end. <b>Measure USAF resolution</b>: display "
+    "a USAF 1951 target, and draw a box closely around the three bars of each element. <b>Edge map</b>: select a "
+    "recording of a moving probe."
 )
 
 
@@ -90,7 +90,6 @@ class QualityPanel(Panel):
         self.connect_signal(viewer.layers.events.removed, self._layers_changed)
         self.connect_signal(viewer.events.theme, self._theme_changed)
         self._layers_changed()
-        self.show_numbers()
 
     def measure_alignment(self) -> None:
         """Measure the alignment error of the displayed frame."""
@@ -159,7 +158,8 @@ class QualityPanel(Panel):
                 f"<b>Residual at the rim</b> {top:.2f} (top) and {bottom:.2f} (bottom) of the central level, "
                 f"mean of {self.edge.frames} frames"
             )
-        self.numbers.setText("<br>".join(parts) or HINT)
+        hint = next_hint(HINT if self.recording.choices else OPEN_RECORDING_FIRST)
+        self.numbers.setText("<br>".join(parts) or hint)
         set_enabled(
             self.save, self.edge is not None, "Save the profile through the edge map as PNG or CSV", "make an edge map"
         )
@@ -222,15 +222,10 @@ class QualityPanel(Panel):
         self.plot.draw([curve])
         if EDGE in self.viewer.layers:
             self.viewer.layers.remove(EDGE)
-        self.viewer.layers.append(
-            Image(
-                edge.image.astype(np.float32),
-                name=EDGE,
-                contrast_limits=(0, 1.2),
-                colormap="viridis",
-                **place,
-            )
-        )
+        image = edge.image.astype(np.float32)
+        layer = Image(image, name=EDGE, contrast_limits=(0, 1.2), colormap="viridis", **place)
+        layer.colorbar.visible = True
+        self.viewer.layers.append(layer)
         self.show_numbers()
 
     def _layers_changed(self) -> None:
@@ -254,6 +249,7 @@ class QualityPanel(Panel):
         )
         set_enabled(self.average, idle, "Average the residual images of the recording", first)
         set_enabled(self.script, available, "Copy a Python script that makes these measurements", OPEN_RECORDING_FIRST)
+        self.show_numbers()
 
     def _recording_changed(self) -> None:
         """Measure again what is displayed; the edge map is of the recording before."""

@@ -1,4 +1,4 @@
-"""File dialogs of the Calibration panel; each returns an empty name where none was chosen."""
+"""File dialogs of the Calibration panel; an empty name is returned where none was chosen."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.step import CalibrationStep
 
 
-def recording_for(panel: QWidget, step: CalibrationStep[Any]) -> tuple[str, str]:
-    """Return the chosen recording of a step of the panel, and the table of voltages where none lies beside it."""
+def measure_chosen(panel: QWidget, step: CalibrationStep[Any], measure: Callable[[str, str | None], None]) -> None:
+    """Measure a step of the panel from a chosen recording, and a table of voltages where none lies beside it."""
     frames, _ = QFileDialog.getOpenFileName(panel, f"Frames for the {step.title}", "", recordings_filter())
-    if not frames or step.capture is not Capture.SWEEP or volts_beside(frames) is not None:
-        return frames, ""
-    volts, _ = QFileDialog.getOpenFileName(panel, "Voltages, one per frame", "", dialog_filter(TABLE))
-    return frames, volts
+    if not frames:
+        return
+    volts = ""
+    if step.capture is Capture.SWEEP and volts_beside(frames) is None:
+        volts, _ = QFileDialog.getOpenFileName(panel, "Voltages, one per frame", "", dialog_filter(TABLE))
+    measure(frames, volts or None)
 
 
 def calibration_to_load(panel: QWidget) -> str:

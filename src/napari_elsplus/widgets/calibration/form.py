@@ -96,7 +96,8 @@ class Form:
         self.next_step.setToolTip(f"Display the next step ({key_name('next step')})")
         self.load, self.save = QPushButton("Load..."), QPushButton("Save...")
         self.load.setToolTip("Read and activate a calibration")
-        self.report = QPushButton("Save report...")
+        self.report, self.history = QPushButton("Save report..."), QPushButton("History...")
+        self.history.setToolTip("Plot each number of the calibrations in a folder over days, with warnings of drift")
         self.save_plots, self.script = QPushButton("Save plots..."), QPushButton("Copy as script")
         self.plots = [ThemedPlot("", "", theme) for _ in range(MAX_PLOTS)]
         self._lay_out(panel, work)
@@ -220,6 +221,7 @@ class Form:
         if picture is None:
             self.headline.setText("not measured yet")
             self.numbers.setText("")
+            self.numbers.setToolTip("")
             plots: list[Any] = []
         else:
             ink = {
@@ -237,6 +239,7 @@ class Form:
             ]
             if numbers:
                 self.numbers.setText("<br>".join([*picture.lines, *warnings]))
+                self.numbers.setToolTip("\n".join(picture.details))
             plots = list(picture.plots)
         for index, widget in enumerate(self.plots):
             if index < len(plots):
@@ -276,6 +279,7 @@ class Form:
             A result is not accepted yet; a step can be undone; a step was measured here; the calibration has a section.
         """
         self.connect_button.setText("Disconnect" if connected else "Connect")
+        self.connect_button.setToolTip("Park the galvo, and close the rig" if connected else "Open camera and galvo")
         self.connect_button.setEnabled(not busy)
         self.rig.setEnabled(not busy and not connected)
         self.preset.setEnabled(not busy and not connected)
@@ -344,7 +348,8 @@ class Form:
             layout.addWidget(plot, PLOT_STRETCH)
         layout.addStretch(1)
         layout.addWidget(self.numbers)
-        layout.addLayout(_row(self.load, self.save, self.report))
+        layout.addLayout(_row(self.load, self.save))
+        layout.addLayout(_row(self.report, self.history))
         layout.addLayout(_row(self.save_plots, self.script))
 
 

@@ -4,25 +4,28 @@ from __future__ import annotations
 
 from dataclasses import replace
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.io import open_recording, read_volts
+from napari_elsplus.io import open_recording, read_volts, volts_beside
 from napari_elsplus.processing.calibration.draft import setup_of
-from napari_elsplus.processing.calibration.step import StepInputs
+from napari_elsplus.processing.calibration.step import Capture, StepInputs
 from napari_elsplus.processing.calibration.steps import OFFSET, find_step
+from napari_elsplus.viewing.calibration_script import MeasurementSource
 from napari_elsplus.widgets.calibration.session import ShownResult
 from napari_elsplus.workflows.calibration_report.plots import picture
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
     from napari_elsplus.processing.calibration.draft import Draft
-    from napari_elsplus.processing.calibration.step import ProgressWrapper
+    from napari_elsplus.processing.calibration.step import CalibrationStep, ProgressWrapper
     from napari_elsplus.processing.images.sectioning import Frames
-    from napari_elsplus.viewing.calibration_script import MeasurementSource
+    from napari_elsplus.viewing.stack import Stack
 
 READING_INTERVAL_S: Final = 0.04
 """Between displayed offsets; chosen: 25 a second look continuous."""
@@ -50,6 +53,29 @@ def measure_live(guided: GuidedCalibration, draft: Draft, target_um: float, sour
     setup = guided.setup()
     found = guided.measure(source.step, draft)
     return ShownResult(found, setup, picture(find_step(source.step), found, draft, setup, target_um), source)
+
+
+def recorded_source(step: CalibrationStep[Any], path: Path, volts: Path | None) -> MeasurementSource:
+    """Return the source of a step's recorded frames.
+
+    Parameters
+    ----------
+    step : CalibrationStep
+        The step.
+    path : pathlib.Path
+        The recording.
+    volts : pathlib.Path or None
+        Table of a sweep's voltages; by default the one beside the recording.
+    """
+    if volts is None and step.capture is Capture.SWEEP:
+        volts = volts_beside(path)
+    return MeasurementSource(step.key, path, volts)
+
+
+def stack_source(step: CalibrationStep[Any], stack: Stack) -> MeasurementSource:
+    """Return the source of a `step` measured from a layer's `stack`: its recording, or the layer's name."""
+    path = stack.recording.path if stack.recording is not None else None
+    return MeasurementSource(step.key, path, layer="" if path else stack.name)
 
 
 def measure_recorded(

@@ -15,16 +15,18 @@ from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.instrument.optics import BUNDLE_UM
-from napari_elsplus.io import read_calibration, volts_beside, write_calibration
+from napari_elsplus.io import read_calibration, write_calibration
+from napari_elsplus.io.formats.registry import CALIBRATION
 from napari_elsplus.io.settings import recall, remember, set_active_calibration
-from napari_elsplus.processing.calibration.step import Capture, StepState
+from napari_elsplus.processing.calibration.step import StepState
 from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps, find_step
 from napari_elsplus.viewing.calibration_script import MeasurementSource, calibration_script
 from napari_elsplus.viewing.outlines import summary
-from napari_elsplus.widgets.calibration import dialogs
+from napari_elsplus.widgets.calibration import dialogs, measuring
 from napari_elsplus.widgets.calibration.bundle_layers import show_bundle
 from napari_elsplus.widgets.calibration.form import Form
-from napari_elsplus.widgets.calibration.measuring import OffsetFollowing, measure_frames, measure_live, measure_recorded
+from napari_elsplus.widgets.calibration.hints import explanation, next_action
+from napari_elsplus.widgets.calibration.history import HistoryDialog
 from napari_elsplus.widgets.calibration.session import Session, ShownResult
 from napari_elsplus.widgets.calibration.sharing import Sharing
 from napari_elsplus.widgets.shared.choosing import frames_of
@@ -34,6 +36,7 @@ from napari_elsplus.widgets.shared.problems import notify_errors, problems
 from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
 from napari_elsplus.widgets.shared.window.keys import bind_keys
 from napari_elsplus.widgets.shared.work import Work
+from napari_elsplus.workflows.calibration_report.history import history_beside
 from napari_elsplus.workflows.calibration_report.report import save_calibration_report
 
 if TYPE_CHECKING:
@@ -70,7 +73,7 @@ class CalibrationPanel(Panel):
         self.session = Session()
         self.key = OFFSET.key
         self._setup: Setup | None = None
-        self._following: OffsetFollowing | None = None
+        self._following: measuring.OffsetFollowing | None = None
         self._left = False
         self._saved: Calibration | None = None
         self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
@@ -133,7 +136,7 @@ class CalibrationPanel(Panel):
         """Measure the step live, in a thread of its own."""
         with notify_errors(self):
             guided = GuidedCalibration(self.connection.require(), self.form.voltages.value())
-            measured = partial(measure_live, guided, self.draft, self.form.target_um, self._live_source())
+            measured = partial(measuring.measure_live, guided, self.draft, self.form.target_um, self._live_source())
             self.work.begin(0, self._suppressing_cancellation(measured), self._found)
         self._refresh()
 
@@ -144,7 +147,7 @@ class CalibrationPanel(Panel):
             return
         with notify_errors(self):
             guided = GuidedCalibration(self.connection.require())
-            self._following = OffsetFollowing(guided, self.draft, self.form.target_um, self._live_source())
+            self._following = measuring.OffsetFollowing(guided, self.draft, self.form.target_um, self._live_source())
             self.work.begin(0, self._suppressing_cancellation(self._following.run), lambda _: None)
         self._refresh()
 
@@ -158,9 +161,8 @@ class CalibrationPanel(Panel):
         volts : path-like, optional
             Table of a sweep's voltages; by default the one beside the recording.
         """
-        table = volts_beside(path) if volts is None and self.step.capture is Capture.SWEEP else volts
-        source = MeasurementSource(self.key, Path(path), None if table is None else Path(table))
-        measured = partial(measure_recorded, source, self.draft, self.form.target_um, self.work.progress)
+        source = measuring.recorded_source(self.step, Path(path), None if volts is None else Path(volts))
+        measured = partial(measuring.measure_recorded, source, self.draft, self.form.target_um, self.work.progress)
         self.work.begin(0, measured, self._found)
         self._refresh()
 
@@ -168,14 +170,18 @@ class CalibrationPanel(Panel):
         """Measure the step from the raw frames of the selected layer, in a thread of its own."""
         with notify_errors(self):
             stack, volts = frames_of(self.viewer.layers.selection.active)
-            path = stack.recording.path if stack.recording is not None else None
-            source = MeasurementSource(self.key, path, layer="" if path else stack.name)
-            frames = stack.planes
-            measured = partial(
-                measure_frames, source, frames, volts, self.draft, self.form.target_um, self.work.progress
-            )
+            source, target_um = measuring.stack_source(self.step, stack), self.form.target_um
+            progress = self.work.progress
+            measured = partial(measuring.measure_frames, source, stack.planes, volts, self.draft, target_um, progress)
             self.work.begin(0, measured, self._found)
         self._refresh()
+
+    def open_dropped(self, path: Path) -> None:
+        """Load the calibration at a dropped `path`, or measure the displayed step from a recording."""
+        if path.suffix.lower() in CALIBRATION.suffixes:
+            self.load(path)
+        elif self.step.option and not self.work.busy:
+            self.measure_file(path)
 
     def accept(self) -> None:
         """Accept the result into the calibration, activate the calibration, and display the next step to be done."""
@@ -223,7 +229,8 @@ class CalibrationPanel(Panel):
     def save_report(self, path: str | Path) -> None:
         """Save a PDF of the calibration to a path, with every number, fit, residual and picture."""
         with notify_errors(self):
-            pages = save_calibration_report(self.draft, Path(path), force=True)
+            history = history_beside(self.sharing.file)
+            pages = save_calibration_report(self.draft, Path(path), history=history, force=True)
             show_info(f"saved {Path(path).name}: {pages} pages")
 
     def copy_script(self) -> None:
@@ -250,7 +257,7 @@ class CalibrationPanel(Panel):
         super().cleanup()
 
     def _wire(self) -> None:
-        form = self.form
+        form, viewer = self.form, self.viewer
         remembered = recall(SECTION)
         form.restore(remembered.get("rig", SIMULATED), remembered.get("preset", "240hz"))
         form.connect(
@@ -258,7 +265,7 @@ class CalibrationPanel(Panel):
                 form.connect_button: self.connect_rig,
                 form.measure: self.measure,
                 form.follow_button: self.follow_offset,
-                form.from_file: self._choose_recording,
+                form.from_file: lambda: dialogs.measure_chosen(self, self.step, self.measure_file),
                 form.from_layer: self.measure_layer,
                 form.accept: self.accept,
                 form.discard: self.discard,
@@ -268,6 +275,7 @@ class CalibrationPanel(Panel):
                 form.save: lambda: dialogs.act_on(dialogs.where_to_save(self), self.save),
                 form.save_plots: lambda: dialogs.act_on(dialogs.where_to_save_plots(self, self.key), self.save_plots),
                 form.report: lambda: dialogs.act_on(dialogs.where_to_save_report(self), self.save_report),
+                form.history: lambda: HistoryDialog(self, viewer.theme, self.sharing.file).show(),
                 form.script: self.copy_script,
             },
             step=self.choose,
@@ -348,7 +356,7 @@ class CalibrationPanel(Panel):
         if self._following is not None:
             self._show_followed(self._following)
 
-    def _show_followed(self, following: OffsetFollowing) -> None:
+    def _show_followed(self, following: measuring.OffsetFollowing) -> None:
         following.target_um = self.form.target_um
         newest = following.newest()
         if isinstance(newest, str):
@@ -366,8 +374,9 @@ class CalibrationPanel(Panel):
         form.show_optics(draft.bundle_um, draft.calibration.optics)
         form.show_states({step.key: step.state(draft, self._setup) for step in calibration_steps()}, self.key)
         simulated = connected and is_simulated(self.connection.rig)
-        unattended = " The simulated rig does this by itself." if simulated else ""
-        form.explanation.setText(f"{step.explanation}<br><i>{step.preparation}{unattended}</i>")
+        candidate = self.candidate is not None
+        action = next_action(step.key, draft, connected=connected, candidate=candidate, saved=not self.unsaved())
+        form.explanation.setText(explanation(step, simulated=simulated, action="" if busy else action))
         shown = self.session.shown(self.key)
         form.show_picture(None if shown is None else shown.picture)
         form.allow(
@@ -377,7 +386,7 @@ class CalibrationPanel(Panel):
             connected=connected,
             busy=busy,
             following=self._following is not None,
-            candidate=self.candidate is not None,
+            candidate=candidate,
             past=self.session.past,
             scripted=bool(self.session.sources),
             present=any(step.state(draft)[0] is not StepState.MISSING for step in calibration_steps()),
@@ -389,8 +398,3 @@ class CalibrationPanel(Panel):
     def _theme_changed(self) -> None:
         self.form.apply_theme(self.viewer.theme)
         self._refresh()
-
-    def _choose_recording(self) -> None:
-        frames, volts = dialogs.recording_for(self, self.step)
-        if frames:
-            self.measure_file(frames, volts or None)

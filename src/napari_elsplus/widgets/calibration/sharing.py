@@ -26,6 +26,12 @@ class Sharing:
         self._activation: Future[None] | None = None
         self._seen: Calibration | None = None
         self._error: BaseException | None = None
+        self._file: Path | None = None
+
+    @property
+    def file(self) -> Path | None:
+        """File in which the panel's calibration was saved last, else that of the active one."""
+        return self._file or self._connection.calibration_file
 
     def activate(self, calibration: Calibration, path: Path | None = None) -> None:
         """Activate a calibration for all panels and the engine, once it contains the bundle.
@@ -37,6 +43,7 @@ class Sharing:
         path : Path, optional
             Its file.
         """
+        self._file = path or self._file
         if calibration.bundle is None:
             return
         self._activation = self._connection.apply(calibration, path)

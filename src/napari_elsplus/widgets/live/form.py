@@ -18,6 +18,7 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.widgets.live.layers import KINDS
 from napari_elsplus.widgets.shared.calibration_state import lag_button
 from napari_elsplus.widgets.shared.panel import button_row, form_layout
+from napari_elsplus.widgets.shared.requests import RequestBar
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ class LiveForm:
             label="pre-trigger (s)",
             tooltip="Include the last seconds before Record is pressed, 0 to 1.9 s",
         )
-        self.lag = lag_button()
+        self.lag, self.bar = lag_button(), RequestBar()
         self.opening = PushButton(text="Open it", tooltip="Open the newest recording as layers", visible=False)
         self.status = QLabel()
         self.status.setWordWrap(True)
@@ -205,6 +206,7 @@ class LiveForm:
             )
         )
         layout.addWidget(self.script.native)
+        layout.addWidget(self.bar)
         layout.addWidget(self.status)
         layout.addWidget(self.opening.native)
         layout.addWidget(self.lag.native)

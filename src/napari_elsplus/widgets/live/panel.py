@@ -157,6 +157,7 @@ class LivePanel(EnginePanel):
         recorded = status is not None and status.recording is not None and not recording
         self.form.opening.visible = recorded
         self.form.lag.enabled = not busy and not recording
+        self.form.bar.show_state(status, busy=busy)
         self.form.status.setText(status_text(status, calibration, self._display_hz, busy=busy, calibration_file=file))
         self._show_new_faults(status)
 

@@ -23,8 +23,9 @@ from napari_elsplus.widgets.live.rehearsal import Rehearsal
 from napari_elsplus.widgets.shared.calibration_state import calibration_lines, lag_advice, lag_button
 from napari_elsplus.widgets.shared.choosing import preset_label
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.panel import button_row, form_layout
+from napari_elsplus.widgets.shared.panel import button_row, form_layout, next_hint
 from napari_elsplus.widgets.shared.problems import notify_errors
+from napari_elsplus.widgets.shared.requests import RequestBar
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 
 if TYPE_CHECKING:
@@ -167,6 +168,7 @@ class RigPanel(EnginePanel):
         self.lag.enabled = not busy
         self.rehearsal.allow(not connected and not busy)
         self.optics.setText(self._optics())
+        self.bar.show_state(None if client is None else client.status, busy=busy)
         self.status.setText(self._status_text(client, busy))
 
     def cleanup(self) -> None:
@@ -204,7 +206,7 @@ class RigPanel(EnginePanel):
         self.connect, self.parking = PushButton(text="Connect"), PushButton(text="Park")
         self.calibrate_simulated = PushButton(text="Calibrate simulated rig")
         self.open_file, self.save_file = PushButton(text="Load calibration..."), PushButton(text="Save calibration...")
-        self.lag = lag_button()
+        self.lag, self.bar = lag_button(), RequestBar()
         self.optics, self.status = QLabel(), QLabel()
         for label in (self.optics, self.status):
             label.setWordWrap(True)
@@ -215,7 +217,7 @@ class RigPanel(EnginePanel):
         layout.addLayout(button_row(self.connect, self.parking))
         layout.addLayout(button_row(self.open_file, self.save_file))
         layout.addWidget(self.calibrate_simulated.native)
-        for part in (self.status, self.lag.native, self.rehearsal):
+        for part in (self.bar, self.status, self.lag.native, self.rehearsal):
             layout.addWidget(part)
         layout.addStretch(1)
         self.connect.clicked.connect(self.toggle)
@@ -252,7 +254,7 @@ class RigPanel(EnginePanel):
     def _status_text(self, client: EngineClient | None, busy: bool) -> str:
         if client is None:
             doing = "Disconnecting..." if self._disconnecting else "Connecting..."
-            return doing if busy else "Not connected."
+            return doing if busy else f"Not connected. {next_hint('press Connect.')}"
         status = client.status
         if status.progress is not None:
             return f"Calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
@@ -260,7 +262,17 @@ class RigPanel(EnginePanel):
         lines += calibration_lines(self.connection.calibration, self.connection.calibration_file)
         lines += [f"Stale: {section} ({reason})" for section, reason in status.stale.items()]
         lines += [str(fault) for fault in status.faults]
+        if not status.live:
+            lines.append(next_hint(self._next_action()))
         return "<br>".join(lines)
+
+    def _next_action(self) -> str:
+        """Return what to do with a connected rig that is idle."""
+        if self.connection.calibration is not None:
+            return "press Start in the Live tab."
+        if is_simulated(self.connection.rig):
+            return "press Calibrate simulated rig, or Start in the Live tab."
+        return "calibrate in the Calibration tab, or press Load calibration..."
 
     def _ask_for_file(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Calibration", "", dialog_filter(CALIBRATION))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.widgets.shared.calibration_state import calibration_lines
+from napari_elsplus.widgets.shared.panel import next_hint
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.status import Status
@@ -42,11 +43,11 @@ def status_text(
         File of the active calibration.
     """
     if status is None:
-        return "Connecting..." if busy else "Not connected: Start connects to the rig."
+        return "Connecting..." if busy else next_hint("press Start; it connects to the rig.")
     if status.progress is not None:
         return f"Calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
     if not status.live:
-        begun = ["Starting..." if busy else "Stopped.", *_recorded(status)]
+        begun = ["Starting..." if busy else f"Stopped. {next_hint('press Start.')}", *_recorded(status)]
         return "<br>".join([*begun, *calibration_lines(calibration, calibration_file)])
     lost = ", ".join(f"{count} {cause}" for cause, count in status.dropped.items()) or "none"
     lines = [

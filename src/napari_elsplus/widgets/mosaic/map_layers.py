@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
 from napari.layers import Image
 
 from napari_elsplus.processing.mosaicing.coverage import CELL_PX
@@ -40,12 +41,12 @@ def draw_maps(own: OwnLayers, maps: Coverage, place: tuple[float, float]) -> Non
     place : tuple of float
         World position (row, col) of the mosaic's (0, 0).
     """
-    frames, quality = maps.frames, maps.quality
+    highest = max(1.0, float(maps.frames.max()))
+    frames = np.where(maps.frames > 0, maps.frames, np.float32(np.nan))  # transparent where there are none
     cell = CELL_PX * own.step
     inset = (cell - own.step) / 2
     corner = (place[0] + maps.part.top * own.step + inset, place[1] + maps.part.left * own.step + inset)
-    highest = max(1.0, float(frames.max()))
-    for kind, data, limits in ((COVERAGE, frames, (0.0, highest)), (QUALITY, quality, SCORES)):
+    for kind, data, limits in ((COVERAGE, frames, (0.0, highest)), (QUALITY, maps.quality, SCORES)):
         layer, made = own.obtain(
             kind,
             partial(
@@ -55,6 +56,8 @@ def draw_maps(own: OwnLayers, maps: Coverage, place: tuple[float, float]) -> Non
         )  # fmt: skip
         if layer is None:
             continue
+        if made:
+            layer.colorbar.visible = True
         if not made and layer.data.shape == data.shape:
             layer.data[:] = data
             layer.refresh(extent=False, highlight=False)

@@ -26,7 +26,7 @@ from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
 from napari_elsplus.widgets.shared.calibration_state import lag_advice
 from napari_elsplus.widgets.shared.choosing import chosen_image, refresh_choices
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.panel import copy_as_script
+from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.window import closing
 from napari_elsplus.widgets.shared.window.layer_list import LayerListModels
@@ -44,6 +44,8 @@ TICK_MS: Final = 40
 """Interval at which mosaics are updated, milliseconds; chosen, 25 Hz."""
 WHOLE_TICKS: Final = 25
 """Ticks between updates of track, maps and thumbnails, which take longer: one second."""
+
+HINT: Final = "select a stack and press Mosaic, or press Live mosaic."
 
 
 class MosaicPanel(EnginePanel):
@@ -318,7 +320,7 @@ class MosaicPanel(EnginePanel):
             return f"Calibrating: {step.step}, {step.done} of {step.total}"
         if self._shown is None or drawing is None:
             waiting = self.work.busy or self.requests.busy
-            return "Starting..." if waiting else "Select a stack and press Mosaic, or Live mosaic."
+            return "Starting..." if waiting else next_hint(HINT)
         counts = self._shown.rows.counts
         total = sum(counts.values())
         text = f"<b>{counts['tracked']}</b> of {total} frames tracked"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 from weakref import WeakSet
 
 from magicgui.widgets import PushButton
@@ -17,8 +18,10 @@ if TYPE_CHECKING:
 
     import napari.viewer
     from magicgui.widgets import Widget
+    from qtpy.QtCore import QMimeData
+    from qtpy.QtGui import QDragEnterEvent, QDropEvent
 
-
+PLUGIN: Final = "napari-elsplus"
 P = TypeVar("P", bound="Panel")
 _present: WeakSet[Panel] = WeakSet()
 
@@ -50,6 +53,7 @@ class Panel(QWidget, metaclass=_OnePerViewer):
         super().__init__()
         self.viewer = viewer
         self._connections: list[tuple[Any, Callable[..., None]]] = []
+        self.setAcceptDrops(True)
 
     def connect_signal(self, emitter: Any, slot: Callable[..., None]) -> None:
         """Connect a signal of the viewer until the panel is removed.
@@ -63,6 +67,23 @@ class Panel(QWidget, metaclass=_OnePerViewer):
         """
         emitter.connect(slot)
         self._connections.append((emitter, slot))
+
+    def open_dropped(self, path: Path) -> None:
+        """Open the file or folder at a dropped `path`: as layers, unless a panel overrides this."""
+        self.viewer.open(str(path), plugin=PLUGIN)
+
+    def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
+        """Accept files; see :meth:`QWidget.dragEnterEvent`."""
+        if event is not None and _dropped_paths(event.mimeData()):
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent | None) -> None:
+        """Open dropped files; see :meth:`QWidget.dropEvent`."""
+        if event is None:
+            return
+        event.acceptProposedAction()
+        for path in _dropped_paths(event.mimeData()):
+            self.open_dropped(path)
 
     def cleanup(self) -> None:
         """Disconnect from the viewer; a panel that changed the viewer overrides this to restore it first."""
@@ -100,8 +121,17 @@ def panel_of(widget: QWidget | None) -> Panel | None:
     return widget
 
 
+def _dropped_paths(data: QMimeData | None) -> list[Path]:
+    return [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()] if data is not None else []
+
+
 def _unwrapped(viewer: napari.viewer.Viewer) -> object:
     return getattr(viewer, "__wrapped__", viewer)
+
+
+def next_hint(action: str) -> str:
+    """Return rich text that names the user's next action; empty where there is none."""
+    return f"<b>Next:</b> {action}" if action else ""
 
 
 def copy_as_script(text: str) -> None:

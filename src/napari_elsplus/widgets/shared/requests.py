@@ -6,6 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 from qtpy.QtCore import QObject, QTimer
+from qtpy.QtWidgets import QProgressBar
 
 from napari_elsplus.errors import ElsPlusError, error_message
 from napari_elsplus.widgets.shared.problems import problems
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from qtpy.QtWidgets import QWidget
+
+    from napari_elsplus.acquisition.engine.status import Status
 
     T = TypeVar("T")
 
@@ -27,6 +30,33 @@ class _Request(NamedTuple):
     future: Future[Any]
     then: Callable[[Any], None]
     failed: Callable[[], None]
+
+
+class RequestBar(QProgressBar):
+    """Progress of the engine's work: of a calibration by its counts, of connecting without; hidden while idle."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.hide()
+
+    def show_state(self, status: Status | None, *, busy: bool) -> None:
+        """Display the progress.
+
+        Parameters
+        ----------
+        status : Status or None
+            Status of the engine; None if no rig is connected.
+        busy : bool
+            A request is outstanding.
+        """
+        progress = None if status is None else status.progress
+        if progress is not None:
+            self.setRange(0, progress.total)
+            self.setValue(progress.done)
+            self.setFormat(f"{progress.step} %p %")
+        elif busy:
+            self.setRange(0, 0)
+        self.setVisible(progress is not None or (busy and status is None))
 
 
 class PendingRequests(QObject):

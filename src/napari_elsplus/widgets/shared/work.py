@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import length_hint
 from threading import Event
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -42,7 +43,7 @@ class Work(QWidget):
         self._cancel_elsewhere = cancel
         self._ended = ended
         self._cancelled = Event()
-        self._done = 0
+        self._done, self._total, self._counts = 0, 0, True
         self._worker: Any = None
         self._bar = QProgressBar()
         self._cancel = QPushButton("Cancel")
@@ -68,14 +69,16 @@ class Work(QWidget):
         Parameters
         ----------
         total : int
-            Number of steps that :meth:`progress` will count; 0 if unknown.
+            Number of steps that :meth:`progress` will count in all; 0: the length of what it iterates over, where that
+            is known.
         work : callable
             Runs in the thread.
         finished : callable
             Called with the result in the window's thread; not called after a failure or Cancel.
         """
         self._cancelled.clear()
-        self._done = 0
+        self._done, self._total, self._counts = 0, total, total == 0
+        self._bar.setFormat("%p %")
         self._bar.setRange(0, total)
         self._finished = finished
 
@@ -95,6 +98,8 @@ class Work(QWidget):
 
     def progress(self, items: Iterable[Item]) -> Iterator[Item]:
         """Iterate over items in the thread: count them for the bar, and raise `Cancelled` after Cancel."""
+        if self._counts:
+            self._done, self._total = 0, length_hint(items)
         for item in items:
             self.stop_if_cancelled()
             yield item
@@ -121,8 +126,7 @@ class Work(QWidget):
         done, total : int
             Steps done, and of how many.
         """
-        self._done = done
-        self._bar.setRange(0, total)
+        self._done, self._total = done, total
         self._bar.setFormat(f"{text} %p %")
 
     def cancel(self) -> None:
@@ -131,6 +135,7 @@ class Work(QWidget):
         self._cancel_elsewhere()
 
     def _show_progress(self) -> None:
+        self._bar.setRange(0, self._total)
         self._bar.setValue(self._done)
 
     def _take(self, outcome: tuple[Any, Exception | None]) -> None:

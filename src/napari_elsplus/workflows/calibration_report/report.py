@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import BundleSection, Calibration
     from napari_elsplus.processing.calibration.draft import Draft
+    from napari_elsplus.workflows.calibration_report.history import CalibrationHistory
     from napari_elsplus.workflows.calibration_report.picture import Picture, Plot
 
 PAGE_MM: Final = (210.0, 297.0)
@@ -44,8 +45,10 @@ PICTURE_DPI: Final = 200
 """Resolution of pictures in the file, pixels per inch; chosen for print."""
 
 
-def save_calibration_report(draft: Draft, path: Path, *, force: bool = False) -> int:
-    """Save a calibration report: a page of numbers, then a page for each step that was measured.
+def save_calibration_report(
+    draft: Draft, path: Path, *, history: CalibrationHistory | None = None, force: bool = False
+) -> int:
+    """Save a calibration report: a page of numbers, a page for each step that was measured, and the history.
 
     Parameters
     ----------
@@ -54,6 +57,8 @@ def save_calibration_report(draft: Draft, path: Path, *, force: bool = False) ->
         numbers and arrays only.
     path : pathlib.Path
         PDF file; written beside and renamed.
+    history : CalibrationHistory, optional
+        Of earlier calibrations; a page is drawn of two or more.
     force : bool
         Overwrite an existing file.
 
@@ -69,7 +74,7 @@ def save_calibration_report(draft: Draft, path: Path, *, force: bool = False) ->
     """
     refuse_other_than_pdf(path)
     with replacing(path, force=force) as unfinished, PdfPages(unfinished) as pages:
-        for number, figure in enumerate(draw_calibration_report(draft), 1):
+        for number, figure in enumerate(draw_calibration_report(draft, history), 1):
             figure.text(0.92, 0.03, f"{number}", ha="right", fontsize=8, color="0.4")
             pages.savefig(figure, dpi=PICTURE_DPI)
         pages.infodict()["Title"] = f"Calibration report, {draft.calibration.created}"
@@ -88,7 +93,7 @@ def refuse_other_than_pdf(path: Path) -> None:
         raise InputError(f"a report of several pages cannot be saved as {path.name}", "end its name in .pdf")
 
 
-def draw_calibration_report(draft: Draft) -> Iterator[Figure]:
+def draw_calibration_report(draft: Draft, history: CalibrationHistory | None = None) -> Iterator[Figure]:
     """Draw the pages of a calibration report one by one; see :func:`save_calibration_report`."""
     setup = _setup(draft.calibration)
     yield _summary_page(draft)
@@ -96,6 +101,8 @@ def draw_calibration_report(draft: Draft) -> Iterator[Figure]:
         if step.key in draft.found:
             found = draft.found[step.key]
             yield _step_page(step.title, picture(step, found, draft, setup), _images(found, draft.calibration))
+    if history is not None and len(history.files) > 1:
+        yield _history_page(history)
 
 
 def calibration_numbers(calibration: Calibration) -> list[tuple[str, str, str]]:
@@ -203,7 +210,7 @@ def _states(draft: Draft) -> list[tuple[str, str, str]]:
 def _step_page(title: str, shown: Picture, images: Sequence[tuple[str, NDArray[Any], BundleSection | None]]) -> Figure:
     figure = _page(title[:1].upper() + title[1:])
     figure.text(0.1, 0.92, shown.headline.replace("\n", ", "), fontsize=13, va="top")
-    notes = [*shown.lines, *(f"Warning: {warning}" for warning in shown.warnings)]
+    notes = [*shown.lines, *shown.details, *(f"Warning: {warning}" for warning in shown.warnings)]
     figure.text(0.1, 0.895, "\n".join(notes), fontsize=8, va="top", linespacing=1.5)
     top = 0.87 - 0.016 * len(notes)
     height = min((top - 0.08) / max(len(shown.plots) + len(images), 1), MAX_PLOT_HEIGHT)
@@ -212,6 +219,19 @@ def _step_page(title: str, shown: Picture, images: Sequence[tuple[str, NDArray[A
     for index, (name, image, bundle) in enumerate(images, len(shown.plots)):
         axes = figure.add_axes((0.1, top - (index + 1) * height + 0.02, 0.8, height - 0.05))
         _show(axes, name, image, bundle)
+    return figure
+
+
+def _history_page(history: CalibrationHistory) -> Figure:
+    figure = _page("History")
+    notes = [f"{len(history.files)} calibrations of this rig", *(f"Warning: {one}" for one in history.warnings)]
+    figure.text(0.1, 0.92, "\n".join(notes), fontsize=8, va="top", linespacing=1.5)
+    top = 0.89 - 0.016 * len(notes)
+    rows = -(-len(history.trends) // 2)
+    height = min((top - 0.05) / max(rows, 1), MAX_PLOT_HEIGHT)
+    for index, trend in enumerate(history.trends):
+        row, col = divmod(index, 2)
+        _draw(figure.add_axes((0.14 + 0.44 * col, top - (row + 1) * height + 0.05, 0.32, height - 0.07)), trend.plot)
     return figure
 
 

@@ -1,0 +1,90 @@
+"""What a first user sees: the next action in each panel, a reason on each disabled button, files dropped anywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from qtpy.QtCore import QMimeData, QPointF, Qt, QUrl
+from qtpy.QtGui import QDragEnterEvent, QDropEvent
+from qtpy.QtWidgets import QAbstractSpinBox, QApplication, QCheckBox, QComboBox, QLabel, QPushButton
+
+from napari_elsplus.acquisition.engine.status import Settings
+from pairs import write_pair
+
+PLUGIN = "napari-elsplus"
+
+
+@pytest.fixture
+def dock(small_engine, make_napari_viewer_proxy, qtbot):
+    viewer = make_napari_viewer_proxy()
+    _, dock = viewer.window.add_plugin_dock_widget(PLUGIN, "ELS+")
+    qtbot.waitUntil(lambda: all(tab.built for tab in dock.by_title.values()), timeout=30_000)
+    return dock
+
+
+def panel(dock, title):
+    return dock.by_title[title].panel
+
+
+def hints(panel):
+    """Next actions that a panel names."""
+    return [label.text() for label in panel.findChildren(QLabel) if "<b>Next:</b>" in label.text()]
+
+
+def drop(widget, *paths):
+    data = QMimeData()
+    data.setUrls([QUrl.fromLocalFile(str(path)) for path in paths])
+    actions, buttons, modifiers = Qt.DropAction.CopyAction, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+    enter = QDragEnterEvent(QPointF(5, 5).toPoint(), actions, data, buttons, modifiers)
+    QApplication.sendEvent(widget, enter)
+    assert enter.isAccepted()
+    QApplication.sendEvent(widget, QDropEvent(QPointF(5, 5), actions, data, buttons, modifiers))
+
+
+def test_every_panel_names_the_next_action_until_it_is_done(dock, qtbot, tmp_path):
+    assert {title: len(hints(panel(dock, title))) for title in dock.by_title} == dict.fromkeys(dock.by_title, 1)
+    assert "open a recording" in hints(panel(dock, "Compare"))[0]
+    drop(panel(dock, "Compare"), write_pair(tmp_path))
+    qtbot.waitUntil(lambda: "press Compare" in "".join(hints(panel(dock, "Compare"))), timeout=10_000)
+    panel(dock, "Compare").begin()
+    qtbot.waitUntil(lambda: not hints(panel(dock, "Compare")), timeout=30_000)
+    assert "press Connect" in hints(panel(dock, "Rig"))[0]
+    assert "press Start" in hints(panel(dock, "Live"))[0]
+    dock.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
+    qtbot.waitUntil(lambda: "press Calibrate simulated rig" in "".join(hints(panel(dock, "Rig"))), timeout=10_000)
+    panel(dock, "Calibration").choose("offset")
+    assert "press Measure" in hints(panel(dock, "Calibration"))[0]
+
+
+def test_every_control_has_a_tooltip_and_a_disabled_button_names_the_reason(dock):
+    bare, silent = [], []
+    for title in dock.by_title:
+        own = panel(dock, title)
+        for kind in (QPushButton, QCheckBox, QComboBox, QAbstractSpinBox):
+            bare += [
+                f"{title}: {one.text() if isinstance(one, QPushButton | QCheckBox) else type(one).__name__}"
+                for one in own.findChildren(kind)
+                if one.isVisibleTo(own) and not one.toolTip() and not one.parent().toolTip()
+            ]
+        reasons = ("first", "connect", "start", "open", "nothing", "no ", "make", "only", "wait", "yet", "live")
+        silent += [
+            f"{title}: {one.text()}: {one.toolTip()}"
+            for one in own.findChildren(QPushButton)
+            if not one.isEnabled() and not any(word in one.toolTip().lower() for word in reasons)
+        ]
+    assert bare == []
+    assert silent == []
+
+
+def test_a_recording_dropped_on_the_calibration_measures_the_step_and_a_calibration_is_loaded(
+    dock, qtbot, open_recording, tmp_path
+):
+    own = panel(dock, "Calibration")
+    own.choose("offset")
+    drop(own, open_recording / "line.tif")
+    qtbot.waitUntil(lambda: own.candidate is not None and not own.work.busy, timeout=30_000)
+    assert "press Accept" in hints(own)[0]
+    write_pair(tmp_path)
+    drop(own, tmp_path / "scan.calibration.json")
+    assert own.draft.calibration.offset.rows == -4.0
+    assert np.isfinite(own.draft.um_per_px)
