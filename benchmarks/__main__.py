@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.documents import calibration_accuracy, figures, mosaicing, paper, physics
 from benchmarks.documents.architecture import draw_architecture, read_rooms
 from benchmarks.documents.benchmark import draw_benchmark
+from benchmarks.documents.cores import draw_bundle_frames
 from benchmarks.documents.finished import draw_finished
 from benchmarks.documents.pages import fill
 from benchmarks.harness.methods import Chart
@@ -131,6 +133,20 @@ def finished(stack: Path, out: Path, force: bool) -> None:
     refuse_outputs(out, force=force)
     with open_recording(stack) as frames:
         save_figure(draw_finished(frames), out, force=force)
+
+
+@bench.command(name="bundle-frames")
+@click.argument("flat", type=FILE)
+@click.option("--out", type=FILE, required=True, help="The picture, .png or .svg.")
+@force_option
+def bundle_frames_command(flat: Path, out: Path, force: bool) -> None:
+    """Make frames of a photographed, evenly lit bundle over moving bars, and draw them finer than its cores."""
+    refuse_outputs(out, force=force)
+    with open_recording(flat) as frames:
+        figure, errors_px = draw_bundle_frames(np.asarray(frames[0], np.float32))
+    save_figure(figure, out, force=force)
+    for name, error_px in errors_px.items():
+        click.echo(f"{name}: displacements right to {error_px:.2f} px")
 
 
 @bench.command()

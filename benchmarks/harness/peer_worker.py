@@ -52,6 +52,25 @@ def interpolate(image: Any) -> Any:
     return _bundle().recon_tri_interp(_WHOLE * image, _kept["interpolation"], numba=True)
 
 
+def enhance(flat: Any, frames: Any, pitch: Any, radius: Any, shifts: Any = None) -> Any:
+    """Combine shifted frames (T, rows, cols): triangles between the cores of all frames, at their shifts.
+
+    It estimates the shifts itself, or takes given ones, (T, 2) columns first. The image is as large as the bundle is in
+    the frames, twice as fine.
+    """
+    middle = (len(flat) - 1) / 2
+    images = _WHOLE * np.moveaxis(frames, 0, -1)
+    how = {
+        "centreX": middle, "centreY": middle, "radius": float(radius), "filterSize": None, "normalise": _WHOLE * flat,
+        "autoMask": False, "mask": False,
+    }  # fmt: skip
+    if shifts is not None:
+        how["shifts"] = np.asarray(shifts)
+    enhanced = _bundle().SuperRes
+    calibration = enhanced.calib_multi_tri_interp(_WHOLE * flat, images, float(pitch), 4 * int(radius), **how)
+    return enhanced.recon_multi_tri_interp(images, calibration)
+
+
 def calibrate_edge_filter(side: Any, pitch: Any) -> Any:
     """Prepare the edge filter, its edge between the image and the ring of the honeycomb."""
     _kept["edge"] = _bundle().edge_filter(int(side), 1.3 * float(pitch), 0.2)
@@ -112,8 +131,8 @@ def lay(images: Any, places: Any, mask: Any, size: Any, crop: Any, blend: Any) -
 TASKS = {
     task.__name__: task
     for task in (
-        find_shift, calibrate_interpolation, interpolate, calibrate_edge_filter, edge_filter, gaussian, find_bundle,
-        start_mosaic, add_to_mosaic, lay, mosaic,
+        find_shift, calibrate_interpolation, interpolate, enhance, calibrate_edge_filter, edge_filter, gaussian,
+        find_bundle, start_mosaic, add_to_mosaic, lay, mosaic,
     )
 }  # fmt: skip
 

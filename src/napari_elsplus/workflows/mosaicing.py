@@ -15,10 +15,11 @@ from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
+from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.progress import without_display
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED, Pipeline, calibration_of_finished_images, finished_pipeline
+from napari_elsplus.workflows.tracking import UNLINKED, Pipeline, calibration_of_finished_images
 from napari_elsplus.workflows.two_threads import Pipelined
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.workflows.progress import Progress
 
 
@@ -54,6 +56,8 @@ class MosaicResult:
         ``mode`` (``finished`` for finished images), ``method`` and ``insertion``, as they are written into the file.
     notes : tuple of str
         Messages to the user: an estimated timing, too few tracked frames.
+    first_frame_px : tuple of float
+        Row and column of the image at which the largest segment's track begins.
     """
 
     image: NDArray[np.float32]
@@ -63,6 +67,7 @@ class MosaicResult:
     calibration: Calibration | None
     settings: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    first_frame_px: tuple[float, float] = (0.0, 0.0)
 
     def save(
         self, path: str | os.PathLike[str], track: str | os.PathLike[str] | None = None, *, force: bool = False
@@ -100,6 +105,7 @@ def mosaic(
     finished: bool = False,
     method: str = Method.ELSPLUS,
     insertion: Insertion | str = Insertion.DEAD_LEAF,
+    flat: NDArray[Any] | None = None,
     times_s: Sequence[float] | NDArray[np.float64] | None = None,
     threads: Literal[1, 2] = 2,
     progress: Progress = without_display,
@@ -123,7 +129,11 @@ def mosaic(
         Tracking method: ``"elsplus"`` (sub-pixel, rolling shutter corrected), ``"paper"`` (template matching), or one
         that was registered.
     insertion : Insertion or str
-        Rule by which overlapping images are combined.
+        Rule by which overlapping images are combined. ``"cores"`` samples the scene core by core, which makes the
+        mosaic of a probe that moved finer than the cores; finished images must then show the cores.
+    flat : numpy.ndarray, optional
+        (rows, cols) evenly lit image of the bundle that finished images were taken through, in which ``"cores"`` finds
+        the cores; the mean of the frames by default.
     times_s : sequence of float, optional
         (T,) time of each frame; the recording's by default.
     threads : int
@@ -138,14 +148,21 @@ def mosaic(
     Raises
     ------
     InputError
-        If there are no frames, none could be tracked, raw frames have no calibration, or finished images have one.
+        If there are no frames, none could be tracked, raw frames have no calibration, or finished images have one; for
+        ``"cores"`` also if the cores are not resolved, or the frames did not move.
     CalibrationError
         If the calibration does not fit the frames.
     """
     _check_arguments(calibration, mode, finished=finished)
+    if flat is not None and not (finished and Insertion(insertion) is Insertion.CORES):
+        raise InputError("a flat field was given", "it is for finished images and the insertion by cores only")
     shown = Mode.LS if finished else Mode(mode or Mode.ELS)
-    pipeline, calibration, notes = _tracked(raw, calibration, shown, method, insertion, times_s, threads, progress)
+    pipeline, calibration, notes = _tracked(
+        raw, calibration, shown, method, insertion, times_s, threads, progress, flat
+    )  # fmt: skip
     pipeline.finish(RawPairs(raw, shown), lambda numbers: progress(numbers, "Mosaic"))
+    largest = max(pipeline.mosaics.values(), key=_area_px, default=None)
+    extent = None if largest is None else largest.extent
     return MosaicResult(
         montage(list(pipeline.mosaics.values())),
         pipeline.um_per_px,
@@ -158,6 +175,7 @@ def mosaic(
             "insertion": Insertion(insertion).value,
         },
         notes + _uneven_light(pipeline) + ((UNLINKED,) if _count_tracked(pipeline) < 2 else ()),
+        (0.0, 0.0) if extent is None else (-float(extent.top), -float(extent.left)),
     )
 
 
@@ -207,6 +225,7 @@ def _tracked(
     times_s: Sequence[float] | NDArray[np.float64] | None,
     threads: Literal[1, 2],
     progress: Progress,
+    flat: NDArray[Any] | None = None,
 ) -> tuple[Pipeline, Calibration | None, tuple[str, ...]]:
     """Track all frames on one thread or two; return the pipeline, the calibration with its timing, and notes.
 
@@ -218,12 +237,12 @@ def _tracked(
     note = ""
     if calibration is None:
         nominal = calibration_of_finished_images(raw)
-        pipeline = finished_pipeline(raw, nominal, method=method, insertion=insertion)
+        pipeline = new_finished_pipeline(raw, nominal, method, insertion, flat=flat)
     else:
         if tracking_method(method).corrects_rolling_shutter:
             calibration, note = with_timing(calibration, pairs, mode)
         rows, cols = raw[0].shape
-        pipeline = Pipeline(calibration, (rows, cols), mode, method=method, insertion=insertion)
+        pipeline = new_pipeline(calibration, (rows, cols), mode, method, insertion)
     with Pipelined(pipeline, insert=False) if threads == 2 else nullcontext() as ahead:
         add = pipeline.track if ahead is None else ahead.add
         for index in progress(range(len(pairs)), "Tracking"):
@@ -240,6 +259,10 @@ def _uneven_light(pipeline: Pipeline) -> tuple[str, ...]:
         return ()
     low, high = (100 * float(part) for part in np.percentile(light.relative, (5, 95)))
     return (f"uneven light along the line, {low:.0f} to {high:.0f} % of its mean, was taken out",)
+
+
+def _area_px(canvas: Canvas) -> int:
+    return 0 if canvas.extent is None else canvas.extent.shape[0] * canvas.extent.shape[1]
 
 
 def _count_tracked(pipeline: Pipeline) -> int:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.mosaicing.line_light import LineLight
-    from napari_elsplus.processing.mosaicing.tiles import TileStore
+    from napari_elsplus.processing.mosaicing.tiles import TiledCanvas, TileStore
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.methods import TrackingMethod
     from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
@@ -67,7 +67,7 @@ class Pipeline:
     ----------
     rows : list of TrackPoint
         The track so far, a row for every frame.
-    mosaics : dict of int to Mosaic
+    mosaics : dict of int to TiledCanvas
         One for each segment.
     line_light : LineLight or None
         Light along the laser line, as :meth:`finish` estimated it; taken out of its mosaics where it is uneven.
@@ -103,7 +103,7 @@ class Pipeline:
             self._weights = rim_weights(self.grid, away)
         self.rows: list[TrackPoint] = []
         self.poses: list[Pose] = []
-        self.mosaics: dict[int, Mosaic] = {}
+        self.mosaics: dict[int, TiledCanvas] = {}
         self.line_light: LineLight | None = None
 
     @property
@@ -117,9 +117,14 @@ class Pipeline:
         return self._tracking.scale
 
     @property
+    def camera_px_per_grid_px(self) -> float:
+        """Camera pixels per pixel of the tracking grid."""
+        return self._tracking.scale
+
+    @property
     def um_per_px(self) -> float | None:
         """Micrometres per pixel of the mosaics; None if not calibrated."""
-        return None if self._camera_um_per_px is None else self._camera_um_per_px * self._tracking.scale
+        return None if self._camera_um_per_px is None else self._camera_um_per_px * self.camera_px_per_pixel
 
     def add(
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
@@ -196,7 +201,7 @@ class Pipeline:
         if pose.state is not TrackingState.TRACKED:
             return None
         mosaic = self.mosaics.get(pose.segment)
-        if mosaic is None:
+        if not isinstance(mosaic, Mosaic):
             store = None if self._new_store is None else self._new_store(pose.segment)
             mosaic = self.mosaics[pose.segment] = self.blank_mosaic(store)
         mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
@@ -278,11 +283,18 @@ class Pipeline:
         """
         self.refine(raw_pair)
         self.mosaics = {}
-        self.line_light = estimate_line_light(lambda index: self.image(*raw_pair(index)), self.poses, self.grid)
-        light = self.line_light.relative if self.line_light is not None and self.line_light.uneven else None
+        light = self._uneven_light(raw_pair)
         for index in progress([k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]):
             image = self.image(*raw_pair(index))
             self.insert(image if light is None else image / light, self.poses[index])
+
+    def complete(self) -> None:
+        """Complete the mosaics after the last frame; nothing is left to do where frames are inserted as images."""
+
+    def _uneven_light(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]) -> NDArray[np.float32] | None:
+        """Estimate the light along the laser line, and return it (side,) if it is uneven."""
+        self.line_light = estimate_line_light(lambda index: self.image(*raw_pair(index)), self.poses, self.grid)
+        return self.line_light.relative if self.line_light is not None and self.line_light.uneven else None
 
     def _note(self, pose: Pose, frame: int, time_s: float) -> None:
         self.poses.append(pose)
@@ -332,8 +344,13 @@ def calibration_of_finished_images(frames: Frames, um_per_px: float | None = Non
 
 def sample_field(frames: Frames) -> FinishedField:
     """Estimate the field of view of finished images from at most :data:`MAX_SAMPLES` frames (rows, cols) of a stack."""
+    return FinishedField.of(sample_frames(frames))
+
+
+def sample_frames(frames: Frames) -> list[NDArray[Any]]:
+    """Return at most :data:`MAX_SAMPLES` frames (rows, cols), spread evenly over a stack."""
     chosen = np.unique(np.linspace(0, len(frames) - 1, MAX_SAMPLES).astype(int))
-    return FinishedField.of([np.asarray(frames[int(index)]) for index in chosen])
+    return [np.asarray(frames[int(index)]) for index in chosen]
 
 
 def finished_pipeline(

@@ -231,7 +231,7 @@ class LiveInsertion:
         """Add the frames that came meanwhile, and replace the displayed tile."""
         segment, key = where
         mosaic = self.pipeline.mosaics.get(segment)
-        if mosaic is None:
+        if not isinstance(mosaic, Mosaic):
             return
         for one in self.kept.frames[known:]:
             rendered += self._render_frame(where, tile, one.image(self._own_image), corrections.of(one.frame, one.pose))

@@ -102,7 +102,7 @@ class LiveTrack:
     CalibrationError
         If the bundle was not located, or does not fit the frames.
     InputError
-        If the plan has no image type, or ELSA alone.
+        If the plan has no image type, ELSA alone, or an insertion that needs all frames.
     """
 
     def __init__(
@@ -115,6 +115,11 @@ class LiveTrack:
         self._plan = plan = plan or MosaicPlan()
         if plan.tracked is Mode.ELSA:
             raise InputError("ELSA takes two frames for each image", "choose LS or ELS+ beside it for the live mosaic")
+        if not plan.insertion.while_acquiring:
+            raise InputError(
+                f"the insertion {plan.insertion.value!r} needs all frames",
+                "choose another one for the live mosaic, and this one for the recording",
+            )
         self._board = board
         self._lock = Lock()
         self._origin: tuple[int, float] | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import click
+import numpy as np
 
 from napari_elsplus.cli.options import FILE, force_option, output_option, progress, refuse_outputs
 from napari_elsplus.errors import InputError
@@ -17,6 +18,8 @@ from napari_elsplus.workflows.mosaicing import mosaic as make_mosaic
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 
 @click.command(
@@ -39,7 +42,11 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--insertion", type=click.Choice([i.value for i in Insertion]), default="dead-leaf", show_default=True,
-    help="Rule by which overlapping images are combined.",
+    help="Rule by which overlapping images are combined; cores: finer than the cores, where the probe moved.",
+)  # fmt: skip
+@click.option(
+    "--flat", type=FILE,
+    help="Evenly lit image of the bundle that finished images were taken through, for --insertion cores.",
 )  # fmt: skip
 @output_option
 @click.option("--track", type=FILE, help="Also write the track to this CSV file.")
@@ -51,6 +58,7 @@ def command(
     finished: bool,
     method: str,
     insertion: str,
+    flat: Path | None,
     output: Path,
     track: Path | None,
     force: bool,
@@ -62,12 +70,14 @@ def command(
     if not finished and calibration is None:
         raise InputError("raw frames need a calibration", "give -c CAL, or --finished for finished images")
     files = () if calibration is None else (calibration, calibration.with_suffix(".npz"))
-    refuse_outputs(output, track, force=force, inputs=(raw, *files))
+    refuse_outputs(output, track, force=force, inputs=(raw, flat, *files))
     record = None if calibration is None else read_calibration(calibration)
+    even = None if flat is None else _mean_frame(flat)
     with open_recording(raw) as recording:
         result = make_mosaic(
-            recording, record, mode, finished=finished, method=method, insertion=insertion, progress=progress
-        )
+            recording, record, mode, finished=finished, method=method, insertion=insertion, flat=even,
+            progress=progress,
+        )  # fmt: skip
     result.save(output, track, force=force)
     states = [row.state for row in result.track]
     click.echo(
@@ -76,3 +86,8 @@ def command(
     )
     for note in result.notes:
         click.echo(f"note: {note}")
+
+
+def _mean_frame(path: Path) -> NDArray[np.float32]:
+    with open_recording(path) as frames:
+        return np.asarray(np.mean([frames[k] for k in range(len(frames))], axis=0), np.float32)

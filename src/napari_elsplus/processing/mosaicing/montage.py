@@ -9,17 +9,19 @@ import numpy as np
 from napari_elsplus.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.mosaicing.mosaic import Mosaic
+    from napari_elsplus.processing.mosaicing.tiles import Canvas
 
 
-def montage(mosaics: list[Mosaic], gap_px: int = 16) -> NDArray[np.float32]:
+def montage(mosaics: Sequence[Canvas], gap_px: int = 16) -> NDArray[np.float32]:
     """Stack the mosaics of all segments vertically in one image, the largest first.
 
     Parameters
     ----------
-    mosaics : list of Mosaic
+    mosaics : sequence of Canvas
         At least one into which a frame was inserted.
     gap_px : int
         Empty rows between them.

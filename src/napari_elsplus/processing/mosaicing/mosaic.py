@@ -46,6 +46,13 @@ class Insertion(StrEnum):
     """The newest frame covers the others, as in the paper, but its rim does not cover the inside of another."""
     FEATHERED = "feathered"
     """Mean of all frames, weighted down towards their rims, each scaled to the brightness of what it overlaps."""
+    CORES = "cores"
+    """Every core of every frame is a sample at its own place; the image that explains them is finer than the cores."""
+
+    @property
+    def while_acquiring(self) -> bool:
+        """True if frames can be combined by this rule as they arrive."""
+        return self is not Insertion.CORES
 
 
 def rim_weights(grid: Grid, offset_px: float = 0.0) -> NDArray[np.float32]:

@@ -51,6 +51,10 @@ class Rectangle(NamedTuple):
         """Return the rectangle translated downwards by `rows` and to the right by `cols`."""
         return Rectangle(self.top + rows, self.left + cols, self.bottom + rows, self.right + cols)
 
+    def grown(self, margin: int) -> Rectangle:
+        """Return the rectangle with a margin on all sides."""
+        return Rectangle(self.top - margin, self.left - margin, self.bottom + margin, self.right + margin)
+
     def slices(self, whole: Rectangle) -> tuple[slice, slice]:
         """Return row and column slices of this rectangle in an array of the whole rectangle, which contains it."""
         return (

@@ -19,9 +19,10 @@ from napari_elsplus.viewing.mosaic.growing import GrowingImage
 from napari_elsplus.viewing.mosaic.mosaics import MosaicScale, without_last_segment
 from napari_elsplus.viewing.mosaic.track import max_trackable_px_per_frame
 from napari_elsplus.viewing.mosaic.trackable import TrackableFrames
+from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED, Pipeline, finished_pipeline, sample_field
+from napari_elsplus.workflows.tracking import UNLINKED, sample_field
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+    from napari_elsplus.workflows.tracking import Pipeline
 
     Progress = Callable[[Iterable[int]], Iterable[int]]
 
@@ -107,11 +109,12 @@ class StackMosaics:
     def scale(self) -> MosaicScale:
         """Pixel sizes and limits."""
         grid, per_pixel = self._lead.grid, self._lead.camera_px_per_pixel
+        per_grid_px = self._lead.camera_px_per_grid_px
         return MosaicScale(
             per_pixel,
             self.calibration.um_per_px,
-            0.5 * FIELD * grid.diameter,
-            max_trackable_px_per_frame(grid.diameter, per_pixel, self.plan.method),
+            0.5 * FIELD * grid.diameter * per_grid_px / per_pixel,
+            max_trackable_px_per_frame(grid.diameter, per_grid_px, self.plan.method),
         )
 
     def compile_kernels(self) -> None:
@@ -169,6 +172,8 @@ class StackMosaics:
         if fresh:
             for index in progress(range(len(self._pairs))):
                 self._follow(fresh, self._lead.poses[index], self._pairs.frame(index))
+        for follower in fresh.values():
+            follower.complete()
         self._followers = fresh
         self.rows, self._shown = TrackTable(self._lead.rows), None
         self.revision += 1
@@ -185,14 +190,11 @@ class StackMosaics:
 
     def _pipeline(self, mode: Mode) -> Pipeline:
         if self._field is not None:
-            method, insertion = self.plan.method, self.plan.insertion
-            return finished_pipeline(
-                self._frames, self.calibration, method=method, insertion=insertion, field=self._field
+            return new_finished_pipeline(
+                self._frames, self.calibration, self.plan.method, self.plan.insertion, field=self._field
             )
         rows, cols = self._frames[0].shape
-        return Pipeline(
-            self.calibration, (rows, cols), mode, method=self.plan.method, insertion=self.plan.insertion
-        )  # fmt: skip
+        return new_pipeline(self.calibration, (rows, cols), mode, self.plan.method, self.plan.insertion)
 
     def _time_s(self, frame: int) -> float:
         if self._times_s is not None:

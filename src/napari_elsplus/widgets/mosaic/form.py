@@ -28,6 +28,7 @@ SECTION: Final = "mosaic"
 INSERTION_LABELS: Final = {
     Insertion.DEAD_LEAF.value: "newest on top",
     Insertion.FEATHERED.value: "feathered mean",
+    Insertion.CORES.value: "core by core (finer)",
 }
 METHOD_LABELS: Final = {"elsplus": "this software", "paper": "Thrapp 2021"}
 MODES: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
