@@ -19,6 +19,7 @@ PACKAGE = PROJECT / "src" / "napari_elsplus"
 ORDER = (
     "errors",
     "instrument",
+    "processing.compilation",
     "processing.compiled",
     "processing.images",
     "processing.analysis",

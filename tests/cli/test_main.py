@@ -2,12 +2,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from io import StringIO
 
 import click
 import pytest
+from rich.console import Console
 
 import napari_elsplus
 from napari_elsplus.cli import COMMANDS, elsplus, main
+from napari_elsplus.cli.options import Display
 from napari_elsplus.cli.rig import window
 from napari_elsplus.diagnosis.machine import Screen
 from napari_elsplus.errors import InputError
@@ -106,3 +109,16 @@ def test_a_wrong_option_of_process_is_refused_before_numerics_are_imported() -> 
     assert done.returncode == 2
     assert "No such option '--wrong'" in done.stderr
     assert done.stdout == "[]\n"
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_kernel_that_is_compiled_is_named_on_a_terminal(terminal: bool) -> None:
+    console = Console(file=StringIO(), force_terminal=terminal, width=120)
+    display = Display(console)
+    display.compiling("before")
+    for _ in display.progress(range(2), "Tracking"):
+        display.compiling("align")
+        display.compiling("")
+    written = console.file.getvalue()
+    assert ("compiling before, once after an installation" in written) == terminal
+    assert ("Tracking (compiling align, once after an installation)" in written) == terminal

@@ -6,9 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
 import napari_elsplus
+from napari_elsplus.processing import compiled
+from napari_elsplus.processing.compilation import reported_compilation
 
 CALLER = """
 from napari_elsplus.processing.compiled import kernel
@@ -41,7 +44,7 @@ def package(tmp_path: Path) -> Path:
     """A copy of what a kernel needs of the package, with two kernels of which one calls the other."""
     source, copy = Path(napari_elsplus.__file__).parent, tmp_path / "napari_elsplus"
     (copy / "processing").mkdir(parents=True)
-    for name in ("__init__.py", "processing/__init__.py", "processing/compiled.py"):
+    for name in ("__init__.py", "processing/__init__.py", "processing/compilation.py", "processing/compiled.py"):
         shutil.copy(source / name, copy / name)
     (copy / "processing" / "outer.py").write_text(CALLER)
     (copy / "processing" / "inner.py").write_text(INNER.format(factor="2.0"))
@@ -55,3 +58,21 @@ def test_an_edited_kernel_is_compiled_again_into_those_that_call_it(package: Pat
     (package / "processing" / "inner.py").write_text(INNER.format(factor="5.0"))
     assert answer(package) == "16.0 0"
     assert answer(package) == "16.0 1"
+
+
+def test_kernels_that_are_compiled_are_named_while_somebody_waits() -> None:
+    @numba.njit
+    def inner(x: float) -> float:
+        return 2 * x
+
+    @numba.njit
+    def outer(x: float) -> float:
+        return inner(x) + 1
+
+    assert callable(compiled.kernel)  # importing it is enough
+    named: list[str] = []
+    with reported_compilation(named.append):
+        assert outer(1.0) == outer(1.0) == 3.0
+    assert named == ["outer", ""]
+    assert outer(1) == 3
+    assert named == ["outer", ""]

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from typing import Any
 
 import click
 
 from napari_elsplus import __version__
 from napari_elsplus.errors import ElsPlusError, InputError, error_message
+from napari_elsplus.processing.compilation import reported_compilation
 
 COMMANDS: dict[str, str] = {
     "demo": "files",
@@ -61,6 +63,10 @@ class _CommandPerModule(click.Group):
         command.short_help = SUMMARIES[cmd_name]
         return command
 
+    def invoke(self, ctx: click.Context) -> Any:
+        with reported_compilation(_display_compilation):
+            return super().invoke(ctx)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, SUMMARIES[name]) for name in COMMANDS])
@@ -75,6 +81,12 @@ def elsplus(ctx: click.Context) -> None:
     """Enhanced line-scan (ELS+) fibre-bundle endomicroscopy. Without a command: open napari with the plugin."""
     if ctx.invoked_subcommand is None:
         import_module("napari_elsplus.cli.rig.window").open_window()
+
+
+def _display_compilation(kernel: str) -> None:
+    from napari_elsplus.cli.options import display  # not for `--help`
+
+    display().compiling(kernel)
 
 
 def main(arguments: list[str] | None = None) -> None:

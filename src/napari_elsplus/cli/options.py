@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from functools import cache
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from rich.console import Console
-from rich.progress import track
+from rich.progress import Progress
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import refuse_existing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
 
     Item = TypeVar("Item")
 
@@ -101,7 +102,46 @@ def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | Non
             raise InputError(f"{path} is named twice", "name another file for one of them")
 
 
+class Display:
+    """Progress bars on a console, and beside them the kernel that is being compiled; nothing without a terminal.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+        Where they are displayed.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._bar: Progress | None = None
+
+    def progress(self, numbers: Iterable[Item], step: str) -> Iterable[Item]:
+        """Display a progress bar of a step's numbers."""
+        return self._with_bar(numbers, step) if self._console.is_terminal else numbers
+
+    def compiling(self, kernel: str) -> None:
+        """Display the name of a `kernel` that is being compiled, in place of the step's; an empty one at its end."""
+        if self._bar is not None:
+            remark = f" (compiling {kernel}, once after an installation)" if kernel else ""
+            self._bar.update(self._task, description=self._step + remark, refresh=True)
+        elif kernel and self._console.is_terminal:
+            self._console.print(f"compiling {kernel}, once after an installation")
+
+    def _with_bar(self, numbers: Iterable[Item], step: str) -> Iterator[Item]:
+        with Progress(*Progress.get_default_columns(), console=self._console, transient=True) as bar:
+            self._bar, self._step, self._task = bar, step, bar.add_task(step)
+            try:
+                yield from bar.track(numbers, task_id=self._task)
+            finally:
+                self._bar = None
+
+
+@cache
+def display() -> Display:
+    """Return the display on standard error."""
+    return Display(Console(stderr=True))
+
+
 def progress(numbers: Iterable[Item], step: str) -> Iterable[Item]:
     """Display a progress bar of a step's numbers on standard error, if that is a terminal."""
-    console = Console(stderr=True)
-    return track(numbers, description=step, console=console, transient=True, disable=not console.is_terminal)
+    return display().progress(numbers, step)

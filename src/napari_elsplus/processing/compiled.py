@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import numba
 from llvmlite import ir
-from numba.core import cgutils
+from numba.core import cgutils, event
 from numba.extending import intrinsic
+
+from napari_elsplus.processing.compilation import report_compilation
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,6 +49,27 @@ def _cached(compile_with: Callable[..., Any], function: Function) -> Function:
         return cast("Function", compile_with()(function))
     dispatcher._cache._cache_file._source_stamp = _sources_of_kernels()  # noqa: SLF001 - numba has no public way
     return cast("Function", dispatcher)
+
+
+class _Compilations(event.Listener):
+    """Reports the outermost kernel that is compiled; the compiler's lock keeps threads apart."""
+
+    def __init__(self) -> None:
+        self._depth = 0
+
+    def on_start(self, event: Any) -> None:
+        self._depth += 1
+        if self._depth == 1:
+            report_compilation(event.data["dispatcher"].py_func.__name__)
+
+    def on_end(self, event: Any) -> None:
+        del event
+        self._depth -= 1
+        if not self._depth:
+            report_compilation("")
+
+
+event.register("numba:compile", _Compilations())
 
 
 @cache

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 MIN_SEEN: Final = 0.5
 """Part of the disc's height and width that the frame must contain in both views; chosen: two frames that overlap by
 half are registered, and calibration refuses views of which less than 90 % are seen."""
+BACKGROUND_STEPS: Final = 1 << 16
+"""Steps per grey level in which the background is binned; chosen: finer than float32 resolves 255 grey levels."""
 _LOWEST_FLAT: Final = 0.2
 _BINOMIAL: Final = np.array([1, 4, 6, 4, 1], np.float32)
 
@@ -80,8 +82,7 @@ class FrontEnd:
                     f"the calibration's background has {calibration.background.shape} pixels, the frames {frame_shape}",
                     "use the calibration that was made with this camera region",
                 )
-            background = np.ascontiguousarray(calibration.background, np.float32)
-            self._offset = self.image(background, np.zeros_like(inside))
+            self._offset = self._binned(self._hot_pixels.mended(calibration.background))
 
     def image(
         self, raw: NDArray[Any], out: NDArray[np.float32], raw_residual: NDArray[Any] | None = None
@@ -108,11 +109,15 @@ class FrontEnd:
                     f"a frame has {frame.shape} pixels, the calibration is for {self._frame_shape}",
                     "all frames of a recording must have one size",
                 )
-        confocal, residual = self._confocal, self._residual
         raw = self._hot_pixels.mended(raw)
+        self._fill(raw, raw if raw_residual is None else self._hot_pixels.mended(raw_residual), out)
+        return out
+
+    def _fill(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
+        confocal, residual = self._confocal, self._residual
         subtract_views(
-            raw,
-            raw if raw_residual is None else self._hot_pixels.mended(raw_residual),
+            _read_only(raw),
+            _read_only(raw_residual),
             confocal.matrix,
             residual.matrix,
             (confocal.weight, residual.weight),
@@ -123,7 +128,21 @@ class FrontEnd:
             self._work,
             out,
         )
-        return out
+
+    def _binned(self, background: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the tracking image (n, n) of the background, added byte by byte.
+
+        So the kernel is compiled for frames of bytes only, which takes seconds.
+        """
+        total, part = np.zeros_like(self._scale), np.zeros_like(self._scale)
+        for sign in (1, -1):
+            steps, unit = np.rint(np.maximum(sign * background, 0) * BACKGROUND_STEPS).astype(np.int64), sign
+            while steps.any():
+                byte = (steps & 255).astype(np.uint8)
+                self._fill(byte, byte, part)
+                total += np.float32(unit / BACKGROUND_STEPS) * part
+                steps, unit = steps >> 8, unit << 8
+        return total
 
     def blank(self, raw: NDArray[Any]) -> bool:
         """Whether the confocal view shows nothing, so that only background and flat field have structure.
@@ -138,7 +157,7 @@ class FrontEnd:
         grid = self.grid
         top, left = grid.origin
         reach = grid.side * grid.binning
-        return bool(is_blank(raw, top + reach // 4, left + reach // 4, reach // 2, _largest(raw.dtype)))
+        return bool(is_blank(_read_only(raw), top + reach // 4, left + reach // 4, reach // 2, _largest(raw.dtype)))
 
     def _binned_flat(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the flat, whose middle is the bundle's centre, on the grid."""
@@ -150,6 +169,13 @@ class FrontEnd:
         fine = cv2.remap(flat, *np.meshgrid(cols, rows), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         binned: NDArray[np.float32] = fine.reshape(grid.side, q, grid.side, q).mean(axis=(1, 3))
         return binned
+
+
+def _read_only(frame: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only view of a frame, as those of a file are: kernels are compiled for one kind of array."""
+    view = frame.view()
+    view.flags.writeable = False
+    return view
 
 
 @cache
