@@ -35,6 +35,22 @@ def test_links_and_pictures_lead_somewhere(page: str) -> None:
     assert [target for target in targets if "://" not in target and not (DOCS / target).exists()] == []
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_tests_that_a_page_names_exist(page: str) -> None:
+    named = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", (DOCS / page).read_text(encoding="utf-8"))
+    sources = {path: (DOCS.parent / path).read_text(encoding="utf-8") for path, _ in named}
+    assert [name for path, name in named if name and f"def {name}(" not in sources[path]] == []
+
+
+def test_the_expectations_are_complete_and_each_is_shown() -> None:
+    page = (DOCS / "napari.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \|(.*)\|(.*)\|$", page, re.MULTILINE)
+    assert [int(number) for number, _, _ in rows] == list(range(1, 21))
+    assert all("tests/" in shown or "images/" in shown for _, _, shown in rows)
+    traps = page.split("##")[1]
+    assert traps.count("\n| ") == 1 + 8, "a header and eight traps"
+
+
 @pytest.mark.parametrize("page", ["reference.md", "modules.md"])
 def test_references_can_be_imported(page: str) -> None:
     for name in re.findall(r"^::: (\S+)", (DOCS / page).read_text(encoding="utf-8"), re.MULTILINE):

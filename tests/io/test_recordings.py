@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import gc
-import subprocess
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 
-import imageio_ffmpeg
 import numpy as np
 import pytest
 import tifffile
@@ -15,6 +13,7 @@ import zarr
 
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.io import Recording, RecordingWriter, open_recording
+from videos import write_avi
 
 SHAPE = (7, 40, 64)
 
@@ -88,13 +87,6 @@ def folder(path, frames):
         tifffile.imwrite(path / f"frame{k + 5}.tif", frame)  # 5 to 11: natural order differs from alphabetical
 
 
-def avi(path, frames, *options, pixels="gray"):
-    rows, cols = frames.shape[1:3]
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "quiet", "-f", "rawvideo", "-pix_fmt", pixels, "-r", "50"]
-    command += ["-s", f"{cols}x{rows}", "-i", "-", *(options or ("-c:v", "rawvideo")), str(path)]
-    subprocess.run(command, input=frames.tobytes(), check=True)
-
-
 FORMATS = {
     "r.ome.tif": ours,
     "zlib.tif": zlib_tiff,
@@ -108,7 +100,7 @@ FORMATS = {
     "v3.zarr": zarr_3,
     "array.zarr": zarr_array,
     "folder": folder,
-    "video.avi": avi,
+    "video.avi": write_avi,
 }
 
 
@@ -232,7 +224,7 @@ def write_bad(folder, name):
             np.save(path, np.zeros((3, 40, 60, 3), np.uint8))
         case "colour.avi":
             red = np.full((2, 48, 64, 3), (250, 10, 10), np.uint8)
-            avi(path, red, "-c:v", "mjpeg", pixels="rgb24")
+            write_avi(path, red, "-c:v", "mjpeg", pixels="rgb24")
         case "cut-pages.tif" | "cut-contiguous.tif" | "cut-last.tif":
             tifffile.imwrite(path, whole, compression=None if name == "cut-contiguous.tif" else "zlib")
             blob = path.read_bytes()

@@ -10,6 +10,9 @@ from pathlib import Path
 
 import pytest
 from napari.utils.notifications import notification_manager
+from qtpy.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
+from qtpy.QtGui import QDragEnterEvent, QDropEvent
+from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
@@ -70,6 +73,22 @@ def questions(monkeypatch):
 
 class Questions(list[str]):
     answer = True
+
+
+@pytest.fixture
+def drop():
+    """Drop files on a widget, as from the desktop."""
+
+    def onto(widget, *paths):
+        data = QMimeData()
+        data.setUrls([QUrl.fromLocalFile(str(path)) for path in paths])
+        with_the_mouse = Qt.DropAction.CopyAction, data, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+        enter = QDragEnterEvent(QPoint(5, 5), *with_the_mouse)
+        QApplication.sendEvent(widget, enter)
+        assert enter.isAccepted()
+        QApplication.sendEvent(widget, QDropEvent(QPointF(5, 5), *with_the_mouse))
+
+    return onto
 
 
 @pytest.fixture

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from qtpy.QtCore import QMimeData, QPointF, Qt, QUrl
-from qtpy.QtGui import QDragEnterEvent, QDropEvent
-from qtpy.QtWidgets import QAbstractSpinBox, QApplication, QCheckBox, QComboBox, QLabel, QPushButton
+from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QLabel, QPushButton
 
 from napari_elsplus.acquisition.engine.status import Settings
 from pairs import write_pair
@@ -31,17 +29,7 @@ def hints(panel):
     return [label.text() for label in panel.findChildren(QLabel) if "<b>Next:</b>" in label.text()]
 
 
-def drop(widget, *paths):
-    data = QMimeData()
-    data.setUrls([QUrl.fromLocalFile(str(path)) for path in paths])
-    actions, buttons, modifiers = Qt.DropAction.CopyAction, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
-    enter = QDragEnterEvent(QPointF(5, 5).toPoint(), actions, data, buttons, modifiers)
-    QApplication.sendEvent(widget, enter)
-    assert enter.isAccepted()
-    QApplication.sendEvent(widget, QDropEvent(QPointF(5, 5), actions, data, buttons, modifiers))
-
-
-def test_every_panel_names_the_next_action_until_it_is_done(dock, qtbot, tmp_path):
+def test_every_panel_names_the_next_action_until_it_is_done(dock, qtbot, drop, tmp_path):
     assert {title: len(hints(panel(dock, title))) for title in dock.by_title} == dict.fromkeys(dock.by_title, 1)
     assert "open a recording" in hints(panel(dock, "Compare"))[0]
     drop(panel(dock, "Compare"), write_pair(tmp_path))
@@ -77,7 +65,7 @@ def test_every_control_has_a_tooltip_and_a_disabled_button_names_the_reason(dock
 
 
 def test_a_recording_dropped_on_the_calibration_measures_the_step_and_a_calibration_is_loaded(
-    dock, qtbot, open_recording, tmp_path
+    dock, qtbot, drop, open_recording, tmp_path
 ):
     own = panel(dock, "Calibration")
     own.choose("offset")

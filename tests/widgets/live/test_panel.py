@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 from concurrent.futures import Future
+from datetime import datetime
 from pathlib import Path
 from threading import Event
 
@@ -26,7 +27,7 @@ from napari_elsplus.errors import DeviceError
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration, recall
 from napari_elsplus.processing.calibration.scan.lag import ScanLag
-from napari_elsplus.widgets.live.form import DEFAULT_LIMIT_S, LiveForm
+from napari_elsplus.widgets.live.form import CONTINUOUS, DEFAULT_LIMIT_S, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers
 from napari_elsplus.widgets.shared.calibration_state import AMBER
 from napari_elsplus.widgets.shared.connection import join
@@ -91,6 +92,13 @@ def test_live_layers_fill_and_are_kept_as_the_user_has_set_them(viewer, panel, q
     assert len(viewer.layers) == 2
     assert els in viewer.layers
     assert (els.colormap.name, tuple(els.contrast_limits), viewer.scene.camera.zoom) == ("magenta", (3, 77), 2.5)
+    panel.form.contrast.value = CONTINUOUS
+    qtbot.waitUntil(lambda: tuple(els.contrast_limits) != (3, 77), timeout=30_000)
+    facts = els.metadata["elsplus"]
+    assert facts["calibration"] is panel.connection.client.calibration
+    assert (facts["rig"], facts["kind"]) == ("simulated", "live els")
+    assert facts["software"].startswith("napari-elsplus ")
+    assert datetime.fromisoformat(facts["displayed_since"]).tzinfo is not None
 
 
 def test_a_blocked_window_loses_nothing(viewer, panel, qtbot, tmp_path):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
-from napari_elsplus.acquisition.engine.status import Status
+from napari_elsplus.acquisition.engine.status import RecordingState, Status
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.widgets.live.status import status_text
 
@@ -22,6 +23,19 @@ def test_a_scan_whose_lag_is_unknown_comes_with_advice():
         assert ADVICE in status_text(status, zero, 30.0, busy=False)
     for known in (late, None):
         assert ADVICE not in status_text(scanning, known, 30.0, busy=False)
+
+
+def test_rates_latency_losses_and_disk_are_stated(tmp_path: Path):
+    recording = RecordingState(str(tmp_path / "r.ome.tif"), 480, running=True)
+    free_s = 600.0
+    status = Status(
+        live=True, camera_hz=240.0, dropped={"recorder slow": 3}, recording=recording,
+        disk_bytes_per_s=shutil.disk_usage(tmp_path).free / free_s,
+    )  # fmt: skip
+    text = status_text(status, None, 58.6, busy=False)
+    for words in ("camera 240 Hz", "display 59 Hz", "latency", "lost: 3 recorder slow", "480 frames, 2.0 s"):
+        assert words in text
+    assert "10 min of disk space left" in text
 
 
 def test_what_does_not_hold_any_more_is_said_with_its_reason():

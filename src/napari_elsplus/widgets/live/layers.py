@@ -9,6 +9,7 @@ from napari.layers import Image
 
 from napari_elsplus import __version__
 from napari_elsplus.acquisition.engine.live_images import RAW
+from napari_elsplus.instrument.calibration import utc_now
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLES
@@ -56,6 +57,7 @@ class LiveLayers:
         *,
         side_by_side: bool,
         calibration_file: Path | None = None,
+        rig: str | None = None,
     ) -> None:
         """Display the given kinds and hide the others; layers of the same kind and size are reused.
 
@@ -73,6 +75,8 @@ class LiveLayers:
             Side by side; otherwise in one place.
         calibration_file : pathlib.Path, optional
             Its file, for the metadata.
+        rig : str, optional
+            Name of the rig, for the metadata.
         """
         shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
         um = None if calibration is None else calibration.um_per_px
@@ -96,6 +100,7 @@ class LiveLayers:
             facts: dict[str, Any] = {
                 "kind": f"{LIVE} {kind}", "stack": None, "path": None, "calibration": calibration,
                 "calibration_path": calibration_file, "file": {}, "software": f"napari-elsplus {__version__}",
+                "rig": rig, "displayed_since": utc_now(),
             }  # fmt: skip
             if layer is None:
                 layer = self._add(kind, shape, dtype, {**place, "metadata": {"elsplus": facts}})

@@ -190,8 +190,8 @@ class LivePanel(EnginePanel):
         kinds, apart, calibration = self.form.chosen, self.form.side_by_side.value, client.calibration
         arranged = (ring.layout, ring.name, tuple(kinds), apart)
         if arranged != self._arranged or calibration is not self._arranged_by:
-            file = self.connection.calibration_file
-            self.layers.arrange(kinds, ring, calibration, side_by_side=apart, calibration_file=file)
+            file, rig = self.connection.calibration_file, self.connection.rig
+            self.layers.arrange(kinds, ring, calibration, side_by_side=apart, calibration_file=file, rig=rig)
             self._arranged, self._arranged_by = arranged, calibration
         whole = now_s - self._whole_at_s > WHOLE_S
         with nullcontext() if whole else self.layer_list.signals_blocked():

@@ -1,0 +1,17 @@
+"""Videos as other programs write them: frames without a word on the instrument."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+
+
+def write_avi(path: Path, frames: np.ndarray, *options: str, pixels: str = "gray") -> None:
+    """Frames (T, rows, cols) uint8 as an AVI of 50 frames per second, uncompressed unless options say otherwise."""
+    rows, cols = frames.shape[1:3]
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "quiet", "-f", "rawvideo", "-pix_fmt", pixels, "-r", "50"]
+    command += ["-s", f"{cols}x{rows}", "-i", "-", *(options or ("-c:v", "rawvideo")), str(path)]
+    subprocess.run(command, input=frames.tobytes(), check=True)
