@@ -17,7 +17,7 @@ from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.processing.calibration.bundle.core_matching import AlignmentModel, CoreMatcher
 from napari_elsplus.processing.calibration.bundle.location import locate_pair
 from napari_elsplus.processing.calibration.bundle.view_alignment import align_views
-from napari_elsplus.processing.calibration.galvo import lines_in_sweep
+from napari_elsplus.processing.calibration.galvo import visible_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,7 +45,8 @@ def _sweep(seed: int, bend_rows: float, count: int) -> Sweep:
     split = round((rig.left[1] + rig.right[1]) / 2)
     volts = rig.volts_at_row_zero + rig.volts_per_row * (rig.left[0] + rows)
     given = rig.volts_at_row_zero + rig.volts_per_row * (rig.left[0] + bent)
-    lines = lines_in_sweep(frame[:, :split].astype(np.float32) - np.float32(rig.black_dn) for frame in rig.sweep(given))
+    views = (frame[:, :split].astype(np.float32) - np.float32(rig.black_dn) for frame in rig.sweep(given))
+    lines = [visible_line(view) for view in views]
     seen = np.array([line is not None for line in lines])
     found = np.array([line.row_at(rig.left[1]) for line in lines if line is not None])
     return Sweep(volts[seen], found)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import beside, existing_beside, read_depths_um
 from napari_elsplus.processing.analysis.axial_response import AxialResponse, axial_profiles, axial_response
+from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.workflows.progress import without_display
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ def measure_axial_response(
     depths = _depths_beside(path) if depth_um is None else depth_um
     if len(depths) != len(scan):
         raise InputError(f"{len(depths)} depths for {len(scan)} frames", "give a line per frame")
+    require_agreement(scan, known)
     profiles = axial_profiles(scan, known, progress=lambda numbers: progress(numbers, "depths"))
     return axial_response(depths, *profiles)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import Recording, TrackPoint, refuse_existing, write_mosaic, write_track
+from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
@@ -242,6 +243,7 @@ def _tracked(
         if tracking_method(method).corrects_rolling_shutter:
             calibration, note = with_timing(calibration, pairs, mode)
         rows, cols = raw[0].shape
+        require_agreement(raw, calibration)
         pipeline = new_pipeline(calibration, (rows, cols), mode, method, insertion)
     with Pipelined(pipeline, insert=False) if threads == 2 else nullcontext() as ahead:
         add = pipeline.track if ahead is None else ahead.add

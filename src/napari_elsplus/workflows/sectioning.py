@@ -9,6 +9,7 @@ from scipy.ndimage import distance_transform_edt
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import write_stack
+from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.workflows.progress import without_display
@@ -285,4 +286,6 @@ def section(
     InputError, CalibrationError
         As :class:`SectionedImages`.
     """
-    return SectionedImages(raw, calibration, mode, cores=cores, flat_field=flat_field)
+    images = SectionedImages(raw, calibration, mode, cores=cores, flat_field=flat_field)
+    require_agreement(raw, calibration)
+    return images

@@ -11,7 +11,7 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.galvo import fit_galvo
 from napari_elsplus.processing.calibration.line import locate_line
 from napari_elsplus.processing.calibration.measurements import map_galvo, measure_offset
-from napari_elsplus.processing.images.row_reference import dark_columns, dark_pixels, without_row_noise
+from napari_elsplus.processing.images.row_reference import RowReference, dark_columns, dark_pixels
 from napari_elsplus.simulation.calibration_scenes import standing_line
 from napari_elsplus.simulation.model.imperfections import Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -52,12 +52,12 @@ def test_a_sweep_under_row_noise_is_mapped_as_without(row_noise_dn: float) -> No
 
 def test_frames_without_row_noise_are_left_alone() -> None:
     frame = np.random.default_rng(3).normal(10, 1, (120, 300)).astype(np.float32)
-    assert without_row_noise(frame, np.ones(frame.shape, np.float32)) is frame
+    assert RowReference(np.ones(frame.shape, np.float32)).without_row_noise(frame) is frame
 
 
 def test_frames_without_dark_pixels_are_left_alone() -> None:
     frame = (10 + np.random.default_rng(4).normal(0, 3, (120, 1)) + np.zeros(300)).astype(np.float32)
-    assert without_row_noise(frame, np.zeros(frame.shape, np.float32)) is frame
+    assert RowReference(np.zeros(frame.shape, np.float32)).without_row_noise(frame) is frame
 
 
 def test_the_light_of_the_bundle_is_kept() -> None:
@@ -68,7 +68,7 @@ def test_the_light_of_the_bundle_is_kept() -> None:
     frame = (light + offsets + random.normal(4, 0.5, light.shape)).astype(np.float32)
     for dark in (dark_columns(frame), dark_pixels(frame.shape, [((100, 110), 160), ((100, 310), 160)])):
         assert not (dark * light).any()
-        left = without_row_noise(frame, dark) - light
+        left = RowReference(dark).without_row_noise(frame) - light
         assert left.mean(axis=1).std() < 0.1
 
 

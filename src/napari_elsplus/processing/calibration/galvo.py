@@ -18,9 +18,9 @@ from napari_elsplus.processing.analysis.uncertainty import clustered_influence, 
 from napari_elsplus.processing.calibration.line import Line, locate_line
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from numpy.typing import NDArray
+
+    from napari_elsplus.processing.calibration.bundle.laser_gain import SweptLight
 
     Floats = NDArray[np.float64]
 
@@ -72,6 +72,8 @@ class GalvoMap:
         Frames fitted; without a visible line or with it cut short by the bundle's rim; rejected by the robust fit.
     volts, rows, used : numpy.ndarray
         Voltage and row of every frame with a line, shape (frames,), and True where it was fitted.
+    light : SweptLight, optional
+        Light of the lines in both views; None where it was not collected.
     """
 
     volts_per_row: float
@@ -92,6 +94,7 @@ class GalvoMap:
     volts: Floats
     rows: Floats
     used: NDArray[np.bool_]
+    light: SweptLight | None = None
 
     def row(self, volts: float) -> float:
         """Return the row on which the line stands at a voltage in volts."""
@@ -109,22 +112,16 @@ class GalvoMap:
         return 0.0 if not min(ends) < 0 < max(ends) else min(ends, key=abs)
 
 
-def lines_in_sweep(
-    views: Iterable[NDArray[np.generic]], background: NDArray[np.float32] | None = None
-) -> list[Line | None]:
-    """Find the line in each frame of a sweep; None where none is visible.
+def visible_line(view: NDArray[np.generic], background: NDArray[np.float32] | None = None) -> Line | None:
+    """Locate the line in a frame of a sweep; None where none is visible.
 
     Parameters
     ----------
-    views : iterable of numpy.ndarray
-        The confocal view (rows, cols) of each frame.
+    view : numpy.ndarray
+        The confocal view (rows, cols).
     background : numpy.ndarray, optional
         Mean frame of the dark tube for the same pixels.
     """
-    return [_visible(view, background) for view in views]
-
-
-def _visible(view: NDArray[np.generic], background: NDArray[np.float32] | None) -> Line | None:
     try:
         return locate_line(view, background)
     except MeasurementError:

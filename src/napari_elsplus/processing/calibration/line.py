@@ -208,11 +208,11 @@ def _fit(image: Image, streak: Streak) -> Line:
     u = np.broadcast_to(np.arange(-reach, reach + 1.0)[:, None], data.shape)[seen]
     x = np.broadcast_to((edges[:-1] + edges[1:] - 1) / 2 - middle, data.shape)[seen]
     run = np.broadcast_to(np.arange(RUNS), data.shape)[seen]
-    parameters, influence = _gauss_newton(data[seen], u, x, run, width)
-    bend, mean_square_px = _bend(parameters, data[seen], u, x, run)
+    parameters, influence, left, jacobian, taper = _gauss_newton(data[seen], u, x, run, width)
+    bend, mean_square_px = _bend(left, jacobian[:, _ROW], taper, x, run)
     amplitude, level, log_width, shift, turn, ramp = (float(value) for value in parameters)
     fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2 - spread, 0.1)))
-    misfit = _misfit(data, seen, parameters, u, x)
+    misfit = _misfit(left * taper, seen, amplitude)
     # In dim light only a part of the line may be visible: its uncertainty in the middle of the view counts.
     across = influence[:, _ROW] + ((image.shape[1] - 1) / 2 - middle) * influence[:, _SLOPE]
     _must_be_a_line(amplitude, np.linalg.norm([influence[:, 0], across], axis=1), shift, reach, misfit)
@@ -269,8 +269,13 @@ def _lit_columns(brightness: Floats) -> tuple[int, int]:
     return (int(starts[longest]), int(stops[longest])) if len(starts) else (0, 0)
 
 
-def _gauss_newton(data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], width: float) -> tuple[Floats, Floats]:
-    """Fit amplitude, level, log width, row, slope and the level's slope; return them and the runs' influences."""
+def _gauss_newton(
+    data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], width: float
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Fit amplitude, level, log width, row, slope and the level's slope.
+
+    Return them and the runs' influences; the data less the model, its derivatives, and the weights.
+    """
     level = float(np.percentile(data, 25))
     start = (float(np.percentile(data, 95)) - level, level, np.log(np.sqrt(2) * width), 0.0, 0.0, 0.0)
     parameters = np.array(start)
@@ -285,15 +290,26 @@ def _gauss_newton(data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], wid
             break
     model, jacobian, taper = _model(parameters, u, x)
     weighted = jacobian * taper[:, None]
-    return parameters, estimator_influence(weighted * (data - model)[:, None], weighted.T @ jacobian, run, RUNS)
+    left = data - model
+    influence = estimator_influence(weighted * left[:, None], weighted.T @ jacobian, run, RUNS)
+    return parameters, influence, left, jacobian, taper
 
 
-def _bend(parameters: Floats, data: Floats, u: Floats, x: Floats, run: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the bend of the line over its columns, rows per squared column, and their mean square distance."""
-    model, jacobian, taper = _model(parameters, u, x)
-    by_row = jacobian[:, _ROW] * taper
-    pull = np.bincount(run, by_row * (data - model), RUNS)
-    weights = np.bincount(run, by_row * jacobian[:, _ROW], RUNS)
+def _bend(left: Floats, slopes: Floats, taper: Floats, x: Floats, run: NDArray[np.intp]) -> tuple[float, float]:
+    """Return the bend of the line over its columns, rows per squared column, and their mean square distance.
+
+    Parameters
+    ----------
+    left, slopes, taper : numpy.ndarray
+        Data less the straight line's model, its derivative by the row, and the weights, (samples,).
+    x : numpy.ndarray
+        Column of each sample, from the line's middle, (samples,).
+    run : numpy.ndarray
+        Run of columns of each, (samples,).
+    """
+    by_row = slopes * taper
+    pull = np.bincount(run, by_row * left, RUNS)
+    weights = np.bincount(run, by_row * slopes, RUNS)
     at = np.bincount(run, x, RUNS) / np.maximum(np.bincount(run, minlength=RUNS), 1)
     basis = np.stack([np.ones(RUNS), at, at**2], axis=1)
     moments = basis.T @ (weights[:, None] * basis)
@@ -315,14 +331,13 @@ def _model(parameters: Floats, u: Floats, x: Floats) -> tuple[Floats, Floats, Fl
     return amplitude * bell + level + ramp * u, jacobian, taper
 
 
-def _misfit(data: Floats, seen: NDArray[np.bool_], parameters: Floats, u: Floats, x: Floats) -> float:
+def _misfit(weighted: Floats, seen: NDArray[np.bool_], amplitude: float) -> float:
     """Return the largest departure of the mean profile from the fit, weighted as in the fit, over the amplitude."""
-    residual = np.zeros(data.shape)
-    model, _, taper = _model(parameters, u, x)
-    residual[seen] = (data[seen] - model) * taper
+    residual = np.zeros(seen.shape)
+    residual[seen] = weighted
     count = np.count_nonzero(seen, axis=1)
     profile = residual.sum(axis=1)[count > 0] / count[count > 0]
-    return float(np.abs(profile).max() / max(abs(float(parameters[0])), 1e-12))
+    return float(np.abs(profile).max() / max(abs(amplitude), 1e-12))
 
 
 def _must_be_a_line(amplitude: float, spread: Floats, shift: float, reach: int, misfit: float) -> None:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -13,15 +13,16 @@ import numpy as np
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma
 from napari_elsplus.processing.calibration.bundle import location as bundles
+from napari_elsplus.processing.calibration.bundle.laser_gain import LightCollector
 from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
 from napari_elsplus.processing.calibration.frame_regions import brightest, column_between_views, unlit_pixels
-from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, lines_in_sweep
+from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
 from napari_elsplus.processing.calibration.line import Line, locate_line
-from napari_elsplus.processing.images.row_reference import without_row_noise
+from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
@@ -40,6 +41,8 @@ MAX_DRIFT: Final = 0.05
 """Largest relative change of the mean level between halves of the frames; chosen, above that of a warm laser."""
 MAX_CHORD: Final = 1.1
 """Length of a line over the bundle's diameter; chosen: the rim's blur, and what a threshold makes of it."""
+LIT_FRAMES: Final = 64
+"""Frames of a sweep from which the light of the line is collected; chosen: a line every few rows."""
 SAMPLING_ROWS: Final = 0.006
 """Rows; part of the offset's uncertainty that no residual shows: the views' pixels sample the cores at other phases.
 Chosen: about half the error of bright lines on the presets' bundles, 0.012 at 240 Hz and 0.005 at 120 Hz."""
@@ -66,6 +69,11 @@ class SlitOffset:
     confocal: Line
     residual: Line
     split: int
+
+    @property
+    def view_offset(self) -> tuple[float, float]:
+        """Rows and columns of the frame from the line in the confocal view to that in the residual one."""
+        return self.rows, self.split + self.residual.column - self.confocal.column
 
     @property
     def lit_columns(self) -> list[tuple[int, int]]:
@@ -105,6 +113,11 @@ class BundlePair:
     def split(self) -> int:
         """Column of the frame between the views."""
         return round((self.confocal.centre[1] + self.residual.centre[1]) / 2)
+
+    @property
+    def view_offset(self) -> tuple[float, float]:
+        """Rows and columns from the centre of the confocal to that of the residual bundle image."""
+        return self.offset_rows, self.residual.centre[1] - self.confocal.centre[1]
 
     @property
     def offset_rows(self) -> float:
@@ -192,7 +205,8 @@ def measure_offset(
     raw: NDArray[Any] = np.asarray(frames[0]) if alone else mean_frame(frames)
     _must_not_be_saturated(frames[0], "image of the line")
     lit = [] if near is None else near.lit_columns
-    frame = without_row_noise(raw, unlit_pixels(raw, background, _discs(pair), lit), background)
+    reference = RowReference(unlit_pixels(raw, background, _discs(pair), lit), background)
+    frame = reference.without_row_noise(raw)
     if near is not None:
         split = near.split
     elif pair is not None:
@@ -241,6 +255,7 @@ def map_galvo(
     background: Image | None = None,
     pair: BundlePair | None = None,
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    offset: SlitOffset | None = None,
 ) -> GalvoMap:
     """Fit the voltage that puts the line onto a row of the confocal view (step ii).
 
@@ -256,6 +271,8 @@ def map_galvo(
         The bundle images; without them rows are taken at the middle of the longest lines.
     progress : callable, optional
         Wraps the frames' numbers, to display progress.
+    offset : SlitOffset, optional
+        Of the same line. Where it or the pair is known, the light of the lines is collected in both views.
 
     Raises
     ------
@@ -269,16 +286,22 @@ def map_galvo(
     painted = brightest(frames, background)
     split = pair.split if pair is not None else column_between_views(painted)
     dark = unlit_pixels(painted, discs=_discs(pair))
-
-    def views() -> Iterator[NDArray[np.generic]]:
-        for number in progress(range(len(frames))):
-            yield without_row_noise(frames[number], dark, background)[:, :split]
-
-    lines = lines_in_sweep(views(), None if background is None else background[:, :split])
-    if pair is None:
-        return fit_galvo(volts, lines, max_chord_px=MAX_CHORD * (split - float(dark[0, :split].sum())))
-    centre, diameter_px = pair.confocal.centre, pair.confocal.diameter_px
-    return fit_galvo(volts, lines, centre[1], diameter_px, MAX_CHORD * diameter_px)
+    reference, place = RowReference(dark, background), pair or offset
+    collector = None if place is None else LightCollector(painted.shape, place.split, place.view_offset)
+    max_chord_px = MAX_CHORD * (split - float(dark[0, :split].sum()) if pair is None else pair.confocal.diameter_px)
+    every = -(-len(frames) // LIT_FRAMES)
+    lines = []
+    for number in progress(range(len(frames))):
+        frame = reference.without_row_noise(frames[number])
+        line = visible_line(frame[:, :split], None if background is None else background[:, :split])
+        lines.append(line)
+        if collector is None or line is None or number % every:
+            continue
+        if line.columns[1] - line.columns[0] <= max_chord_px:
+            collector.add(frame, line.row, line.column, line.slope, line.width_rows)
+    where = (None, None) if pair is None else (pair.confocal.centre[1], pair.confocal.diameter_px)
+    found = fit_galvo(volts, lines, *where, max_chord_px)
+    return found if collector is None else replace(found, light=collector.swept(dark))
 
 
 def _discs(pair: BundlePair | None) -> list[tuple[tuple[float, float], float]]:

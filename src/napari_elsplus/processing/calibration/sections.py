@@ -18,6 +18,7 @@ from napari_elsplus.instrument.optics import BUNDLE_UM, PARK_CLEARANCE_UM
 from napari_elsplus.processing.calibration.bundle.cancellation import measure_alignment_errors
 from napari_elsplus.processing.calibration.bundle.gain import darkness
 from napari_elsplus.processing.calibration.bundle.gain_map import measure_gain_map
+from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN, laser_gain
 from napari_elsplus.processing.calibration.measurements import measure_flat_field, offset_at
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def apply_galvo(draft: Draft, galvo: GalvoMap) -> Calibration:
             else {"lag_s": before.lag_s, "natural_hz": before.natural_hz, "damping": before.damping}
         ),
     )
-    return known.model_copy(update={"galvo": section})
+    return _in_laser_light(known.model_copy(update={"galvo": section}), pair, galvo)
 
 
 def apply_pair(draft: Draft, pair: BundlePair) -> Calibration:
@@ -143,6 +144,22 @@ def with_darkness(draft: Draft) -> Calibration:
     return known if known.background is not None or draft.pair is None else _above_dark(known, draft.pair)
 
 
+def _in_laser_light(calibration: Calibration, pair: BundlePair | None, galvo: GalvoMap) -> Calibration:
+    """Return a calibration with the gain in the light of a sweep, where it shows that of a located pair."""
+    if pair is None or galvo.light is None:
+        return calibration
+    found = laser_gain(galvo.light, in_lamp_light(calibration, pair))
+    if found is None:
+        return calibration
+    update = {"residual_gain": found[0], "residual_gain_uncertainty": found[1]}
+    return calibration.model_copy(update={"bundle": _bundle_section(pair).model_copy(update=update)})
+
+
+def in_lamp_light(calibration: Calibration, pair: BundlePair) -> Calibration:
+    """Return a calibration with the gain in the light of the lamp, in which its bundle pair was located."""
+    return calibration.model_copy(update={"bundle": _bundle_section(pair)})
+
+
 def _bundle_section(pair: BundlePair) -> BundleSection:
     top, bottom = (tuple(float(value) for value in row) for row in pair.alignment.residual_to_confocal)
     return BundleSection(
@@ -151,7 +168,7 @@ def _bundle_section(pair: BundlePair) -> BundleSection:
         diameter_px=pair.confocal.diameter_px,
         residual_to_confocal=((top[0], top[1], top[2]), (bottom[0], bottom[1], bottom[2])),
         residual_gain=pair.alignment.gain,
-        residual_gain_uncertainty=pair.alignment.gain_uncertainty,
+        residual_gain_uncertainty=float(np.hypot(pair.alignment.gain_uncertainty, LAMP_GAIN * pair.alignment.gain)),
         centre_uncertainty_px=pair.confocal.centre_uncertainty_px,
         diameter_uncertainty_px=pair.confocal.diameter_uncertainty_px,
         alignment_uncertainty_px=pair.alignment.uncertainty_px,
@@ -165,7 +182,7 @@ def _above_dark(calibration: Calibration, pair: BundlePair) -> Calibration:
 
 def _quality(calibration: Calibration, pair: BundlePair, flat: Image | None) -> QualitySection:
     """Estimate how well the two views cancel, before and after the core filter."""
-    errors = measure_alignment_errors(pair.image, calibration.model_copy(update={"flat": flat}))
+    errors = measure_alignment_errors(pair.image, in_lamp_light(calibration, pair).model_copy(update={"flat": flat}))
     return QualitySection(
         alignment_error=errors.before, alignment_error_filtered=errors.after, core_filter=errors.cores.value
     )

@@ -100,7 +100,8 @@ def _outdated_by_offset(draft: Draft, offset: SlitOffset) -> Mapping[str, str]:
 def _estimate_galvo(inputs: StepInputs, draft: Draft) -> GalvoMap:
     if inputs.volts is None:
         raise InputError("a sweep without voltages", "give a CSV file with one per frame")
-    return map_galvo(inputs.frames, inputs.volts, draft.calibration.background, draft.pair, inputs.progress)
+    background = draft.calibration.background
+    return map_galvo(inputs.frames, inputs.volts, background, draft.pair, inputs.progress, draft.offset)
 
 
 def _outdated_by_galvo(draft: Draft, _galvo: GalvoMap) -> Mapping[str, str]:

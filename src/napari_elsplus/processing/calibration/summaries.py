@@ -8,14 +8,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT, measure_alignment_errors
+from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN
+from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
 from napari_elsplus.processing.calibration.scan.measure import DEFAULT_SLIT_ROWS
+from napari_elsplus.processing.calibration.sections import in_lamp_light
 from napari_elsplus.processing.calibration.step import StepSummary
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.instrument.calibration import BundleSection
     from napari_elsplus.processing.calibration.bundle.location import Disc
+    from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.galvo import GalvoMap
     from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
@@ -25,10 +30,6 @@ if TYPE_CHECKING:
 MAX_OFFSET_DIFFERENCE_ROWS: Final = 0.5
 """Between the slit offset and that of the bundle images, above which one is out of date; chosen, five times the
 uncertainty of a bundle's centre."""
-
-MIN_CERTAIN_EDGE: Final = 0.5
-"""Share of the circumference on which a bundle's edge is seen, below which a warning is given; measured: photographs of
-bundles behind targets have 0.55 and more, a target on dark ground 0.29 to 0.47 wherever its bundle is."""
 
 
 def with_uncertainty(value: float, uncertainty: float) -> str:
@@ -94,7 +95,7 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
         for name, disc in (("confocal", pair.confocal), ("residual", pair.residual))
     ]
     lines.append(f"view alignment: {alignment.model} to {alignment.uncertainty_px:.3f} px")
-    lines.append(f"gain of the residual view {with_uncertainty(alignment.gain, alignment.gain_uncertainty)}")
+    lines.append(_gain_text(known.bundle, alignment))
     if known.gain_map is not None:
         lines.append(f"gain map: {100 * float(known.gain_map.std()):.1f} % over the field")
     for name, disc in (("confocal", pair.confocal), ("residual", pair.residual)):
@@ -126,9 +127,18 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
     if known.quality is not None:
         raw, filtered = 100 * known.quality.alignment_error, 100 * known.quality.alignment_error_filtered
         headline = f"alignment error {raw:.2f} %\n{filtered:.2f} % after the {known.quality.core_filter} filter"
-        lines.append(measure_alignment_errors(pair.image, known).text)
+        lines.append(measure_alignment_errors(pair.image, in_lamp_light(known, pair)).text)
         lines.append(PAPER_TEXT)
     return StepSummary(headline, lines, warnings, [f"BIC of the models of view alignment: {evidence}"])
+
+
+def _gain_text(bundle: BundleSection | None, alignment: Alignment) -> str:
+    """Return the gain, and in which light it was measured."""
+    by_lamp = f"{with_uncertainty(alignment.gain, alignment.gain_uncertainty)} in the lamp's light"
+    if bundle is None or bundle.residual_gain == alignment.gain:
+        return f"gain of the residual view {by_lamp}; the fluorescence's may differ by {100 * LAMP_GAIN:g} %"
+    in_laser_light = with_uncertainty(bundle.residual_gain, bundle.residual_gain_uncertainty or 0.0)
+    return f"gain of the residual view {in_laser_light} in the light of the sweep, {by_lamp}"
 
 
 def seen_share(disc: Disc, frame_shape: tuple[int, ...]) -> float:

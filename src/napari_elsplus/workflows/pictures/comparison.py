@@ -14,6 +14,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
 from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, LineProfiles, line_profiles
+from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner, disc
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.pictures.scale_bar import draw_scale_bar
@@ -133,6 +134,7 @@ def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> Comparison
         )
     rows, cols = raw[frame].shape
     sectioner = Sectioner(calibration, (rows, cols))
+    require_agreement(raw, calibration)
     images = {
         Mode.LS: sectioner.ls(raw[frame]),
         Mode.ELSA: sectioner.elsa(raw[frame], raw[frame + 1]),

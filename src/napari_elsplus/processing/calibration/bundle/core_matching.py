@@ -202,7 +202,7 @@ class CoreMatcher:
         moved[:, 2] += np.array(centre) - moved[:, :2] @ np.full(2, (self.side - 1) / 2)
         return moved
 
-    def start(self, part: float = 1.0, scales: Sequence[float] = (1.0,)) -> Floats:
+    def start(self, part: float = 1.0, scales: Sequence[float] = (1.0,), steps: int = SHIFT_STEPS) -> Floats:
         """Estimate the motion to within half a core: scale from the diameters, angle and shift by correlation.
 
         Parameters
@@ -211,6 +211,8 @@ class CoreMatcher:
             Share of the compared disc's radius within which the cores are compared.
         scales : sequence of float
             Factors to the ratio of the diameters that are tried: distorted views differ more at the rim than inside.
+        steps : int
+            Of :data:`SHIFT_STEP_PX`, to either side.
 
         Notes
         -----
@@ -224,7 +226,7 @@ class CoreMatcher:
         rows, cols = self.rows[some], self.cols[some]
         target = self.confocal[self.inside][some]
         target = (target - target.mean()) / target.std()
-        shifts = SHIFT_STEP_PX * np.arange(-SHIFT_STEPS, SHIFT_STEPS + 1)
+        shifts = SHIFT_STEP_PX * np.arange(-steps, steps + 1)
         down, across = (grid.ravel() for grid in np.meshgrid(shifts, shifts, indexing="ij"))
         step = 0.5 / float(np.hypot(rows, cols).max())
         count = int(np.radians(MAX_ROTATION_DEG) / step)

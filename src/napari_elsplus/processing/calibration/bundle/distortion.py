@@ -25,12 +25,15 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]
 
-GROWING: Final = (0.45, 0.65, 0.8)
-"""Parts of the bundle's radius on which the fit begins; chosen: a distortion of 1 % displaces the cores of the first by
-a third of their spacing."""
+GROWING: Final = (0.35, 0.5, 0.65, 0.8)
+"""Parts of the bundle's radius on which the fit begins; chosen: a lens distorted by 1 % displaces the cores of each by
+less than a third of their spacing from where the fit to the one before expects them."""
 SCALES: Final = (1.0, 0.99, 1.01, 0.98, 1.02)
 """Scales of the middle over that of the diameters that are tried; chosen: they cover distortion of 2 % of the rim to
 within a third of a core."""
+GROWING_STEPS: Final = 7
+"""Shifts to either side that are tried there; derived: a lens distorted by 1 % about the sensor's centre displaces the
+discs' rims by three pixels against the cores in their middle, and those of the first part by one."""
 MAX_STEPS: Final = 12
 """Newton steps of a fit; measured: five suffice on frames distorted by 1 %."""
 
@@ -200,10 +203,10 @@ class DistortionMatcher:
 
     def grown(self) -> Floats:
         """Return coefficients (2, 10) fitted to discs that grow, from a motion found in the middle of the disc."""
-        coefficients = self.start(self.matcher.start(GROWING[0], SCALES))
-        models = (DistortionModel.AFFINE, DistortionModel.RADIAL, DistortionModel.RADIAL)
-        for part, model in zip(GROWING, models, strict=True):
-            coefficients = self.fit(coefficients, model, part).coefficients
+        coefficients = self.start(self.matcher.start(GROWING[0], SCALES, GROWING_STEPS))
+        coefficients = self.fit(coefficients, DistortionModel.AFFINE, GROWING[0]).coefficients
+        for part in GROWING[1:]:
+            coefficients = self.fit(coefficients, DistortionModel.RADIAL, part).coefficients
         return coefficients
 
     def fit(self, start: Floats, model: DistortionModel, part: float = 1.0) -> DistortedFit:

@@ -26,6 +26,8 @@ GAINS: Final = (0.5, 2.0)
 """Range of the gain, as of the calibration's files."""
 MIN_RING_PIXELS: Final = 200
 """Around the discs, for a plane of darkness; chosen."""
+RING_STEP_PX: Final = 2
+"""Of the pixels around the discs that are used; chosen: thousands are left."""
 MAX_SATURATED_NEARBY: Final = 0.02
 """Share of the pixels around one that may be saturated if it is to count for the gain; chosen: patches are left out,
 single cores are not, as leaving out the brightest cores alone would favour the dim ones."""
@@ -74,17 +76,35 @@ def measure_gain(
         if not counts.any():
             raise MeasurementError("the bundle's images are saturated all over", "lower the light or the gain")
         first, second, tile = first[counts], second[counts], tile[counts]
-    gain = float(second.sum(dtype=np.float64) / first.sum(dtype=np.float64))
+    gain, by_tiles = ratio_of_light(first, second, tile, count)
     if not GAINS[0] < gain < GAINS[1]:
         raise MeasurementError(
             f"the residual view is {gain:.2f} times as bright as the confocal; {GAINS[0]:g} to {GAINS[1]:g} expected",
             "is one of the views blocked?",
         )
-    misses = np.bincount(tile, weights=second - gain * first, minlength=count)
-    filled = np.count_nonzero(np.bincount(tile, minlength=count))
-    by_tiles = np.sqrt(np.square(misses).sum() * filled / max(filled - 1, 1)) / first.sum()
     by_darkness = (gain * np.array([1, *confocal.centre]) - np.array([1, *residual.centre])) / first.mean()
     return gain, float(np.sqrt(by_tiles**2 + by_darkness @ covariance @ by_darkness))
+
+
+def ratio_of_light(
+    first: NDArray[np.floating], second: NDArray[np.floating], cluster: NDArray[np.intp], count: int
+) -> tuple[float, float]:
+    """Return the light of a second view over that of a first, and one standard deviation by its scatter over clusters.
+
+    Parameters
+    ----------
+    first, second : numpy.ndarray
+        Light of the same pixels in both views, (points,).
+    cluster : numpy.ndarray
+        Cluster of each, 0 to `count` - 1, (points,).
+    count : int
+        Number of clusters.
+    """
+    total = float(first.sum(dtype=np.float64))
+    ratio = float(second.sum(dtype=np.float64)) / total
+    misses = np.bincount(cluster, weights=second - ratio * first, minlength=count)
+    filled = np.count_nonzero(np.bincount(cluster, minlength=count))
+    return ratio, float(np.sqrt(np.square(misses).sum() * filled / max(filled - 1, 1))) / total
 
 
 def darkness(frame: NDArray[np.float32], confocal: Disc, residual: Disc) -> NDArray[np.float32]:
@@ -112,13 +132,13 @@ def _spread_out(plane: Floats, frame: Image) -> Image:
 
 def _dark_plane(frame: Image, confocal: Disc, residual: Disc) -> tuple[Floats, Floats]:
     """Fit level and slopes per row and column of the darkness; return them and their covariance."""
-    rows, cols = np.ogrid[: frame.shape[0], : frame.shape[1]]
+    rows, cols = np.ogrid[: frame.shape[0] : RING_STEP_PX, : frame.shape[1] : RING_STEP_PX]
     squared = [
         np.square((rows - d.centre[0]) / (d.diameter_px / 2)) + np.square((cols - d.centre[1]) / (d.diameter_px / 2))
         for d in (confocal, residual)
     ]
     nearest = np.minimum(*squared)
-    y, x = np.nonzero((nearest > 1.08**2) & (nearest < 1.25**2))
+    y, x = RING_STEP_PX * np.array(np.nonzero((nearest > 1.08**2) & (nearest < 1.25**2)))
     if len(y) < MIN_RING_PIXELS:
         return np.array([frame.min(), 0.0, 0.0]), np.zeros((3, 3))
     level = frame[y, x].astype(np.float64)

@@ -31,6 +31,9 @@ MIN_DISC: Final = 0.15
 MIN_EDGE_SEEN: Final = 0.26
 """Share of the circumference; measured: photographs of bundles behind targets have 0.55 and more, images of layers that
 are taken for a disc 0.22 to 0.25."""
+MIN_CERTAIN_EDGE: Final = 0.5
+"""Share of the circumference on which a bundle's edge is seen, below which a warning is given; measured: photographs of
+bundles behind targets have 0.55 and more, a target on dark ground 0.29 to 0.47 wherever its bundle is."""
 MAX_DIAMETER_DIFFERENCE: Final = 0.1
 """Relative, between the views; chosen: optics differ by less than a percent."""
 

@@ -35,6 +35,8 @@ HALF_LEVEL: Final = 0.5
 """By the definition of the diameter."""
 FOOT_LEVEL: Final = 0.2
 """At which the outermost cores end; chosen, above noise and stray light."""
+NEAR_EDGE: Final = 0.03
+"""Distance of an edge from a circle, over the radius, at which it counts as the circle's; chosen."""
 EXPECTILE: Final = 0.98
 """Weight of a point outside the circle, against 0.02 inside; chosen: the circle passes the outermost cores."""
 
@@ -82,6 +84,27 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
     if of_centre.max() < uncertainty[:2].max():
         circle[:2], uncertainty[:2] = centre, of_centre
     return circle, uncertainty, seen
+
+
+def edge_share(frame: Image, circle: Floats, side: float = 0.0) -> float:
+    """Return the share of a circle's circumference on which the half level of a lit disc lies near it.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        (rows, cols) float32.
+    circle : numpy.ndarray
+        Row, column and radius.
+    side : float
+        Positive: of its half below the centre; negative: above; 0: of all of it.
+    """
+    smooth = cv2.GaussianBlur(_evenly_lit(frame, circle), (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
+    points, _, rays = _edge(smooth, circle, 0.1, HALF_LEVEL)
+    from_centre = points - circle[:2]
+    near = np.abs(np.hypot(*from_centre.T) - circle[2]) < NEAR_EDGE * circle[2]
+    if side:
+        near &= from_centre[:, 0] * side > 0
+    return float(np.count_nonzero(near)) / (rays / 2 if side else rays)
 
 
 def circle_through(points: Floats, start: Floats, scale_px: float) -> Floats:

@@ -34,6 +34,8 @@ MIN_CORRELATION: Final = 0.1
 MIN_CLOSE: Final = 0.5
 """Correlation of the cores above which an alignment is correct to within a core; chosen, between those of a bundle's
 lattice a core off, 0.2, and of noisy frames, 0.8."""
+CERTAIN: Final = 0.95
+"""Correlation of the cores above which an alignment is correct everywhere; chosen: of well lit cores it is 0.99."""
 MIDDLE: Final = 0.45
 """Part of the radius that even strong distortion leaves aligned; chosen."""
 SAMPLING_PX: Final = 0.001
@@ -163,9 +165,14 @@ def _distorted_alignment(views: _Views, affine: CoreFit | None) -> Alignment:
         If the views do not show the same cores under any of them.
     """
     distorted = DistortionMatcher(views.matcher, views.confocal.diameter_px / 2)
-    close = affine is not None and affine.correlation > MIN_CLOSE
-    near = distorted.start(affine.motion) if affine is not None and close else distorted.grown()
-    full = distorted.fit(near, DistortionModel.CUBIC)
+    full = None
+    if affine is not None and affine.correlation > MIN_CLOSE:
+        full = distorted.fit(distorted.start(affine.motion), DistortionModel.CUBIC)
+    if full is None or full.correlation < CERTAIN:
+        # Where an affine map is off by half a core, a fit that starts from it slips by whole ones.
+        grown = distorted.fit(distorted.grown(), DistortionModel.CUBIC)
+        full = grown if full is None or grown.correlation > full.correlation else full
+    near = full.coefficients
     criterion = {other: full.criterion(other) for other in DistortionModel}
     model = min(DistortionModel, key=lambda candidate: criterion[candidate])
     beyond_px = distorted.rms_px(full.coefficients - distorted.start(distorted.affine_part(full.coefficients)))

@@ -1,0 +1,104 @@
+"""Agreement of a calibration with the frames that it is applied to, in where the bundle lies.
+
+A calibration of another geometry has the right frame size as often as not. Frames of a specimen show the bundle less
+clearly than the far end's light does: they speak against a calibration only if a view is located elsewhere, with
+most of its edge seen, and the edge is not seen where the calibration has it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+
+from napari_elsplus.errors import CalibrationError, MeasurementError
+from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE, Disc, locate_pair
+from napari_elsplus.processing.calibration.bundle.rim import edge_share
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.images.sectioning import Frames
+
+    Image = NDArray[np.float32]
+
+AVERAGED_FRAMES: Final = 8
+"""Frames of a recording that are averaged; chosen: a moving specimen is blurred, and few are read."""
+LOCATED_ROWS: Final = 320
+"""Rows of the reduced frame in which the bundle is located; chosen: a hundredth of the diameter is then three rows."""
+TOLERATED: Final = 0.03
+"""Displacement of a view, or change of its radius, over the diameter, up to which a calibration is not doubted; chosen:
+twice what specimens that are dark at the rim pretend."""
+MAX_EDGE_RATIO: Final = 0.7
+"""Edge seen where the calibration has the bundle over that seen where it is located, from which on a calibration is not
+doubted; chosen."""
+
+
+def require_agreement(frames: Frames, calibration: Calibration) -> None:
+    """Refuse a calibration whose bundle lies elsewhere than that of some frames.
+
+    Parameters
+    ----------
+    frames : Frames
+        Raw frames (rows, cols) that the calibration is applied to; a few of them are averaged.
+    calibration : Calibration
+        With the bundle section.
+
+    Raises
+    ------
+    CalibrationError
+        If a view is clearly seen elsewhere, or in another size.
+    """
+    bundle = calibration.bundle
+    if bundle is None or not len(frames):
+        return
+    mean, scale = _reduced_mean(frames)
+    try:
+        located = locate_pair(mean)
+    except MeasurementError:
+        return
+    stretch = float(np.sqrt(abs(np.linalg.det(np.array(bundle.residual_to_confocal)[:, :2]))))
+    # The residual view is dark where the line has left the bundle: above for a residual view that stands higher.
+    lit_side = located[0].centre[0] - located[1].centre[0]
+    calibrated = (
+        ("confocal", bundle.confocal_centre, bundle.diameter_px, 0.0),
+        ("residual", bundle.residual_centre, bundle.diameter_px / stretch, lit_side),
+    )
+    for disc, (view, centre, diameter_px, side) in zip(located, calibrated, strict=True):
+        if _differs(disc, (np.array(centre) + 0.5) / scale - 0.5, diameter_px / scale, mean, side):
+            row, col = ((at + 0.5) * scale - 0.5 for at in disc.centre)
+            raise CalibrationError(
+                f"the frames show a {view} view of {disc.diameter_px * scale:.0f} px about row {row:.0f}, column "
+                f"{col:.0f}, the calibration has it of {diameter_px:.0f} px about row {centre[0]:.0f}, column "
+                f"{centre[1]:.0f}",
+                "use the calibration that was made with this rig, tilt mirror and camera region",
+            )
+
+
+def _differs(disc: Disc, centre: NDArray[np.float64], diameter_px: float, mean: Image, side: float) -> bool:
+    """Return True if a located disc, clearly seen, contradicts an expected one of which no edge is seen."""
+    if disc.edge_seen < MIN_CERTAIN_EDGE:
+        return False
+    away_px = max(float(np.hypot(*(centre - disc.centre))), abs(disc.diameter_px - diameter_px) / 2)
+    if away_px <= TOLERATED * diameter_px:
+        return False
+    shares = (
+        edge_share(mean, np.array([*at, size / 2]), side)
+        for at, size in ((disc.centre, disc.diameter_px), (centre, diameter_px))
+    )
+    seen, expected = shares
+    return expected < MAX_EDGE_RATIO * seen
+
+
+def _reduced_mean(frames: Frames) -> tuple[Image, float]:
+    """Return the mean of a few frames, reduced to about `LOCATED_ROWS`, and the factor."""
+    numbers = np.unique(np.linspace(0, len(frames) - 1, AVERAGED_FRAMES).round().astype(int))
+    rows, cols = frames[0].shape
+    scale = max(1.0, rows / LOCATED_ROWS)
+    size = round(cols / scale), round(rows / scale)
+    total = np.zeros(size[::-1], np.float32)
+    for number in numbers:
+        total += cv2.resize(np.asarray(frames[int(number)], np.float32), size, interpolation=cv2.INTER_AREA)
+    return total / len(numbers), rows / size[1]

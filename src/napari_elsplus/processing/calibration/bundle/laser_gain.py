@@ -1,0 +1,137 @@
+"""Gain of the residual view in the light that is imaged: that of the standing line, over the frames of a sweep.
+
+The lamp that lights the bundle from its far end has another spectrum and polarisation than the fluorescence, and the
+splitter divides them otherwise. Both views show the whole of a standing line, in and out of focus, so that the ratio of
+its light in the two is the gain, whatever the specimen; scanned, their slits would select different parts of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC
+from napari_elsplus.processing.calibration.bundle.gain import ratio_of_light
+from napari_elsplus.processing.images.sectioning import Sectioner, disc
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+
+    Floats = NDArray[np.float64]
+    Image = NDArray[np.float32]
+
+REACH_WIDTHS: Final = 4.0
+"""Rows about the line that are used, in standard deviations of its Gaussian; chosen: farther out darkness counts more
+than the line."""
+LAMP_GAIN: Final = 0.02
+"""Standard deviation of the gain in the lamp's light about that in the fluorescence's, relative; chosen: that of the
+rigs that are drawn at random, up to 3 %."""
+MAX_DISAGREEMENT: Final = 0.15
+"""Of the gains by the line and by the lamp; chosen: by more, the views do not show the line alike."""
+BANDS: Final = 16
+"""Of rows, the clusters of the uncertainty; chosen: power noise of the laser is common to all columns of a line, but
+not to successive lines."""
+MAX_OFFSET_CHANGE_ROWS: Final = 1.0
+"""Of the residual view since the sweep; chosen: a fraction of the line's width."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweptLight:
+    """Light of the line in a sweep, as far as it covers the bundle.
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        (rows, cols) float32: light about the lines, above darkness; 0 where no line stood near.
+    offset_rows : float
+        Of the line in the residual view, as used.
+    """
+
+    image: Image
+    offset_rows: float
+
+
+class LightCollector:
+    """Sum of the frames of a sweep, each weighted by a window that follows the line in both views.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the frames.
+    split : int
+        Column between the views.
+    offset : tuple of float
+        Rows and columns from the line in the confocal view to that in the residual one.
+
+    Notes
+    -----
+    The background is not taken off: it was scanned, and contains less light of the residual view than of the confocal.
+    """
+
+    def __init__(self, shape: tuple[int, ...], split: int, offset: tuple[float, float]) -> None:
+        self._offset_rows = offset[0]
+        self._views = ((slice(0, split), 0.0, 0.0), (slice(split, shape[1]), *offset))
+        self._light, self._weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+
+    def add(self, frame: NDArray[np.generic], row: float, column: float, slope: float, width_rows: float) -> None:
+        """Add a frame whose confocal view shows the line at a row and column, with a slope in rows per column.
+
+        Parameters
+        ----------
+        frame : numpy.ndarray
+            (rows, cols), any real dtype.
+        row, column, slope : float
+            Of the line in the confocal view.
+        width_rows : float
+            Standard deviation of its Gaussian.
+        """
+        reach = REACH_WIDTHS * width_rows
+        for part, down, across in self._views:
+            cols = np.arange(part.start, part.stop)
+            line = (row + down + slope * (cols - column - across)).astype(np.float32)
+            first = max(int(line.min() - reach), 0)
+            band = slice(first, min(int(line.max() + reach) + 2, len(frame)))
+            if band.start >= band.stop:
+                continue
+            away = (np.arange(band.start, band.stop, dtype=np.float32)[:, None] - line) / np.float32(reach)
+            weight = np.square(np.maximum(1 - np.square(away), 0))
+            self._light[band, part] += weight * frame[band, part]
+            self._weight[band, part] += weight
+
+    def swept(self, unlit: Image) -> SweptLight:
+        """Return the light above the level of the pixels that none reaches, 1 in an image `unlit` (rows, cols)."""
+        dark = unlit > 0
+        level = self._light[dark].sum(dtype=np.float64) / max(self._weight[dark].sum(dtype=np.float64), 1e-9)
+        return SweptLight(self._light - np.float32(level) * self._weight, self._offset_rows)
+
+
+def laser_gain(light: SweptLight, calibration: Calibration) -> tuple[float, float] | None:
+    """Return the gain in the light of a sweep and its uncertainty; None where the sweep does not show it.
+
+    Parameters
+    ----------
+    light : SweptLight
+        Of the same bundle and offset.
+    calibration : Calibration
+        With the bundle section, its gain that of the lamp, and a gain map if there is one.
+    """
+    bundle = calibration.bundle
+    assert bundle is not None
+    offset_rows = bundle.residual_centre[0] - bundle.confocal_centre[0]
+    if abs(light.offset_rows - offset_rows) > MAX_OFFSET_CHANGE_ROWS:
+        return None
+    sectioner = Sectioner(calibration.model_copy(update={"background": None}), light.image.shape)
+    confocal, residual = sectioner.ls(light.image), sectioner.residual(light.image)
+    inside = disc(sectioner.side, COMPARED_DISC * bundle.diameter_px) & np.isfinite(residual)
+    first, second = (np.where(inside, view, 0).sum(axis=1, dtype=np.float64) for view in (confocal, residual))
+    if not first.sum() > 0:
+        return None
+    band = np.arange(sectioner.side) * BANDS // sectioner.side
+    ratio, uncertainty = ratio_of_light(first, second, band, BANDS)
+    if not abs(ratio - 1) < MAX_DISAGREEMENT:
+        return None
+    return ratio * bundle.residual_gain, uncertainty * bundle.residual_gain

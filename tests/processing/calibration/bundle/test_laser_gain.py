@@ -1,0 +1,62 @@
+"""Gain in the light of the line: that of the fluorescence, whatever the lamp's spectrum."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN, laser_gain
+from napari_elsplus.processing.calibration.calibrate import measure
+from napari_elsplus.processing.calibration.draft import Draft
+from napari_elsplus.processing.calibration.sections import in_lamp_light
+from napari_elsplus.simulation.calibration_scenes import standing_line, sweep_volts, transmission
+from napari_elsplus.simulation.model.imperfections import Imperfections
+from napari_elsplus.simulation.model.instrument import Instrument
+
+
+@cache
+def calibrated(imperfections: str, *, swept: bool = True) -> tuple[Instrument, Draft]:
+    instrument = Instrument.of("240hz", imperfections=Imperfections.parse(imperfections))
+    volts = sweep_volts(instrument)[::10]
+    sweep = {"sweep": list(standing_line(instrument, volts, seed=62)), "volts": volts} if swept else {}
+    return instrument, measure(bundle=list(transmission(instrument, seed=61))[:4], **sweep)
+
+
+@pytest.mark.parametrize("imperfections", ["", "lamp-gain=5", "lamp-gain=-3,power-noise=3,row-noise=1"])
+def test_the_gain_is_that_of_the_fluorescence(imperfections: str) -> None:
+    instrument, draft = calibrated(imperfections)
+    bundle, gain = draft.calibration.bundle, instrument.residual_view.gain
+    assert bundle is not None
+    assert abs(bundle.residual_gain / gain - 1) < 0.012
+    assert abs(bundle.residual_gain - gain) < 3 * bundle.residual_gain_uncertainty + 0.001
+    assert bundle.residual_gain_uncertainty < 0.01
+
+
+def test_the_alignment_error_is_stated_in_the_lamps_light() -> None:
+    errors = [calibrated(given)[1].calibration.quality for given in ("", "lamp-gain=5")]
+    assert errors[0] is not None
+    assert errors[1] is not None
+    assert errors[1].alignment_error == pytest.approx(errors[0].alignment_error, rel=0.02)
+
+
+def test_without_a_sweep_the_lamps_gain_is_uncertain_by_the_spectrum() -> None:
+    instrument, draft = calibrated("lamp-gain=3", swept=False)
+    bundle = draft.calibration.bundle
+    assert bundle is not None
+    assert bundle.residual_gain_uncertainty == pytest.approx(LAMP_GAIN * bundle.residual_gain, rel=0.05)
+    assert abs(bundle.residual_gain - instrument.residual_view.gain) < 3 * bundle.residual_gain_uncertainty
+
+
+def test_the_light_of_a_sweep_before_the_mirror_was_turned_is_not_used() -> None:
+    _, draft = calibrated("lamp-gain=5")
+    assert draft.galvo is not None
+    assert draft.pair is not None
+    lamp = in_lamp_light(draft.calibration, draft.pair)
+    light = draft.galvo.light
+    assert light is not None
+    assert laser_gain(light, lamp) is not None
+    assert laser_gain(replace(light, offset_rows=light.offset_rows + 3), lamp) is None
+    assert laser_gain(replace(light, image=np.zeros_like(light.image)), lamp) is None
