@@ -212,7 +212,7 @@ def measure_offset(
     elif pair is not None:
         split = pair.split
     else:
-        split = column_between_views(np.asarray(frame, np.float32) if background is None else frame - background)
+        split = column_between_views(np.subtract(frame, 0 if background is None else background, dtype=np.float32))
     lines = []
     for name, part in (("confocal", slice(0, split)), ("residual", slice(split, None))):
         dark = None if background is None else background[:, part]
@@ -299,8 +299,8 @@ def map_galvo(
             continue
         if line.columns[1] - line.columns[0] <= max_chord_px:
             collector.add(frame, line.row, line.column, line.slope, line.width_rows)
-    where = (None, None) if pair is None else (pair.confocal.centre[1], pair.confocal.diameter_px)
-    found = fit_galvo(volts, lines, *where, max_chord_px)
+    column, diameter_px = (None, None) if pair is None else (pair.confocal.centre[1], pair.confocal.diameter_px)
+    found = fit_galvo(volts, lines, column, diameter_px, max_chord_px)
     return found if collector is None else replace(found, light=collector.swept(dark))
 
 

@@ -101,4 +101,4 @@ def _reduced_mean(frames: Frames) -> tuple[Image, float]:
     total = np.zeros(size[::-1], np.float32)
     for number in numbers:
         total += cv2.resize(np.asarray(frames[int(number)], np.float32), size, interpolation=cv2.INTER_AREA)
-    return total / len(numbers), rows / size[1]
+    return np.asarray(total / len(numbers), np.float32), rows / size[1]
