@@ -45,6 +45,7 @@ ORDER = (
     "hardware.scan",
     "hardware.parking",
     "hardware.protocols",
+    "hardware.limits",
     "hardware.u3v",
     "hardware.daq",
     "hardware.detached",

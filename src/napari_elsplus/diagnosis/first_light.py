@@ -22,7 +22,7 @@ import numpy as np
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.drivers import features_of
-from napari_elsplus.hardware.protocols import Region
+from napari_elsplus.hardware.limits import allowed_rate_hz, preset_region
 from napari_elsplus.hardware.rig_files import CAMERA_KINDS, CameraTable
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 SHARES: Final = (1.0, 0.5)
 """Shares of the sensor's rows in the two regions whose shortest frame periods give the line period."""
+SLIT_ROWS: Final = 3
+"""Slit width in rows, as in the paper."""
 WARM_UP_FRAMES: Final = 10
 """Frames before the measurement; chosen."""
 STREAMING: Final = "streaming"
@@ -89,7 +91,7 @@ def examine_camera(device: Device, kind: str = "flea3") -> Iterator[str]:
         rows, shortest_s = [], []
         for share in SHARES:
             region = sensor.region(share)
-            camera.configure(region, slit_rows=3, frame_rate_hz=camera.frame_rate_limits_hz[0])
+            camera.configure(region, slit_rows=SLIT_ROWS, frame_rate_hz=camera.frame_rate_limits_hz[0])
             rows.append(region.rows)
             shortest_s.append(1 / camera.frame_rate_limits_hz[1])
             yield f"{region.rows} rows: at most {1 / shortest_s[-1]:.4f} frames/s"
@@ -274,11 +276,11 @@ def parking(rig: Rig) -> Iterator[str]:
 
 
 def _configure(rig: Rig, preset_name: str, seconds: float) -> int:
-    """Set the camera to a preset at its full rate, and return how many frames that are."""
+    """Set the camera to a preset at the highest rate that it takes, and return how many frames that are."""
     chosen = preset(preset_name)
-    rate_hz = chosen.optics.frame_rate_hz
-    region = Region(*chosen.sensor_origin, *chosen.frame_shape)
-    rig.camera.configure(region, slit_rows=3, frame_rate_hz=rate_hz)
+    region = preset_region(rig.camera, chosen)
+    rate_hz = allowed_rate_hz(rig.camera, region, SLIT_ROWS, chosen.optics.frame_rate_hz)
+    rig.camera.configure(region, slit_rows=SLIT_ROWS, frame_rate_hz=rate_hz)
     if not MIN_FRAMES <= seconds * rate_hz < inf:
         raise InputError(f"{seconds} s", "take at least a tenth of a second")
     return round(seconds * rate_hz)

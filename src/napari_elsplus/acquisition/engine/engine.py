@@ -12,6 +12,7 @@ from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Final, Self
 
+from napari_elsplus.acquisition.engine.camera_setup import SlowBusError
 from napari_elsplus.acquisition.engine.display import on_the_heap
 from napari_elsplus.acquisition.engine.galvo import GalvoController
 from napari_elsplus.acquisition.engine.imaging import Imaging
@@ -158,7 +159,7 @@ class Engine:
         return self._imaging.calibration
 
     def start(self, *, scan: bool = True) -> None:
-        """Scan and stream.
+        """Scan and stream; at the default rate as fast as the bus carries, which the first start measures.
 
         Parameters
         ----------
@@ -178,31 +179,11 @@ class Engine:
             if self._live:
                 return
             self.setup.require()
-            if scan:
-                self._imaging.require_fit()
-            waveform = self.galvo.waveform(self.calibration) if scan else None
-            self._faults.clear()
-            self.finish_recording()
-            sink = self._imaging.display.sink
-            assert sink is not None
-            run = Run(
-                self.setup.camera,
-                sink,
-                self._faults,
-                tracker=self._tracker,
-                frame_rate_hz=self.setup.frame_rate_hz,
-                buffer_s=self._buffer_s,
-                settling=self.setup.settling,
-            )
             try:
-                self.galvo.watch_frames(lambda: run.received)
-                self.galvo.follow(waveform)
-                run.start()
-            except BaseException:
-                self.galvo.try_to_park()
-                run.stop()
-                raise
-            self._run, self._live, self.setup.settling = run, True, 0
+                self._start(scan)
+            except SlowBusError:
+                self._imaging.configure(self.setup.settings)
+                self._start(scan)
 
     def stop(self) -> None:
         """Park the galvo and end the stream; a recording is finished in the background."""
@@ -266,9 +247,8 @@ class Engine:
 
     def stop_recording(self) -> None:
         """Finish the recording with the newest frame; returns when the file is complete."""
-        run = self._run
-        if run is not None:
-            run.stop_recording()
+        if self._run is not None:
+            self._run.stop_recording()
 
     def finish_recording(self) -> None:
         """Wait after :meth:`stop` until the recording is complete."""
@@ -303,6 +283,7 @@ class Engine:
         return replace(
             status,
             configured=self.setup.configured,
+            notice=self.setup.notice,
             live=self._live,
             scanning=self.galvo.scanning,
             park_state=self.galvo.park_state,
@@ -342,6 +323,25 @@ class Engine:
     def _changing(self, name: str) -> Iterator[None]:
         with self.operations.alone(name), self._lock:
             yield
+
+    def _start(self, scan: bool) -> None:
+        if scan:
+            self._imaging.require_fit()
+        waveform = self.galvo.waveform(self.calibration) if scan else None
+        self._faults.clear()
+        self.finish_recording()
+        sink = self._imaging.display.sink
+        assert sink is not None
+        run = Run(self.setup, sink, self._faults, tracker=self._tracker, buffer_s=self._buffer_s)
+        try:
+            self.galvo.watch_frames(lambda: run.received)
+            self.galvo.follow(waveform)
+            run.start()
+        except BaseException:
+            self.galvo.try_to_park()
+            run.stop()
+            raise
+        self._run, self._live, self.setup.settling = run, True, 0
 
     def _configure(self, settings: Settings, live: bool) -> None:
         self._imaging.configure(settings)

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from napari_elsplus.acquisition.engine.camera_setup import CameraSetup
     from napari_elsplus.acquisition.engine.workers import DisplaySink, FrameConsumer
     from napari_elsplus.acquisition.streaming.faults import FaultLog
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
-    from napari_elsplus.hardware.protocols import Camera
     from napari_elsplus.instrument.calibration import Calibration
 
 ENDING: Final = frozenset({"camera", "scanner", "engine"})
@@ -37,38 +37,33 @@ class Run:
 
     Parameters
     ----------
-    camera : Camera
-        Configured; started and stopped by the run.
+    setup : CameraSetup
+        Its camera is configured; started and stopped by the run.
     sink : DisplaySink
         Makes the live images.
     faults : FaultLog
         Receives faults.
     tracker : FrameConsumer, optional
         Receives every frame, too.
-    frame_rate_hz : float
-        Converts seconds to frames.
     buffer_s : float
         Seconds of raw frames that are kept in memory.
-    settling : int
-        Frames to discard first.
     """
 
     def __init__(
         self,
-        camera: Camera,
+        setup: CameraSetup,
         sink: DisplaySink,
         faults: FaultLog,
         *,
         tracker: FrameConsumer | None,
-        frame_rate_hz: float,
         buffer_s: float,
-        settling: int,
     ) -> None:
+        camera, frame_rate_hz = setup.camera, setup.frame_rate_hz
         self.tally = Tally()
         self.frame_rate_hz = frame_rate_hz
-        self._camera, self._faults = camera, faults
+        self._setup, self._camera, self._faults = setup, camera, faults
         self._stream = FrameStream(camera.frame_shape, max(MIN_DEPTH, round(buffer_s * frame_rate_hz)))
-        self._camera_worker = CameraWorker(camera, self._stream, self.tally, faults, settling)
+        self._camera_worker = CameraWorker(camera, self._stream, self.tally, faults, setup.settling)
         self.processing = ProcessingWorker(self._stream, sink, self.tally, faults, tracker)
         self._recorder: Recorder | None = None
         self._age_s = process_age_s() - time.perf_counter()
@@ -76,7 +71,13 @@ class Run:
         self._cpu_us_per_frame: dict[str, float] = {}
 
     def start(self) -> None:
-        """Begin to stream."""
+        """Begin to stream.
+
+        Raises
+        ------
+        DeviceError
+            If the camera fails; a `SlowBusError` if it has the default frame rate and the bus carries less.
+        """
         self._times_s = thread_times_s()
         self.processing.start()
         try:
@@ -85,6 +86,7 @@ class Run:
             self._stream.end()
             raise
         self._camera_worker.start()
+        self._setup.require_bus()
 
     @property
     def received(self) -> int:

@@ -29,7 +29,7 @@ class Settings:
     slit_rows : int
         Width of the rolling slit, the exposure in line periods.
     frame_rate_hz : float, optional
-        The preset's highest rate by default; lower rates keep the line period.
+        By default the preset's, or the highest that camera and bus allow; lower rates keep the line period.
     gain_db : float
         Gain of the camera, dB.
     """
@@ -84,6 +84,8 @@ class Status:
     ----------
     configured : bool
         True if the camera has settings; an unconfigured engine does not start.
+    notice : str
+        Why the default frame rate is lower than the preset's; empty if it is not.
     live : bool
         True while frames stream.
     scanning : bool
@@ -123,6 +125,7 @@ class Status:
     """
 
     configured: bool = False
+    notice: str = ""
     live: bool = False
     scanning: bool = False
     park_state: ParkState = field(default_factory=ParkState)

@@ -92,6 +92,8 @@ def command(
             tracker.settle()
             _write(tracker.pipeline, engine, mosaic, track, force)
     click.echo(summary(status))
+    if status.notice:
+        click.echo(f"note: {status.notice}")
     parking = rig.scanner.park_state  # after closing
     if parking.stage is ParkStage.NOT_PARKED:
         raise DeviceError(parking.message, "keep it off until the galvo is parked")

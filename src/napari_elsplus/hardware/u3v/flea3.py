@@ -10,7 +10,7 @@ import contextlib
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.u3v.camera import SensorLimits
+from napari_elsplus.hardware.limits import SensorLimits
 from napari_elsplus.hardware.u3v.control import RegisterError
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 
@@ -76,7 +76,7 @@ class Flea3:
         """Size of the sensor, and its steps."""
         control = self._control
         size, step = _halves(control.read_number(BASE + MAX_SIZE)), _halves(control.read_number(BASE + UNIT_SIZE))
-        return SensorLimits(*size, *step)
+        return SensorLimits(*size, *step, *UNIT_PX)
 
     @property
     def frame_rate_limits_hz(self) -> tuple[float, float]:

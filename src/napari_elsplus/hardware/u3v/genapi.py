@@ -10,7 +10,7 @@ import zlib
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.u3v.camera import SensorLimits
+from napari_elsplus.hardware.limits import SensorLimits
 from napari_elsplus.hardware.u3v.control import MANIFEST
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 
@@ -142,7 +142,8 @@ class GenicamFeatures:
         for name in ("OffsetX", "OffsetY"):
             self._set(0, name)
         height, width = self._node("Height"), self._node("Width")
-        return SensorLimits(int(height.max), int(width.max), int(height.inc), int(width.inc))
+        steps = (int(self._node(name).inc) for name in ("Height", "Width", "OffsetY", "OffsetX"))
+        return SensorLimits(int(height.max), int(width.max), *steps)
 
     @property
     def frame_rate_limits_hz(self) -> tuple[float, float]:

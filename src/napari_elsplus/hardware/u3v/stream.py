@@ -7,6 +7,7 @@ import threading
 import time
 from array import array
 from collections import Counter, deque
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -112,6 +113,8 @@ class U3vStream:
         self._last_block: int | None = None
         self.dropped: Counter[str] = Counter()
         self.received = 0
+        self.whole, self.shortest_payload_s = 0, inf
+        """Frames with all bytes, and the shortest time in which those of one came after its leader."""
         self.has_timestamps = True
         """The last frame's leader had a timestamp."""
         self._thread = threading.Thread(target=self._run, name="camera stream", daemon=True)
@@ -166,7 +169,12 @@ class U3vStream:
         self._note_gap(leader)
         slot = self._take_slot()
         slot.padding_x, halts = leader.padding_x, self._halts
-        trailer = self._read_trailer() if self._read_payload(slot) else None
+        begin_s = time.perf_counter()
+        is_whole = self._read_payload(slot)
+        if is_whole:
+            self.whole += 1
+            self.shortest_payload_s = min(self.shortest_payload_s, time.perf_counter() - begin_s)
+        trailer = self._read_trailer() if is_whole else None
         arrived_s = time.perf_counter()
         cause = self._why_bad(leader, trailer)
         if cause is None and self._skip:

@@ -261,6 +261,7 @@ class RigPanel(EnginePanel):
         lines = [f"<b>{self.connection.rig}</b> is connected, {'live' if status.live else 'idle'}."]
         lines += calibration_lines(self.connection.calibration, self.connection.calibration_file)
         lines += [f"Stale: {section} ({reason})" for section, reason in status.stale.items()]
+        lines += [status.notice] if status.notice else []
         lines += [str(fault) for fault in status.faults]
         if not status.live:
             lines.append(next_hint(self._next_action()))

@@ -286,7 +286,7 @@ class StreamEndpoint:
                 self._wait(until_s)
                 return None
             self._transfer, self._sent = transfer, 0
-            self._free_s = max(self._free_s, transfer.due_s)
+            self._free_s = max(self._free_s, transfer.due_s, self._clock.now_s())  # nothing comes before it is read
         if self._free_s > until_s and self._clock.real_time:
             self._wait(until_s)
             return None
