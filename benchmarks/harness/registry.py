@@ -18,6 +18,7 @@ MODULES: dict[str, str] = {  # the module, and its benchmark where that is not c
     "frontend": "choices.frontend",
     "tracking": "choices.tracking",
     "insertion": "choices.insertion",
+    "enhancement": "choices.enhancement",
     "live": "choices.live",
     "engine": "choices.engine",
     "display": "choices.display",
