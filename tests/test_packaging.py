@@ -149,6 +149,7 @@ def test_the_conda_recipe_asks_for_what_the_package_needs() -> None:
 
     renamed = {
         "dask": "dask-core",
+        "libusb-package": "libusb",
         "matplotlib": "matplotlib-base",
         "napari": "napari-base",
         "nidaqmx": "nidaqmx-python",

@@ -5,9 +5,11 @@ Frames, settings, and every fault of the bus.
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -286,3 +288,28 @@ def test_the_flea3_can_be_built_with_another_strobe_line(cameras) -> None:
     with U3vCamera(choose_camera("", bench.bus), partial(flea3.Flea3, strobe_line=2)) as camera:
         camera.configure(SMALL, slit_rows=3, frame_rate_hz=100)
     assert [bench.plug.camera.make.strobe_delay_s(line) for line in range(4)] == [None, None, 0.0, None]
+
+
+# libusb.
+
+
+def test_libusb_of_the_package_is_used_where_the_system_has_none(cameras, monkeypatch) -> None:
+    bench, asked = cameras(), []
+
+    def get_backend(find_library=None):
+        asked.append(find_library)
+        return bench.bus if find_library else None
+
+    package = SimpleNamespace(find_library=lambda candidate: f"{candidate}.dll")
+    monkeypatch.setattr("usb.backend.libusb1.get_backend", get_backend)
+    monkeypatch.setitem(sys.modules, "libusb_package", package)
+    assert choose_camera("4711").serial_number == "4711"
+    assert set(asked) == {None, package.find_library}
+
+
+def test_without_any_libusb_a_camera_cannot_be_reached_and_the_message_names_it(monkeypatch) -> None:
+    for backend in ("libusb1", "libusb0", "openusb"):
+        monkeypatch.setattr(f"usb.backend.{backend}.get_backend", lambda **_: None)
+    monkeypatch.setitem(sys.modules, "libusb_package", None)
+    with pytest.raises(DeviceError, match="libusb is not installed"):
+        find_cameras()

@@ -15,6 +15,7 @@ from napari_elsplus.hardware.u3v.discovery import (
     PERMISSION_REMEDIES,
     find_cameras,
     find_iidc,
+    libusb,
     refuse_slow_link,
     translate_usb_errors,
 )
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 LIBUSB_REMEDIES: Final = {
     "linux": "apt-get install libusb-1.0-0",
     "darwin": "brew install libusb",
-    "win32": "put libusb-1.0.dll (from libusb.info) into a folder that is on PATH",
+    "win32": "pip install libusb-package",
 }
 """Remedy where libusb is absent, by ``sys.platform``."""
 DEVICE_FILES = Path("/dev/bus/usb")
@@ -36,9 +37,7 @@ DEVICE_FILES = Path("/dev/bus/usb")
 
 def usb() -> Iterator[Finding]:
     """Check that libusb reaches the bus, and that the cameras on it may be opened and are fast enough."""
-    from usb.backend import libusb1
-
-    backend = libusb1.get_backend()
+    backend = libusb()
     if backend is None:
         remedy = LIBUSB_REMEDIES.get(sys.platform, "install libusb 1.0")
         yield warning("no libusb 1.0, so no USB camera can be reached", remedy)

@@ -102,6 +102,20 @@ def no_permission(what: str) -> DeviceError:
     return DeviceError(f"no permission to open {what}", remedy)
 
 
+def libusb() -> IBackend | None:
+    """Return libusb of the system, else that of the package ``libusb-package``; None where there is neither."""
+    from usb.backend import libusb1
+
+    backend = libusb1.get_backend()
+    if backend is None:
+        try:
+            from libusb_package import find_library
+        except ImportError:  # installed on Windows only
+            return None
+        backend = libusb1.get_backend(find_library=find_library)
+    return backend
+
+
 def find_cameras(backend: IBackend | None = None) -> list[Device]:
     """Return every USB3 Vision device on the bus.
 
@@ -118,7 +132,7 @@ def find_cameras(backend: IBackend | None = None) -> list[Device]:
     from usb import core
 
     with translate_usb_errors("the bus"):
-        return [device for device in core.find(find_all=True, backend=backend) if is_usb3_vision(device)]
+        return [device for device in core.find(find_all=True, backend=backend or libusb()) if is_usb3_vision(device)]
 
 
 def find_iidc(backend: IBackend | None = None) -> list[Device]:
@@ -132,7 +146,7 @@ def find_iidc(backend: IBackend | None = None) -> list[Device]:
     from usb import core
 
     with translate_usb_errors("the bus"):
-        found = core.find(find_all=True, backend=backend, idVendor=FLIR)
+        found = core.find(find_all=True, backend=backend or libusb(), idVendor=FLIR)
         return [d for d in found if not is_usb3_vision(d) and VENDOR_CLASS in {i[0] for i in _interface_classes(d)}]
 
 
