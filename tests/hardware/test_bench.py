@@ -6,6 +6,9 @@ one from an ideal scan.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -14,7 +17,9 @@ from napari_elsplus.hardware.rig import Rig
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.timing import ScanTiming
 from napari_elsplus.hardware.scan.waveform import Waveform, els_waveform, exposed_rows, ramp_waveform
-from napari_elsplus.hardware.virtual.bench import Simulation
+from napari_elsplus.hardware.virtual.bench import OpticalBench, Simulation
+from napari_elsplus.hardware.virtual.camera.device import Shot
+from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 from napari_elsplus.simulation.rendering.renderer import Renderer
@@ -150,3 +155,30 @@ def test_where_the_card_holds_the_line_the_camera_sees_it(rig) -> None:
     bundle = rig.bench.optics.calibration(PRESET).bundle
     clear_um = (exposed_rows(bundle)[0] - rig.bench.optics.line_row_now(PRESET)) * PRESET.optics.um_per_px
     assert clear_um >= 100 - 30  # the paper's clearance from the confocal image, the residual one standing 29 um higher
+
+
+def test_the_rows_of_a_steady_scan_are_computed_once_and_anew_when_the_output_changes() -> None:
+    optics, programs = PRESET.optics, []
+    card = SimpleNamespace(programs=lambda: programs)
+
+    def new_bench() -> OpticalBench:
+        return OpticalBench(Simulation(), card, BenchClock(real_time=False))
+
+    def rows_of(bench: OpticalBench, frame: int) -> np.ndarray:
+        region, line_s = (*PRESET.sensor_origin, *PRESET.frame_shape), optics.line_period_s
+        start_s = frame * optics.frame_period_s
+        return bench.line_rows(Shot(frame, start_s, region, 3 * line_s, line_s, optics.frame_period_s, 0.0))
+
+    train = StrobeTrain(0.0, optics.frame_period_s)
+    ramp = Program(0.0, 0.0, np.linspace(-0.4, 0.2, 900), 900, 250e3, strobe=train)
+    programs, bench = [ramp], new_bench()
+    first, steady = rows_of(bench, 1), rows_of(bench, 20)
+    assert rows_of(bench, 21) is rows_of(bench, 57) is steady
+    assert first is not steady
+    two_ramps = replace(ramp, samples=np.concatenate([ramp.samples, ramp.samples[::-1]]))
+    strobe_lost = replace(ramp, strobe=replace(train, end_s=22 * optics.frame_period_s))
+    for output in (two_ramps, strobe_lost, Program(0.0, 0.1)):
+        programs = [output]
+        for frame in (40, 41):
+            np.testing.assert_allclose(rows_of(bench, frame), rows_of(new_bench(), frame), atol=1e-6)
+        assert np.abs(rows_of(bench, 41) - steady).max() > 1

@@ -8,7 +8,7 @@ from napari_elsplus.acquisition.engine.live_images import LiveImages, LiveView, 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.images.cores import CoreFilter
-from napari_elsplus.processing.images.sectioning import disc
+from napari_elsplus.processing.images.sectioning import Mode, disc
 from napari_elsplus.workflows.sectioning import section
 
 SHAPE = (100, 200)
@@ -46,6 +46,23 @@ def test_the_confocal_view_is_the_camera_s_where_the_bundle_s_centre_lies_betwee
     np.testing.assert_array_equal(slot["ls"][inside], raw[0][10:92, 10:92][inside] - np.float32(7))
     np.testing.assert_array_equal(slot["els"], slot["ls"] - slot["residual"])
     np.testing.assert_allclose(slot["residual"], section(raw, CALIBRATION, "residual")[0], atol=1e-3)
+
+
+@pytest.mark.parametrize("average", [1, 3])
+@pytest.mark.parametrize("names", ["", "els", "ls", "elsa", "residual elsa"])
+def test_only_the_images_that_are_wanted_are_made(names: str, average: int) -> None:
+    raw = noise(4)
+    every = LiveImages(SHAPE, CALIBRATION, LiveView(average=average))
+    some = LiveImages(SHAPE, CALIBRATION, LiveView(average=average, modes=frozenset(map(Mode, names.split()))))
+    slots = slot_of(every), slot_of(some)
+    assert set(slots[1]) == {"raw", *names.split()}
+    for number in (0, 1, 2, 3):
+        for live, slot in zip((every, some), slots, strict=True):
+            live.add(raw[number], number)
+            measured = live.fill(raw[number], slot)
+    for name in slots[1]:
+        np.testing.assert_array_equal(slots[1][name], slots[0][name])
+    assert np.isnan(measured.focus) == ("els" not in names.split())
 
 
 @pytest.mark.parametrize("cores", [CoreFilter.NONE, CoreFilter.MEDIAN])

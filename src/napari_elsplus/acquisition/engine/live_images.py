@@ -46,6 +46,8 @@ class LiveView:
         Suppression of the core pattern.
     average : int
         Recursive averaging: the weight of a frame is one over this; 1 displays single frames.
+    modes : frozenset of Mode
+        Image types that are made; none where nobody looks at them.
 
     Raises
     ------
@@ -57,6 +59,7 @@ class LiveView:
     flat_field: bool = False
     cores: CoreFilter = CoreFilter.NONE
     average: int = 1
+    modes: frozenset[Mode] = frozenset(Mode)
 
     def __post_init__(self) -> None:
         if self.average < 1:
@@ -79,7 +82,7 @@ class Measures:
     focus: float = np.nan
 
 
-def display_layout(frame_shape: tuple[int, int], side: int | None) -> Layout:
+def display_layout(frame_shape: tuple[int, int], side: int | None, modes: frozenset[Mode] = frozenset(Mode)) -> Layout:
     """Return the layout of the display's ring.
 
     Parameters
@@ -87,11 +90,13 @@ def display_layout(frame_shape: tuple[int, int], side: int | None) -> Layout:
     frame_shape : tuple of int
         Rows and columns of the raw frames.
     side : int or None
-        Side of the four images, pixels; None without a calibrated bundle: raw frames only.
+        Side of the images, pixels; None without a calibrated bundle: raw frames only.
+    modes : frozenset of Mode
+        Image types.
     """
     fields: list[tuple[str, tuple[int, ...], str]] = [(RAW, frame_shape, "uint8")]
     if side is not None:
-        fields += [(mode.value, (side, side), "float32") for mode in Mode]
+        fields += [(mode.value, (side, side), "float32") for mode in Mode if mode in modes]
     return Layout(DISPLAY_SLOTS, tuple(fields))
 
 
@@ -131,10 +136,12 @@ class LiveImages:
         calibration = _on_camera_grid(calibration, sectioner)
         self._finish = finishing(calibration, sectioner, cores=view.cores, flat_field=view.flat_field)
         self._weight = 1 / view.average
-        self.layout = display_layout(frame_shape, sectioner.side)
+        self._modes = view.modes
+        self.layout = display_layout(frame_shape, sectioner.side, self._modes)
         square = (sectioner.side, sectioner.side)
-        self._now = {mode: np.zeros(square, np.float32) for mode in Mode}
-        self._mean = self._now if view.average == 1 else {mode: np.zeros(square, np.float32) for mode in Mode}
+        views = {Mode.LS, Mode.RESIDUAL} if Mode.ELSA in self._modes else set[Mode]()
+        self._now = {mode: np.zeros(square, np.float32) for mode in self._modes | views}
+        self._mean = self._now if view.average == 1 else {mode: np.zeros(square, np.float32) for mode in self._modes}
         self._confocal = np.zeros(square, np.float32)
         self._confocal_number: int | None = None
         self._last_number: int | None = None
@@ -150,20 +157,20 @@ class LiveImages:
 
     def add(self, raw: NDArray[np.uint8], frame_number: int) -> None:
         """Section a raw frame of a frame number."""
-        if self._sectioner is None:
+        if self._sectioner is None or not self._modes:
             return
         now = self._now
         confocal, _ = elsa_pair(frame_number)
-        if self._confocal_number == self._last_number:  # ELSA needs it with the frame that follows
+        if Mode.ELSA in self._modes and self._confocal_number == self._last_number:  # with the frame that follows
             self._confocal, now[Mode.LS] = now[Mode.LS], self._confocal
-        self._sectioner.fill(raw, raw, ls=now[Mode.LS], residual=now[Mode.RESIDUAL], els=now[Mode.ELS])
+        self._sectioner.fill(raw, raw, ls=now.get(Mode.LS), residual=now.get(Mode.RESIDUAL), els=now.get(Mode.ELS))
         self._last_number = frame_number
         if frame_number == confocal:
             self._confocal_number = confocal
-        elif self._confocal_number == confocal:
+        elif Mode.ELSA in self._modes and self._confocal_number == confocal:
             np.subtract(self._confocal, now[Mode.RESIDUAL], out=now[Mode.ELSA])
         if self._mean is not now:
-            for mode in Mode:
+            for mode in self._modes:
                 if self._first:
                     np.copyto(self._mean[mode], now[mode])
                 else:
@@ -184,10 +191,10 @@ class LiveImages:
         saturated = float(np.count_nonzero(raw[::_STEP, ::_STEP] == _WHITE)) / raw[::_STEP, ::_STEP].size
         if self._sectioner is None:
             return Measures(saturated)
-        for mode in Mode:
+        for mode in self._modes:
             np.copyto(self._finished, self._mean[mode])
             np.copyto(arrays[mode.value], self._finish(self._finished))
-        return Measures(saturated, focus(arrays[Mode.ELS.value]))
+        return Measures(saturated, focus(arrays[Mode.ELS.value]) if Mode.ELS in self._modes else np.nan)
 
     def _warm_up(self, frame_shape: tuple[int, int]) -> None:
         """Compile all kernels and touch all memory before the first frames."""

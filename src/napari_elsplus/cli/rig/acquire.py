@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from napari_elsplus.acquisition.calibrating.simulated import use_simulated_calibration
+from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
 from napari_elsplus.acquisition.session import live_engine
@@ -77,6 +78,7 @@ def command(
             tracker = LiveTrack(engine.calibration, engine.setup.frame_shape)
             held.callback(tracker.close)
             engine.track(tracker)
+            engine.show(LiveView(modes=frozenset()))  # nobody looks at other images than the mosaic
         settle_memory()
         try:
             _stream(

@@ -112,6 +112,8 @@ class OpticalBench:
         self.simulation, self.card, self.clock = simulation, card, clock
         self._lock = threading.Lock()
         self._frames: FrameSource | None = None
+        self._steady: tuple[Program, Shot, NDArray[np.float64]] | None = None
+        """Program and camera settings, and the line's rows of every frame once the galvo's motion is periodic."""
 
     def show(self, scene: Scene, trajectory: Trajectory | None = None) -> None:
         """Replace the scene, and the trajectory (at rest by default), from the next frame on."""
@@ -150,7 +152,15 @@ class OpticalBench:
 
     def line_rows(self, shot: Shot) -> NDArray[np.float64]:
         """Return the row of the confocal view on which the line is in the middle of each row's exposure of a shot."""
-        return self._rows_by(self.card.programs(), shot)
+        programs = self.card.programs()
+        newest, settings = programs[-1], replace(shot, frame=0, strobe_s=0.0)
+        if self._steady is None or self._steady[0] is not newest or self._steady[1] != settings:
+            rows = self._rows_by(programs, shot)
+            settled = shot.strobe_s > newest.since_s + _STEADY_AFTER * shot.frame_period_s
+            if not (settled and newest.recurs(shot.frame_period_s)):
+                return rows
+            self._steady = newest, settings, rows
+        return self._steady[2]
 
     def _rows_by(self, programs: Sequence[Program], shot: Shot) -> NDArray[np.float64]:
         rows = np.arange(shot.region[2], dtype=np.float64)

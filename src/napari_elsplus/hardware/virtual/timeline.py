@@ -97,6 +97,14 @@ class Program:
     begun: int = 0
     limit: int | None = None
 
+    def recurs(self, period_s: float) -> bool:
+        """Return True if the output, in the end, is the same in every period of `period_s` seconds."""
+        if not len(self.samples) or self.strobe is None:
+            return True
+        one_ramp = self.burst == len(self.samples) and self.burst / self.rate_hz <= period_s and self.limit is None
+        endless = self.strobe.end_s == inf and not self.strobe.missing
+        return one_ramp and endless and self.strobe.period_s == period_s
+
     def samples_by(self, times_s: Times) -> NDArray[np.int64]:
         """Count the samples put out by each time.
 
