@@ -275,7 +275,7 @@ def test_what_other_settings_make_stale_is_said(engine: Engine, calibration: Cal
     made_with = {"slit_rows": 3, "frame_rate_hz": 100.0, "objective": "10x"}
     engine.use(Calibration.parse({**calibration.content(), "acquired_with": made_with}))
     engine.start()
-    assert engine.status().stale["bundle"] == "objective was 10x, is 4x"
+    assert engine.status().stale["bundle"] == "objective changed from 10x to 4x"
 
 
 def test_a_view_that_cannot_be_made_leaves_the_one_before(engine: Engine, calibration: Calibration) -> None:
