@@ -10,9 +10,9 @@ import pytest
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.galvo import fit_galvo
 from napari_elsplus.processing.calibration.line import locate_line
-from napari_elsplus.processing.calibration.measurements import map_galvo, measure_offset
+from napari_elsplus.processing.calibration.measurements import map_galvo, measure_offset, measure_pair
 from napari_elsplus.processing.images.row_reference import RowReference, dark_columns, dark_pixels
-from napari_elsplus.simulation.calibration_scenes import standing_line
+from napari_elsplus.simulation.calibration_scenes import standing_line, transmission
 from napari_elsplus.simulation.model.imperfections import Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
 
@@ -35,6 +35,17 @@ def test_the_offset_is_found_within_what_is_stated_under_row_noise(preset: str) 
     error = found.rows - (instrument.residual_centre[0] - instrument.confocal_centre[0])
     assert abs(error) < 0.02
     assert abs(error) < 3 * found.uncertainty_rows
+
+
+def test_views_that_fill_the_frame_leave_a_reference_beside_their_middles() -> None:
+    """With the bundle pair located, the offset was off by 0.05 rows, as the line's own rows had no reference."""
+    instrument = noisy("120hz", 2.0)
+    volts = np.full(3, volts_of(instrument, instrument.confocal_centre[0]))
+    pair = measure_pair(list(transmission(instrument, seed=80))[:4])
+    true_rows = instrument.residual_centre[0] - instrument.confocal_centre[0]
+    for seed in (90, 92, 94):
+        found = measure_offset(list(standing_line(instrument, volts, seed=seed)), pair=pair)
+        assert abs(found.rows - true_rows) < 0.02
 
 
 @pytest.mark.parametrize("row_noise_dn", [0.5, 2.0])
