@@ -88,3 +88,16 @@ def test_a_streak_longer_than_the_bundle_is_no_line_of_a_sweep() -> None:
     streak = locate_line(np.broadcast_to(80 * np.exp(-(rows**2) / 18), (120, 400)))
     with pytest.raises(MeasurementError, match="a line is visible in 0 of 8 frames"):
         fit_galvo(np.linspace(0, 1, 8), [streak] * 8, max_chord_px=220.0)
+
+
+def test_power_noise_of_the_laser_is_part_of_the_stated_offset() -> None:
+    """Power that differs from row to row moves the line by more than the cores' residuals show."""
+    known = Instrument.of("240hz")
+    instrument = replace(known, imperfections=Imperfections(power_noise_percent=5.0))
+    volts = np.full(5, volts_of(instrument, instrument.confocal_centre[0]))
+    true_rows = instrument.residual_centre[0] - instrument.confocal_centre[0]
+    found = [measure_offset(list(standing_line(instrument, volts, seed=seed))) for seed in range(84, 88)]
+    assert all(abs(one.rows - true_rows) < 3 * one.uncertainty_rows for one in found)
+    steady = measure_offset(list(standing_line(known, volts, seed=84)))
+    assert min(one.uncertainty_rows for one in found) > 1.5 * steady.uncertainty_rows
+    assert steady.unsteady_rows < steady.uncertainty_rows / 2

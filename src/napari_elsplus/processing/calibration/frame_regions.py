@@ -1,4 +1,4 @@
-"""Regions of a raw frame before the bundle is located: its lit part, the column between the views, unlit pixels."""
+"""Raw frames before the bundle is located: mean, saturation, lit part, the column between the views, unlit pixels."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.images.row_reference import dark_columns, dark_pixels
 
 if TYPE_CHECKING:
@@ -17,8 +18,33 @@ if TYPE_CHECKING:
 
     Image = NDArray[np.float32]
 
+MAX_SATURATED: Final = 0.01
+"""Largest saturated share of a frame; chosen, well above the share of hot pixels and below that of a core's image."""
 LINE_MARGIN_PX: Final = 40
 """Beside the lit columns of a line, in pixels; chosen: its ends fade out towards the rim."""
+
+
+def mean_frame(frames: Frames) -> Image:
+    """Return the mean of raw frames, float32 (rows, cols).
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols).
+
+    Raises
+    ------
+    InputError
+        If there are no frames, or one contains NaN or infinity.
+    """
+    if not len(frames):
+        raise InputError("there are 0 frames", "give at least one")
+    total = np.zeros(frames[0].shape, np.float64)
+    for number in range(len(frames)):
+        total += np.asarray(frames[number], np.float64)
+    if not np.isfinite(total).all():
+        raise InputError("a frame holds NaN or infinity", "record it again")
+    return (total / len(frames)).astype(np.float32)
 
 
 def brightest(frames: Frames, background: Image | None) -> Image:
@@ -79,3 +105,40 @@ def unlit_pixels(
         return np.broadcast_to(dark, frame.shape)
     image = np.asarray(frame, np.float32)
     return dark_columns(image if background is None else image - background)
+
+
+def saturated_share(frame: NDArray[Any], name: str, limit: float = MAX_SATURATED) -> float:
+    """Return the saturated share of a frame.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        (rows, cols), any real dtype.
+    name : str
+        Of what it shows, for the error.
+    limit : float
+        Largest share.
+
+    Raises
+    ------
+    MeasurementError
+        If it exceeds the limit.
+    """
+    white = largest_level(frame)
+    share = float(np.mean(frame == white))
+    if share > limit:
+        raise MeasurementError(
+            f"{100 * share:.0f} % of the {name} is saturated (grey level {white:g})", "lower the light or the gain"
+        )
+    return share
+
+
+def largest_level(frame: NDArray[Any]) -> float:
+    """Return the largest grey level of a camera with integer pixels.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        Raw frame (rows, cols), whose dtype decides.
+    """
+    return float(np.iinfo(frame.dtype).max) if np.issubdtype(frame.dtype, np.integer) else float("inf")

@@ -15,7 +15,15 @@ from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma
 from napari_elsplus.processing.calibration.bundle import location as bundles
 from napari_elsplus.processing.calibration.bundle.laser_gain import LightCollector
 from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
-from napari_elsplus.processing.calibration.frame_regions import brightest, column_between_views, unlit_pixels
+from napari_elsplus.processing.calibration.frame_regions import (
+    MAX_SATURATED,
+    brightest,
+    column_between_views,
+    largest_level,
+    mean_frame,
+    saturated_share,
+    unlit_pixels,
+)
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
 from napari_elsplus.processing.calibration.line import Line, locate_line
 from napari_elsplus.processing.images.row_reference import RowReference
@@ -31,8 +39,6 @@ if TYPE_CHECKING:
 
     Image = NDArray[np.float32]
 
-MAX_SATURATED: Final = 0.01
-"""Largest saturated share of a frame; chosen, well above the share of hot pixels and below that of a core's image."""
 MAX_SATURATED_BUNDLE: Final = 0.05
 """Largest saturated share of the bundle's image; chosen: saturated pixels are left out of the gain."""
 SATURATION_LEVEL: Final = 0.98
@@ -46,6 +52,8 @@ LIT_FRAMES: Final = 64
 SAMPLING_ROWS: Final = 0.006
 """Rows; part of the offset's uncertainty that no residual shows: the views' pixels sample the cores at other phases.
 Chosen: about half the error of bright lines on the presets' bundles, 0.012 at 240 Hz and 0.005 at 120 Hz."""
+SCATTER_FRAMES, MIN_SCATTER_FRAMES = 5, 3
+"""Frames of a standing line that are located one by one, at most and at least; chosen: few, as each takes time."""
 _NEIGHBOURS: Final = 4
 """Runs of columns whose errors are correlated; chosen: the cores of the two views differ by fewer columns."""
 
@@ -62,6 +70,8 @@ class SlitOffset:
         The line in each view; columns count in the view, which begins at ``split`` for the residual one.
     split : int
         Column of the frame between the views.
+    unsteady_rows : float
+        Part of the standard deviation by scatter from frame to frame.
     """
 
     rows: float
@@ -69,6 +79,7 @@ class SlitOffset:
     confocal: Line
     residual: Line
     split: int
+    unsteady_rows: float = 0.0
 
     @property
     def view_offset(self) -> tuple[float, float]:
@@ -163,7 +174,7 @@ def measure_background(frames: Frames) -> Background:
         If more than 1 % is saturated, or the level drifts by more than 5 %.
     """
     mean, drift = mean_frame(frames), _drift(frames, "background")
-    _must_not_be_saturated(frames[0], "background")
+    saturated_share(frames[0], "background")
     return Background(mean, len(frames), drift)
 
 
@@ -203,16 +214,15 @@ def measure_offset(
     """
     alone = near is not None and len(frames) == 1
     raw: NDArray[Any] = np.asarray(frames[0]) if alone else mean_frame(frames)
-    _must_not_be_saturated(frames[0], "image of the line")
+    saturated_share(frames[0], "image of the line")
     lit = [] if near is None else near.lit_columns
     reference = RowReference(unlit_pixels(raw, background, _discs(pair), lit), background)
     frame = reference.without_row_noise(raw)
-    if near is not None:
-        split = near.split
-    elif pair is not None:
-        split = pair.split
-    else:
+    place = near or pair
+    if place is None:
         split = column_between_views(np.subtract(frame, 0 if background is None else background, dtype=np.float32))
+    else:
+        split = place.split
     lines = []
     for name, part in (("confocal", slice(0, split)), ("residual", slice(split, None))):
         dark = None if background is None else background[:, part]
@@ -221,11 +231,33 @@ def measure_offset(
             lines.append(locate_line(frame[:, part], dark, before))
         except MeasurementError as error:
             raise MeasurementError(f"{name} view: {error.problem}", error.remedy) from None
-    confocal, residual = lines
-    columns = (confocal.column, residual.column)
+    columns = (lines[0].column, lines[1].column)
     if pair is not None:
         columns = (pair.confocal.centre[1], pair.residual.centre[1] - split)
-    return _offset_at(columns, confocal, residual, split)
+    found = _offset_at(columns, lines[0], lines[1], split)
+    return found if alone else _with_scatter(found, frames, reference, background)
+
+
+def _with_scatter(found: SlitOffset, frames: Frames, reference: RowReference, background: Image | None) -> SlitOffset:
+    """Return the offset of a mean frame, its uncertainty including the scatter of single frames."""
+    offsets = []
+    parts = slice(0, found.split), slice(found.split, None)
+    for number in np.unique(np.linspace(0, len(frames) - 1, SCATTER_FRAMES).astype(int)):
+        frame = reference.without_row_noise(frames[int(number)])
+        dark = (None if background is None else background[:, part] for part in parts)
+        try:
+            rows = [
+                locate_line(frame[:, part], of_part, near).row_at(near.column)
+                for part, of_part, near in zip(parts, dark, (found.confocal, found.residual), strict=True)
+            ]
+        except MeasurementError:
+            continue
+        offsets.append(rows[1] - rows[0])
+    if len(offsets) < MIN_SCATTER_FRAMES:
+        return found
+    unsteady_rows = float(np.std(offsets, ddof=1)) / float(np.sqrt(len(frames)))
+    uncertainty_rows = float(np.hypot(found.uncertainty_rows, unsteady_rows))
+    return replace(found, uncertainty_rows=uncertainty_rows, unsteady_rows=unsteady_rows)
 
 
 def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
@@ -239,14 +271,16 @@ def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
         The bundle images.
     """
     columns = pair.confocal.centre[1], pair.residual.centre[1] - offset.split
-    return _offset_at(columns, offset.confocal, offset.residual, offset.split)
+    return _offset_at(columns, offset.confocal, offset.residual, offset.split, offset.unsteady_rows)
 
 
-def _offset_at(columns: tuple[float, float], confocal: Line, residual: Line, split: int) -> SlitOffset:
+def _offset_at(
+    columns: tuple[float, float], confocal: Line, residual: Line, split: int, unsteady_rows: float = 0.0
+) -> SlitOffset:
     influence = residual.influence_at(columns[1]) - confocal.influence_at(columns[0])
     rows = residual.row_at(columns[1]) - confocal.row_at(columns[0])
-    sigma = float(np.hypot(newey_west_sigma(influence, _NEIGHBOURS), SAMPLING_ROWS))
-    return SlitOffset(rows, sigma, confocal, residual, split)
+    sigma = float(np.linalg.norm((newey_west_sigma(influence, _NEIGHBOURS), SAMPLING_ROWS, unsteady_rows)))
+    return SlitOffset(rows, sigma, confocal, residual, split, unsteady_rows)
 
 
 def map_galvo(
@@ -323,9 +357,9 @@ def measure_pair(frames: Frames) -> BundlePair:
         If there are not two bundle images that show the same cores, or the level drifts by more than 5 %.
     """
     frame = mean_frame(frames)
-    share = _must_not_be_saturated(frames[0], "image of the bundle", MAX_SATURATED_BUNDLE)
+    share = saturated_share(frames[0], "image of the bundle", MAX_SATURATED_BUNDLE)
     confocal, residual = bundles.locate_pair(frame)
-    saturated = frame >= SATURATION_LEVEL * _largest_level(frames[0])
+    saturated = frame >= SATURATION_LEVEL * largest_level(frames[0])
     pair = BundlePair(confocal, residual, align_views(frame, confocal, residual, saturated), frame, share)
     if pair.shows_flat_field:
         _drift(frames, "flat field")
@@ -355,7 +389,7 @@ def measure_flat_field(frames: Frames, calibration: Calibration) -> Image:
     calibration.require("bundle")
     assert calibration.bundle is not None
     frame = mean_frame(frames)
-    _must_not_be_saturated(frames[0], "flat field")
+    saturated_share(frames[0], "flat field")
     _drift(frames, "flat field")
     sectioner = Sectioner(calibration, frame.shape)
     image = sectioner.ls(frame)
@@ -364,37 +398,3 @@ def measure_flat_field(frames: Frames, calibration: Calibration) -> Image:
     if not level > 0.5:
         raise MeasurementError(f"the flat field is dark (mean {level:.2g} grey levels)", "light the scene evenly")
     return np.where(inside, np.maximum(image, 0) / level, 1).astype(np.float32)
-
-
-def mean_frame(frames: Frames) -> Image:
-    """Return the mean of raw frames, float32 (rows, cols).
-
-    Raises
-    ------
-    InputError
-        If there are no frames, or one contains NaN or infinity.
-    """
-    if not len(frames):
-        raise InputError("there are 0 frames", "give at least one")
-    total = np.zeros(frames[0].shape, np.float64)
-    for number in range(len(frames)):
-        total += np.asarray(frames[number], np.float64)
-    if not np.isfinite(total).all():
-        raise InputError("a frame holds NaN or infinity", "record it again")
-    return (total / len(frames)).astype(np.float32)
-
-
-def _must_not_be_saturated(frame: NDArray[Any], name: str, limit: float = MAX_SATURATED) -> float:
-    """Return the saturated share of the frame, unless it exceeds the limit."""
-    white = _largest_level(frame)
-    share = float(np.mean(frame == white))
-    if share > limit:
-        raise MeasurementError(
-            f"{100 * share:.0f} % of the {name} is saturated (grey level {white:g})", "lower the light or the gain"
-        )
-    return share
-
-
-def _largest_level(frame: NDArray[Any]) -> float:
-    """Return the largest grey level of a camera with integer pixels."""
-    return float(np.iinfo(frame.dtype).max) if np.issubdtype(frame.dtype, np.integer) else float("inf")
