@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING
 
 from qtpy.QtCore import QPoint, QRect
 from qtpy.QtGui import QTextDocument
-from qtpy.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QLabel, QStyle, QStyleOptionComboBox, QTabBar
+from qtpy.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QComboBox,
+    QLabel,
+    QProgressBar,
+    QStyle,
+    QStyleOptionComboBox,
+    QTabBar,
+)
 
 if TYPE_CHECKING:
     from qtpy.QtWidgets import QWidget
@@ -21,13 +30,14 @@ def clipped_texts(panel: QWidget) -> list[str]:
     Parameters
     ----------
     panel : QWidget
-        Visible; labels, buttons, fields and tabs in it are measured.
+        Visible; labels, buttons, fields, progress bars and tabs in it are measured.
     """
     measured = [
         *((label, _label(label)) for label in panel.findChildren(QLabel)),
         *((button, _button(button)) for button in panel.findChildren(QAbstractButton)),
         *((choice, _choice(choice)) for choice in panel.findChildren(QComboBox)),
         *((field, _number(field)) for field in panel.findChildren(QAbstractSpinBox)),
+        *((bar, _progress(bar)) for bar in panel.findChildren(QProgressBar)),
     ]
     found = []
     for widget, (text, need_px, have_px) in measured:
@@ -72,6 +82,11 @@ def _choice(choice: QComboBox) -> tuple[str, int, int]:
         QStyle.ComplexControl.CC_ComboBox, option, QStyle.SubControl.SC_ComboBoxEditField, choice
     )
     return choice.currentText(), choice.fontMetrics().horizontalAdvance(choice.currentText()), field.width()
+
+
+def _progress(bar: QProgressBar) -> tuple[str, int, int]:
+    text = bar.text() if bar.isTextVisible() else ""
+    return text, bar.fontMetrics().horizontalAdvance(text), bar.contentsRect().width()
 
 
 def _number(field: QAbstractSpinBox) -> tuple[str, int, int]:

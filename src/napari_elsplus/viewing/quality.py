@@ -18,7 +18,7 @@ from napari_elsplus.processing.analysis.resolution import (
     smallest_resolved_line_pair_um,
 )
 from napari_elsplus.processing.calibration.bundle.cancellation import AlignmentErrors, measure_alignment_errors
-from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode, disc
 from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.script import recording_script
 from napari_elsplus.viewing.stack import um_per_px_of
@@ -88,7 +88,7 @@ class EdgeMap:
     Attributes
     ----------
     image : numpy.ndarray
-        (n, n); below 1 where the line has left the bundle during the residual's exposure.
+        (n, n); below 1 where the line has left the bundle during the residual's exposure, NaN outside of the bundle.
     position_um : numpy.ndarray
         (m,): row positions from the bundle's centre in the 90 % disc, um; pixels where the scale is unknown.
     profile : numpy.ndarray
@@ -188,6 +188,7 @@ def measure_edge(
     scale = um_per_px_of(stack, calibration)
     profile = image[np.ix_(rows, near)].mean(axis=1)
     position_um = (rows - middle).astype(np.float64) * (scale or 1.0)
+    image[~disc(len(image), calibration.bundle.diameter_px)] = np.nan
     return EdgeMap(image, position_um, profile, len(residuals))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from qtpy.QtWidgets import QLabel, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from benchmarks.screens.__main__ import SIZES, THEMES
 from benchmarks.screens.clipping import clipped_texts
@@ -28,15 +28,19 @@ def test_the_measurement_finds_what_is_clipped(qtbot):
     qtbot.addWidget(panel)
     layout = QVBoxLayout(panel)
     narrow, whole, wrapped = QPushButton("a button with a long name"), QPushButton("short"), QLabel("many words " * 9)
-    for widget in (narrow, whole, wrapped):
+    bar = QProgressBar()
+    bar.setFormat("a step with a long name: %p %")
+    bar.setValue(1)
+    bar.setFixedWidth(60)
+    for widget in (narrow, whole, wrapped, bar):
         layout.addWidget(widget)
     narrow.setFixedWidth(40)
     wrapped.setWordWrap(True)
     wrapped.setFixedSize(100, 20)
     panel.show()
     found = clipped_texts(panel)
-    assert len(found) == 2
-    assert "a button with a long name" in found[0] + found[1]
+    assert len(found) == 3
+    assert all(any(one in text for text in found) for one in ("a button with", "a step with"))
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from napari.qt.threading import create_worker
 from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
+from qtpy.QtWidgets import QGridLayout, QLabel, QProgressBar, QPushButton, QWidget
 
 from napari_elsplus.errors import ElsPlusError, error_message
 from napari_elsplus.widgets.shared.panel import panel_of
@@ -45,14 +45,17 @@ class Work(QWidget):
         self._cancelled = Event()
         self._done, self._total, self._counts = 0, 0, True
         self._worker: Any = None
-        self._bar = QProgressBar()
+        self._bar, self._step = QProgressBar(), QLabel()
+        self._step.setWordWrap(True)
         self._cancel = QPushButton("Cancel")
         self._cancel.setToolTip("Stop after this frame; nothing is changed")
         self._cancel.clicked.connect(self.cancel)
-        layout = QHBoxLayout(self)
+        layout = QGridLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(self._bar, 1)
-        layout.addWidget(self._cancel)
+        layout.setColumnStretch(0, 1)
+        layout.addWidget(self._step, 0, 0, 1, 2)
+        layout.addWidget(self._bar, 1, 0)
+        layout.addWidget(self._cancel, 1, 1)
         self._poll = QTimer(self)
         self._poll.setInterval(POLL_MS)
         self._poll.timeout.connect(self._show_progress)
@@ -78,7 +81,8 @@ class Work(QWidget):
         """
         self._cancelled.clear()
         self._done, self._total, self._counts = 0, total, total == 0
-        self._bar.setFormat("%p %")
+        self._step.setText("")
+        self._step.hide()
         self._bar.setRange(0, total)
         self._finished = finished
 
@@ -122,12 +126,13 @@ class Work(QWidget):
         Parameters
         ----------
         text : str
-            Name of the step, written into the bar.
+            Name of the step, displayed above the bar.
         done, total : int
             Steps done, and of how many.
         """
         self._done, self._total = done, total
-        self._bar.setFormat(f"{text} %p %")
+        self._step.setText(text)
+        self._step.show()
 
     def cancel(self) -> None:
         """Stop at the next step."""
