@@ -5,16 +5,23 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from contextlib import nullcontext
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from napari_elsplus.diagnosis import first_light
-from napari_elsplus.errors import InputError
+from napari_elsplus.acquisition.calibrating.simulated import place_target
+from napari_elsplus.diagnosis import first_light, first_light_scan
+from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.hardware.rigs import open_rig
+from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.camera.sfnc import StandardRegisters
+from napari_elsplus.instrument.optics import PRESETS
+from napari_elsplus.processing.calibration.step import Target
 from napari_elsplus.simulation.specimen.scenes import empty
 from napari_elsplus.simulation.specimen.trajectories import Still
 
@@ -74,6 +81,73 @@ def test_every_strobe_is_heard_and_the_mirror_never_leaves_its_parking_position(
     assert "one ramp for every frame" in said[-1]
     for program in rig.bench.card.programs()[before:]:
         assert {*program.samples, program.resting_v} == {rig.scanner.park_v}
+
+
+def second_order(times_s, natural_hz: float = 1000.0, damping: float = 0.7):
+    """Step response of the simulated galvo, by the textbook's formula."""
+    turns, ring = 2 * np.pi * natural_hz * np.maximum(times_s, 0), np.sqrt(1 - damping**2)
+    return 1 - np.exp(-damping * turns) * (np.cos(ring * turns) + damping / ring * np.sin(ring * turns))
+
+
+def test_numbers_of_a_step_response_are_those_of_the_formula() -> None:
+    times_s = np.arange(-50e-6, 3e-3, 10e-6)
+    response = first_light_scan.StepResponse(times_s, second_order(times_s), 64.0)
+    fine_s = np.arange(0, 1e-3, 1e-7)
+    begin_s, end_s = (fine_s[np.argmax(second_order(fine_s) >= part)] for part in (0.1, 0.9))
+    assert response.reached_s(0.1) == pytest.approx(begin_s, abs=1e-6)
+    assert response.reached_s(0.9) == pytest.approx(end_s, abs=1e-6)
+    assert response.overshoot == pytest.approx(np.exp(-np.pi * 0.7 / np.sqrt(1 - 0.49)), abs=1e-3)
+    assert abs(second_order(response.settled_s) - 1) * 64 <= 1
+    with pytest.raises(MeasurementError, match="pass 90%"):
+        first_light_scan.StepResponse(times_s, np.zeros(len(times_s)), 64.0).reached_s(0.9)
+
+
+@pytest.fixture
+def lit(rig):
+    """The rig with its true calibration, an even target before the probe."""
+    place_target(rig, Target.FLUORESCENT)
+    yield rig, rig.bench.optics.calibration(PRESETS["120hz"])
+    rig.bench.optics.show(empty(), Still())
+    rig.strobe = StrobePhase.EXPOSURE
+
+
+def test_the_step_of_the_mirror_is_seen_as_it_moves(lit, monkeypatch) -> None:
+    monkeypatch.setattr(first_light_scan, "STEP_TIMES_S", np.array([300e-6, 500e-6]))
+    monkeypatch.setattr(first_light_scan, "FRAMES", 1)
+    calibration = lit[0].bench.optics.calibration(PRESETS["240hz"])
+    response = first_light_scan.measure_step(lit[0], calibration, "240hz")
+    assert 0.2 < response.moved.min() < response.moved.max() < 0.95
+    np.testing.assert_allclose(response.moved, second_order(response.times_s), atol=0.02)
+    assert lit[0].scanner.park_state.parked
+
+
+@pytest.mark.slow
+def test_the_step_response_is_reported_with_its_numbers(lit) -> None:
+    said = list(first_light.mirror_step(*lit, "120hz"))
+    rise_us, overshoot = map(float, re.search(r"90 % in (\d+) us, overshoot ([\d.]+)%", said[1]).groups())
+    assert rise_us == pytest.approx(338, rel=0.05)
+    assert overshoot == pytest.approx(4.6, abs=0.6)
+    points = np.array([[float(word) for word in line.replace("us", "").split()] for line in said[3:]])
+    np.testing.assert_allclose(points[:, 1], second_order(points[:, 0] * 1e-6), atol=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stated", list(StrobePhase))
+def test_the_strobes_phase_is_told_from_two_exposures(lit, stated) -> None:
+    lit[0].strobe = stated
+    said = list(first_light.strobe_phase(*lit, "120hz"))
+    right = stated is StrobePhase.EXPOSURE
+    difference = float(re.search(r"difference (\S+) line periods", said[2])[1])
+    assert difference == pytest.approx(0 if right else -10, abs=0.5)
+    assert said[3] == ('strobe = "exposure" is right' if right else said[3])
+    assert ('write strobe = "exposure"' in said[3]) != right
+
+
+def test_a_real_rig_needs_a_calibration_for_the_checks_with_light(monkeypatch) -> None:
+    monkeypatch.setattr(first_light_scan, "open_rig", lambda name: nullcontext(SimpleNamespace(bench=None)))
+    done = CliRunner().invoke(first_light.first_light, ["step", "--rig", "mine"])
+    assert isinstance(done.exception, InputError)
+    assert "the rig mine needs a calibration" in str(done.exception)
 
 
 def test_findings_are_appended_to_a_report(monkeypatch, tmp_path) -> None:

@@ -1,7 +1,7 @@
 """Checks for the first hour at a real rig: ``python -m napari_elsplus.diagnosis.first_light CHECK``.
 
-Each settles a question that no virtual device can answer, without light on the bundle: the galvo stays parked
-throughout. How to use the results: docs/first-light.md.
+Each settles a question that no virtual device can answer; but for ``phase`` and ``step`` without light on the bundle,
+the galvo parked throughout. How to use the results: docs/first-light.md.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 import click
 import numpy as np
 
+from napari_elsplus.diagnosis.first_light_scan import lit_rig, mirror_step, strobe_phase
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.drivers import features_of
@@ -288,6 +289,12 @@ def _configure(rig: Rig, preset_name: str, seconds: float) -> int:
 
 RIG = click.option("--rig", "name", default="simulated", show_default=True, help="Name of the rig.")
 PRESET = click.option("--preset", "mode", type=click.Choice(list(PRESETS)), default="240hz", show_default=True)
+SLOW_PRESET = click.option(
+    "--preset", "mode", type=click.Choice(list(PRESETS)), default="120hz", show_default=True, help="Camera region."
+)
+CALIBRATION = click.option(
+    "-c", "--calibration", "file", type=click.Path(path_type=Path), help="With galvo and bundle; for a real rig."
+)
 SECONDS = click.option("--seconds", default=10.0, show_default=True)
 
 
@@ -295,7 +302,7 @@ SECONDS = click.option("--seconds", default=10.0, show_default=True)
 @click.option("--report", type=click.Path(path_type=Path), help="File to which the findings are appended, with date.")
 @click.pass_context
 def first_light(context: click.Context, report: Path | None) -> None:
-    """Check a rig, the galvo parked."""
+    """Check a rig; the galvo stays parked but for ``phase`` and ``step``."""
     context.obj = report
 
 
@@ -333,6 +340,26 @@ def _strobe(name: str, mode: str, seconds: float) -> None:
     """Report if the strobe reaches the card and starts every ramp."""
     with open_rig(name) as rig:
         _print(strobe(rig, mode, seconds))
+
+
+@first_light.command("phase")
+@RIG
+@CALIBRATION
+@SLOW_PRESET
+def _phase(name: str, file: Path | None, mode: str) -> None:
+    """Report which event the strobe marks; light is on, the target evenly fluorescent."""
+    with lit_rig(name, file, mode) as (rig, calibration):
+        _print(strobe_phase(rig, calibration, mode))
+
+
+@first_light.command("step")
+@RIG
+@CALIBRATION
+@SLOW_PRESET
+def _step(name: str, file: Path | None, mode: str) -> None:
+    """Report the galvo's response to a step; light is on, the target evenly fluorescent."""
+    with lit_rig(name, file, mode) as (rig, calibration):
+        _print(mirror_step(rig, calibration, mode))
 
 
 @first_light.command("parking")
