@@ -88,11 +88,21 @@ def changed_setting(name: str, then: Any, now: Any) -> str:
 
 
 class OffsetSection(Section):
-    """Slit offset: row of a standing line in the residual view minus its row in the confocal view, camera rows."""
+    """Slit offset: row of a standing line in the residual view minus its row in the confocal view, camera rows.
+
+    ``core_rows``, ``halo_rows`` and ``halo_share`` are the standard deviations of the line's core and halo on the
+    camera and the halo's share of the light; None where the line's profile was not fitted.
+    """
 
     rows: Finite
     uncertainty_rows: NonNegative
     tilt_deg: Finite = 0.0
+    core_rows: Positive | None = None
+    core_uncertainty_rows: NonNegative | None = None
+    halo_rows: Positive | None = None
+    halo_uncertainty_rows: NonNegative | None = None
+    halo_share: Annotated[float, Field(ge=0, le=1)] | None = None
+    halo_share_uncertainty: NonNegative | None = None
 
 
 class GalvoSection(Section):

@@ -75,7 +75,17 @@ def true_calibration(instrument: Instrument, background: NDArray[np.float32] | N
             frame_rate_hz=optics.frame_rate_hz,
             gain_db=0.0,
         ),
-        offset=OffsetSection(rows=instrument.offset_rows, uncertainty_rows=0.0, tilt_deg=instrument.line_tilt_deg),
+        offset=OffsetSection(
+            rows=instrument.offset_rows,
+            uncertainty_rows=0.0,
+            tilt_deg=instrument.line_tilt_deg,
+            core_rows=optics.rows(float(np.hypot(instrument.line.core_um, instrument.bundle.spot_um))),
+            core_uncertainty_rows=0.0,
+            halo_rows=optics.rows(float(np.hypot(instrument.line.halo_um, instrument.bundle.spot_um))),
+            halo_uncertainty_rows=0.0,
+            halo_share=instrument.line.halo_share,
+            halo_share_uncertainty=0.0,
+        ),
         galvo=GalvoSection(
             volts_per_row=instrument.volts_per_row,
             volts_at_row_zero=instrument.volts_at_row_zero,

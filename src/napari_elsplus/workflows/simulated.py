@@ -275,6 +275,7 @@ def simulate_calibration(
     preset: str = "240hz",
     offset_um: float = -29.0,
     slit_um: float | None = None,
+    state: str = "a",
     seed: int = 0,
     imperfections: Imperfections = IDEAL,
 ) -> SimulatedCalibrationFrames:
@@ -288,6 +289,8 @@ def simulate_calibration(
         Slit offset in micrometres at the bundle; negative: the residual image stands higher.
     slit_um : float, optional
         Slit width in micrometres at the bundle, rounded to whole rows; 3 rows by default.
+    state : str
+        Line model, as of :func:`simulate_axial_scan`.
     seed : int
         Seed of the camera noise.
     imperfections : Imperfections
@@ -297,7 +300,9 @@ def simulate_calibration(
     -------
     SimulatedCalibrationFrames
     """
-    instrument = Instrument.of(preset, slit_um=slit_um, offset_um=offset_um, imperfections=imperfections)
+    instrument = Instrument.of(
+        preset, slit_um=slit_um, offset_um=offset_um, line=LINE_MODELS[state], imperfections=imperfections
+    )
     volts = calibration_scenes.sweep_volts(instrument)
     transmission = Renderer(instrument, distal_light(), seed=seed + 2)
     dark_tube = Renderer(instrument, empty(), seed=seed + 3)

@@ -55,6 +55,15 @@ imperfect_option = click.option(
 )
 
 
+state_option = click.option(
+    "--state",
+    type=click.Choice(list(LINE_MODELS)),
+    default="a",
+    show_default=True,
+    help="Line model: of the paper's panels a and b, or the sharper one of c and d.",
+)
+
+
 @click.group()
 def command() -> None:
     """Simulate raw frames of the model instrument, with truth and calibration beside them."""
@@ -102,13 +111,7 @@ def recording(
 @command.command()
 @click.option("--slit-um", type=POSITIVE, default=2.9, show_default=True, help="Slit width, rounded to whole rows.")
 @click.option("--offset-um", type=NUMBER, default=29.0, show_default=True, help="Slit offset.")
-@click.option(
-    "--state",
-    type=click.Choice(list(LINE_MODELS)),
-    default="a",
-    show_default=True,
-    help="Line model: of the paper's panels a and b, or the sharper one of c and d.",
-)
+@state_option
 @seed_option
 @imperfect_option
 @output_option
@@ -127,17 +130,18 @@ def axial(
 @preset_option
 @offset_option
 @slit_option
+@state_option
 @seed_option
 @imperfect_option
 @click.option("-o", "--output", type=FILE, required=True, help="Folder to write into.")
 @force_option
 def calibration(
-    preset: str, offset_um: float, slit_um: float | None, seed: int, imperfections: Imperfections, output: Path,
-    force: bool,
+    preset: str, offset_um: float, slit_um: float | None, state: str, seed: int, imperfections: Imperfections,
+    output: Path, force: bool,
 ) -> None:  # fmt: skip
     """Simulate the recordings of a calibration: line, sweep, transmission, background; and the truth, into a folder."""
     simulated = simulate_calibration(
-        preset=preset, offset_um=offset_um, slit_um=slit_um, seed=seed, imperfections=imperfections
+        preset=preset, offset_um=offset_um, slit_um=slit_um, state=state, seed=seed, imperfections=imperfections
     )
     simulated.save(output, force=force, progress=progress)
     click.echo(f"wrote {output}")

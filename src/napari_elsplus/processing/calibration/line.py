@@ -14,6 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.analysis.line_parts import LineParts, measure_line_parts
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence
 from napari_elsplus.processing.calibration.line_search import Streak, brightest_streak, without_hot_pixels
 
@@ -166,6 +167,22 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None, near
             "is other light on?",
         )
     return line
+
+
+def parts_of(line: Line, view: NDArray[np.generic]) -> LineParts | None:
+    """Return core and halo of a line; None where its profile does not show both.
+
+    Parameters
+    ----------
+    line : Line
+        The line, near the middle of the bundle.
+    view : numpy.ndarray
+        (rows, cols) view in which it was located, without its background.
+    """
+    try:
+        return measure_line_parts(view, line.row, line.slope, line.columns, line.width_rows)
+    except MeasurementError:
+        return None
 
 
 def _still_near(image: Image, near: Line) -> Line | None:

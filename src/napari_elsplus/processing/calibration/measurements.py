@@ -25,7 +25,7 @@ from napari_elsplus.processing.calibration.frame_regions import (
     unlit_pixels,
 )
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
-from napari_elsplus.processing.calibration.line import Line, locate_line
+from napari_elsplus.processing.calibration.line import Line, locate_line, parts_of
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.analysis.line_parts import LineParts
     from napari_elsplus.processing.images.sectioning import Frames
 
     Image = NDArray[np.float32]
@@ -72,6 +73,8 @@ class SlitOffset:
         Column of the frame between the views.
     unsteady_rows : float
         Part of the standard deviation by scatter from frame to frame.
+    parts : LineParts, optional
+        Core and halo of the line in the confocal view; None where its profile does not show both.
     """
 
     rows: float
@@ -80,6 +83,7 @@ class SlitOffset:
     residual: Line
     split: int
     unsteady_rows: float = 0.0
+    parts: LineParts | None = None
 
     @property
     def view_offset(self) -> tuple[float, float]:
@@ -235,7 +239,11 @@ def measure_offset(
     if pair is not None:
         columns = (pair.confocal.centre[1], pair.residual.centre[1] - split)
     found = _offset_at(columns, lines[0], lines[1], split)
-    return found if alone else _with_scatter(found, frames, reference, background)
+    if alone:
+        return found
+    view = np.asarray(frame[:, :split], np.float32)
+    parts = parts_of(lines[0], view if background is None else view - background[:, :split])
+    return replace(_with_scatter(found, frames, reference, background), parts=parts)
 
 
 def _with_scatter(found: SlitOffset, frames: Frames, reference: RowReference, background: Image | None) -> SlitOffset:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,7 +37,12 @@ if TYPE_CHECKING:
 def apply_offset(draft: Draft, offset: SlitOffset) -> Calibration:
     """Return the draft's calibration with a slit offset, taken at the centres of the bundle pair where it is known."""
     seen = offset if draft.pair is None else offset_at(offset, draft.pair)
-    section = OffsetSection(rows=seen.rows, uncertainty_rows=seen.uncertainty_rows, tilt_deg=seen.confocal.tilt_deg)
+    section = OffsetSection(
+        rows=seen.rows,
+        uncertainty_rows=seen.uncertainty_rows,
+        tilt_deg=seen.confocal.tilt_deg,
+        **({} if offset.parts is None else asdict(offset.parts)),
+    )
     return draft.calibration.model_copy(update={"offset": section})
 
 

@@ -66,6 +66,11 @@ class Bundle:
         """Radius of the circle that holds the cores' centres."""
         return self.diameter_um / 2
 
+    @property
+    def spot_um(self) -> float:
+        """Standard deviation of a core's spot on the camera, micrometres at the bundle."""
+        return self.core_sigma * self.core_pitch_um
+
     def cores(self) -> Cores:
         """Return the cores, ordered by row: a hexagonal lattice with jitter.
 

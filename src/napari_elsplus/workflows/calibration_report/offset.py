@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.calibration.scan.measure import DEFAULT_SLIT_ROWS
+from napari_elsplus.simulation.model.axial_response import axial_response
 from napari_elsplus.workflows.calibration_report.picture import Picture, Plot
 from napari_elsplus.workflows.pictures.curves import Band, Curve
+from napari_elsplus.workflows.recommendation.line_estimate import line_of_parts
 from napari_elsplus.workflows.sectioning_performance import line_as_seen, predict_performance
 
 if TYPE_CHECKING:
@@ -16,9 +18,16 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.line import Line
     from napari_elsplus.processing.calibration.measurements import SlitOffset
     from napari_elsplus.processing.calibration.step import StepSummary
+    from napari_elsplus.simulation.model.axial_response import LineModel
 
 TOLERANCE_UM: Final = 1.0
 """Half the width of the green band around the target; chosen: a thirtieth of the usual offset."""
+_OFFSETS_UM: Final = (8.0, 90.0)
+"""Slit offsets over which the sectioning is drawn, micrometres; chosen: the paper's are 12 to 77."""
+_COMPUTED: Final = 24
+"""Offsets at which it is computed; chosen."""
+_DEPTHS_UM: Final = np.linspace(0, 400, 201)
+"""Depths between which drop-off distances are interpolated, micrometres; chosen: steps of 2."""
 _FIT_WIDTHS: Final = 2.5
 """Standard deviations of the line to which its fit is drawn; chosen, the fit's height is then 4 %."""
 
@@ -54,15 +63,17 @@ def offset_picture(
         lines += _predicted_performance(found, draft, setup, scale)
     confocal = _profile("confocal", found.confocal, 0.0, "blue")
     residual = _profile("residual", found.residual, found.rows, "orange")
-    plot = Plot("rows from the confocal line", "grey levels", [*confocal, *residual], bands=bands)
-    return Picture(summary.headline, lines, summary.warnings, summary.details, [plot], good, far)
+    plots = [Plot("rows from the confocal line", "grey levels", [*confocal, *residual], bands=bands)]
+    if scale is not None and found.rows:
+        plots.append(_sectioning_against_offset(found, setup, scale))
+    return Picture(summary.headline, lines, summary.warnings, summary.details, plots, good, far)
 
 
 def _predicted_performance(found: SlitOffset, draft: Draft, setup: Setup, scale: float) -> list[str]:
     if found.rows == 0:
         return ["without an offset ELS+ is zero everywhere"]
     slit_rows = setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
-    line = line_as_seen(found.confocal, slit_rows, scale)
+    line = _line(found, slit_rows, scale)
     light_dn, gain_db = found.confocal.amplitude, setup.acquired_with.gain_db or 0.0
     bundle_um = draft.bundle_um or (found.confocal.columns[1] - found.confocal.columns[0]) * scale  # the lit columns
     given = predict_performance(
@@ -74,6 +85,28 @@ def _predicted_performance(found: SlitOffset, draft: Draft, setup: Setup, scale:
         f"{100 * given.clipped:.1f} % of the field clipped",
         f"with this line: {line.core_um:.1f} µm wide (SD), {light_dn:.0f} grey levels",
     ]
+
+
+def _line(found: SlitOffset, slit_rows: float, scale: float) -> LineModel:
+    """Return the line with its measured core, and with its halo where the profile shows it."""
+    if found.parts is None:
+        return line_as_seen(found.confocal, slit_rows, scale)
+    return line_of_parts(found.parts.core_rows * scale, found.parts.halo_rows * scale, found.parts.halo_share)
+
+
+def _sectioning_against_offset(found: SlitOffset, setup: Setup, scale: float) -> Plot:
+    """Return what ELS+ keeps and how it sections against the slit offset, with the present offset marked."""
+    slit_rows = setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
+    line, present_um = _line(found, slit_rows, scale), abs(found.rows) * scale
+    offsets = np.linspace(_OFFSETS_UM[0], max(_OFFSETS_UM[1], 1.2 * present_um), _COMPUTED)
+    els = axial_response(_DEPTHS_UM, offset_um=offsets[:, None], slit_um=slit_rows * scale, line=line).els
+    distances = [[np.interp(-level, -curve / curve[0], _DEPTHS_UM) for curve in els] for level in (0.5, 0.1)]
+    curves = [
+        Curve("signal kept (%)", offsets, 100 * els[:, 0], "blue"),
+        Curve("3 dB (µm)", offsets, np.array(distances[0]), "orange", "dashed"),
+        Curve("10 dB (µm)", offsets, np.array(distances[1]), "vermilion"),
+    ]
+    return Plot("slit offset (µm)", "ELS+ against LS (%), depth (µm)", curves, marks=[(present_um, "grey", "now")])
 
 
 def _profile(name: str, line: Line, at_rows: float, colour: str) -> list[Curve]:

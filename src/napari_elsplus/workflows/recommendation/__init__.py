@@ -1,0 +1,1 @@
+"""Slit and offset for a depth, from the calibrated line."""
