@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -14,13 +14,13 @@ from napari_elsplus.cli import main
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import write_calibration
-from napari_elsplus.processing.calibration.measurements import measure_offset
 from napari_elsplus.simulation.calibration_scenes import line_volts, standing_line
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response
 from napari_elsplus.simulation.model.clipped_response import clipped_drop_offs
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.workflows.axial import measure_axial_response
+from napari_elsplus.workflows.calibration import calibrate
 from napari_elsplus.workflows.recommendation.line_estimate import calibrated_line
 from napari_elsplus.workflows.recommendation.recommend import predict_line, prediction_sigmas, recommend
 from napari_elsplus.workflows.simulated import simulate_axial_scan
@@ -33,11 +33,8 @@ if TYPE_CHECKING:
 def calibrated(state: str, seed: int = 5) -> Calibration:
     """Calibration of a rig whose line was measured on frames of it standing still."""
     instrument = replace(Instrument.of("120hz"), line=LINE_MODELS[state])
-    parts = measure_offset(list(standing_line(instrument, line_volts(instrument), seed=seed))).parts
-    assert parts is not None
-    known = true_calibration(instrument)
-    assert known.offset is not None
-    return known.model_copy(update={"offset": known.offset.model_copy(update=asdict(parts))})
+    found = calibrate(line=list(standing_line(instrument, line_volts(instrument), seed=seed)))
+    return true_calibration(instrument).model_copy(update={"offset": found.calibration.offset})
 
 
 @pytest.mark.parametrize("state", ["a", "b"])

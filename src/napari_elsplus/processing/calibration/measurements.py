@@ -25,7 +25,7 @@ from napari_elsplus.processing.calibration.frame_regions import (
     unlit_pixels,
 )
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
-from napari_elsplus.processing.calibration.line import Line, locate_line, parts_of
+from napari_elsplus.processing.calibration.line import Line, LineParts, locate_line
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.analysis.line_parts import LineParts
     from napari_elsplus.processing.images.sectioning import Frames
 
     Image = NDArray[np.float32]
@@ -219,8 +218,7 @@ def measure_offset(
     alone = near is not None and len(frames) == 1
     raw: NDArray[Any] = np.asarray(frames[0]) if alone else mean_frame(frames)
     saturated_share(frames[0], "image of the line")
-    lit = [] if near is None else near.lit_columns
-    reference = RowReference(unlit_pixels(raw, background, _discs(pair), lit), background)
+    reference = RowReference(unlit_pixels(raw, background, _discs(pair), near.lit_columns if near else []), background)
     frame = reference.without_row_noise(raw)
     place = near or pair
     if place is None:
@@ -235,15 +233,9 @@ def measure_offset(
             lines.append(locate_line(frame[:, part], dark, before))
         except MeasurementError as error:
             raise MeasurementError(f"{name} view: {error.problem}", error.remedy) from None
-    columns = (lines[0].column, lines[1].column)
-    if pair is not None:
-        columns = (pair.confocal.centre[1], pair.residual.centre[1] - split)
-    found = _offset_at(columns, lines[0], lines[1], split)
-    if alone:
-        return found
-    view = np.asarray(frame[:, :split], np.float32)
-    parts = parts_of(lines[0], view if background is None else view - background[:, :split])
-    return replace(_with_scatter(found, frames, reference, background), parts=parts)
+    found = _offset_at((lines[0].column, lines[1].column), lines[0], lines[1], split)
+    found = found if pair is None else offset_at(found, pair)
+    return found if alone else _with_scatter(found, frames, reference, background)
 
 
 def _with_scatter(found: SlitOffset, frames: Frames, reference: RowReference, background: Image | None) -> SlitOffset:
