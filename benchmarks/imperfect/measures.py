@@ -120,6 +120,17 @@ def _quadratic(rows: Rows, cols: Rows) -> Rows:
     return np.stack([np.ones_like(rows), rows, cols, rows**2, cols**2, rows * cols], axis=1)
 
 
+def gain_error(rig: ImperfectRig, calibration: Calibration) -> Error:
+    """Error of the residual view's gain in fluorescence, over the cores of the part of the bundle that is judged."""
+    bundle = calibration.bundle
+    assert bundle is not None
+    known, _, right = views(rig.instrument)
+    judged = np.hypot(known.rows_um, known.cols_um) < JUDGED * rig.instrument.bundle.radius_um
+    gains = np.broadcast_to(right.gain, known.transmission.shape)[judged]
+    true = float(np.average(gains, weights=known.transmission[judged]))
+    return Error(bundle.residual_gain - true, bundle.residual_gain_uncertainty)
+
+
 def galvo_error(rig: ImperfectRig, calibration: Calibration) -> Error:
     """Error of the galvo map, rows, at the middle of the bundle."""
     galvo, instrument = calibration.galvo, rig.instrument

@@ -78,12 +78,10 @@ def survey_rig(seed: int) -> Surveyed:
         response = measures.axial(rig, calibration, line_rows=rig.line_rows(calibration), seed=seed)
     except ElsPlusError as error:
         return Surveyed(seed, refused=str(error))
-    bundle, gain = calibration.bundle, rig.instrument.residual_view.gain
-    assert bundle is not None
     found = (
         measures.offset_error(rig, calibration),
         measures.galvo_error(rig, calibration),
-        Error(bundle.residual_gain - gain, bundle.residual_gain_uncertainty),
+        measures.gain_error(rig, calibration),
     )
     errors, shares = dict(zip(CALIBRATED, found, strict=True)), {}
     for name, ideal, drop in zip(DISTANCES, _distances(_ideal()), _distances(response), strict=True):

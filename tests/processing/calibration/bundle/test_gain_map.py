@@ -13,7 +13,7 @@ from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.measurements import measure_pair
 from napari_elsplus.processing.calibration.sections import apply_pair
-from napari_elsplus.processing.images.sectioning import Sectioner
+from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 RIG = Rig(left=(105.0, 103.0), right=(95.5, 318.3), diameter_px=190.0, turn_deg=0.2, photons=600.0)
 
@@ -53,6 +53,16 @@ def test_gains_of_cores_and_a_vignette_are_mapped(core_sd: float, vignette: floa
     assert remainder(found, core_sd, vignette) < 1.3 * clean
     single = found.with_view_arrays(found.distortion, None)
     assert remainder(found, core_sd, vignette) < 0.8 * remainder(single, core_sd, vignette)
+
+
+@pytest.mark.parametrize("vignette", [0.1, -0.1])
+def test_single_gain_and_map_together_are_the_gain(vignette: float) -> None:
+    """The map was divided by its mean over the whole disc, the gain measured in nine tenths of it: 2 % too much."""
+    frame = RIG._noisy(uneven_gain(0.0, vignette)[None], 78)[0] - np.float32(RIG.black_dn)
+    sectioner = Sectioner(calibrated(0.0, vignette).model_copy(update={"background": None}), frame.shape)
+    middle = disc(sectioner.side, 0.8 * RIG.diameter_px)
+    ls, residual = (float(image[middle].sum()) for image in (sectioner.ls(frame), sectioner.residual(frame)))
+    assert residual / ls == pytest.approx(1, abs=0.003)
 
 
 def test_a_single_gain_is_kept_where_it_is_sufficient() -> None:

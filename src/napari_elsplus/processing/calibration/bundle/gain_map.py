@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC
 from napari_elsplus.processing.images.cores import core_pitch_px
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
@@ -52,7 +53,8 @@ def measure_gain_map(frame: NDArray[np.floating], calibration: Calibration) -> I
     -------
     numpy.ndarray or None
         (n, n) float32 on the grid of :class:`Sectioner`, gain over the single one: 1 outside of the disc,
-        mean 1 inside, weighted by light. None where a single gain is sufficient.
+        mean 1 in the part of it in which the single gain is measured, weighted by light. None where a single gain is
+        sufficient.
     """
     flat = calibration.with_view_arrays(calibration.distortion, None)
     sectioner = Sectioner(flat, frame.shape)
@@ -74,7 +76,8 @@ def measure_gain_map(frame: NDArray[np.floating], calibration: Calibration) -> I
     if not misfits[best] < MAX_MISFIT * single:
         return None
     found = np.where(inside, np.clip(_smoothed_ratio(confocal, residual, best), *GAIN_LIMITS), 1)
-    scale = float((found * confocal).sum() / confocal.sum())
+    weights = confocal * disc(sectioner.side, COMPARED_DISC * sectioner.diameter_px)
+    scale = float((found * weights).sum() / weights.sum())
     return np.where(inside, found / scale, 1).astype(np.float32)
 
 
