@@ -37,6 +37,7 @@ from processes import exists
 PLUGIN = "napari-elsplus"
 LONG_MS = 30_000
 AVERAGED = 12
+VOLTAGES = 24
 
 
 @pytest.fixture
@@ -56,7 +57,7 @@ def live(panel, qtbot):
     """Connected to the simulated rig."""
     panel.form.connect_button.click()
     idle(qtbot, panel)
-    panel.form.voltages.setValue(40)
+    panel.form.voltages.setValue(VOLTAGES)
     return panel
 
 
@@ -290,7 +291,7 @@ def faulty(panel, qtbot, monkeypatch, tmp_path):
     monkeypatch.setattr("napari_elsplus.widgets.shared.connection.EngineClient", partial(EngineClient, command))
     panel.form.connect_button.click()
     idle(qtbot, panel)
-    panel.form.voltages.setValue(24)
+    panel.form.voltages.setValue(VOLTAGES)
     measure(qtbot, panel, "offset")
     panel.form.accept.click()
     return panel, fault, moves
