@@ -175,6 +175,10 @@ def test_the_rows_of_a_steady_scan_are_computed_once_and_anew_when_the_output_ch
     first, steady = rows_of(bench, 1), rows_of(bench, 20)
     assert rows_of(bench, 21) is rows_of(bench, 57) is steady
     assert first is not steady
+    programs, later = [replace(ramp, strobe=replace(train, start_s=80 * optics.frame_period_s))], new_bench()
+    for frame in (80, 81, 120):  # it begins with the first strobe, however long the output was ready
+        np.testing.assert_allclose(rows_of(later, frame), rows_of(new_bench(), frame), atol=1e-6)
+    assert np.abs(rows_of(new_bench(), 80) - rows_of(later, 120)).max() > 1
     two_ramps = replace(ramp, samples=np.concatenate([ramp.samples, ramp.samples[::-1]]))
     strobe_lost = replace(ramp, strobe=replace(train, end_s=22 * optics.frame_period_s))
     for output in (two_ramps, strobe_lost, Program(0.0, 0.1)):

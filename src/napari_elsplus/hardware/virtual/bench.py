@@ -156,8 +156,8 @@ class OpticalBench:
         newest, settings = programs[-1], replace(shot, frame=0, strobe_s=0.0)
         if self._steady is None or self._steady[0] is not newest or self._steady[1] != settings:
             rows = self._rows_by(programs, shot)
-            settled = shot.strobe_s > newest.since_s + _STEADY_AFTER * shot.frame_period_s
-            if not (settled and newest.recurs(shot.frame_period_s)):
+            settled_s = newest.begins_s + _STEADY_AFTER * shot.frame_period_s
+            if shot.strobe_s < settled_s or not newest.recurs(shot.frame_period_s):
                 return rows
             self._steady = newest, settings, rows
         return self._steady[2]

@@ -97,6 +97,11 @@ class Program:
     begun: int = 0
     limit: int | None = None
 
+    @property
+    def begins_s(self) -> float:
+        """Time from which the output changes: the first edge, or the beginning without edges."""
+        return self.since_s if self.strobe is None else max(self.since_s, self.strobe.start_s)
+
     def recurs(self, period_s: float) -> bool:
         """Return True if the output, in the end, is the same in every period of `period_s` seconds."""
         if not len(self.samples) or self.strobe is None:
