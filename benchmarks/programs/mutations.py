@@ -143,7 +143,10 @@ MISTAKES: Final = tuple(
             ("TIMESTAMP, LATCH, INCREMENT = 0x01F0, 0x01F8", "TIMESTAMP, LATCH, INCREMENT = 0x01F8, 0x01F0"),
             ("self._control.write_number(LATCH, 1)", "self._control.write_number(LATCH, 2)"),
             ("return max(before_s - ticks", "return min(before_s - ticks"),
-            ("return near[0] if near or not self._runs else self._tick(LONG_BASELINE_S)", "return NANOSECOND"),
+            (
+                "            if near:\n                return near[0]\n        return tick_s",
+                "        return NANOSECOND",
+            ),
         ),
         "u3v/camera": (
             (

@@ -15,6 +15,7 @@ from usb import util
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.protocols import HasClock, Region
 from napari_elsplus.hardware.u3v.camera import U3vCamera
+from napari_elsplus.hardware.u3v.clock import CameraClock
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.virtual.camera.bus import VirtualBus
 from napari_elsplus.hardware.virtual.camera.sfnc import StandardRegisters
@@ -187,6 +188,18 @@ def test_the_unit_of_the_timestamps_is_measured(cameras, tick_ns) -> None:
         infos = stream(camera, 30)
         spacing = np.diff([info.readout_start_s for info in infos])
         np.testing.assert_allclose(spacing, 0.01, rtol=0.01)
+
+
+def test_a_computer_that_is_held_up_at_a_latch_does_not_change_the_unit(cameras, monkeypatch) -> None:
+    latch, times = CameraClock._latch, iter([0.01])
+
+    def held_up(clock: CameraClock) -> tuple[float, int]:
+        before_s, ticks = latch(clock)
+        return before_s - next(times, 0.0), ticks
+
+    monkeypatch.setattr(CameraClock, "_latch", held_up)
+    with cameras().open() as camera:
+        assert camera.tick_s == 1e-9
 
 
 @pytest.mark.parametrize("latch", [True, False])
