@@ -160,7 +160,7 @@ def turning_table(found: dict[Walk, Turned]) -> list[str]:
         strayed = "; ".join(f"{px:.2f}" for px in t.strayed_px)
         lines.append(
             f"| {walk.scene}, {walk.path}, {walk.speed_um_s / 1000:g} mm/s | {walk.turn_deg_s:g} | {t.angle_deg:.2f} "
-            f"| {t.rung.name.lower()} | {'-' if t.since is None else t.since} | {t.angle_error_deg:.3f} "
+            f"| {t.model.name.lower()} | {'-' if t.since is None else t.since} | {t.angle_error_deg:.3f} "
             f"| {t.errors.median_pair_error_px:.3f} | {t.errors.end_error_percent_of_path:.3f} "
             f"| {t.errors.wrong_links} | {strayed} |"
         )

@@ -58,7 +58,7 @@ class Turned(NamedTuple):
 
     Parameters
     ----------
-    rung : MotionModel
+    model : MotionModel
         What was modelled in the end.
     since : int or None
         First frame for which rotation was modelled.
@@ -73,7 +73,7 @@ class Turned(NamedTuple):
         all that is corrected live, and of the finished track.
     """
 
-    rung: MotionModel
+    model: MotionModel
     since: int | None
     angle_deg: float
     angle_error_deg: float
@@ -106,9 +106,9 @@ def follow(walk: Walk) -> Turned:
     error = float(np.rad2deg(np.sqrt(np.mean((found - angle)[known] ** 2))))
     forms = {(abs(pose.angle) > 0, abs(pose.scale - 1) > _MIN_ZOOM) for pose in pipeline.poses}
     zoomed, turned = any(zoom for _, zoom in forms), any(turn for turn, _ in forms)
-    rung = MotionModel.SIMILARITY if zoomed else MotionModel.RIGID if turned else MotionModel.TRANSLATION
+    model = MotionModel.SIMILARITY if zoomed else MotionModel.RIGID if turned else MotionModel.TRANSLATION
     largest, errors = float(np.rad2deg(np.abs(angle).max())), track_errors(pipeline.rows, place)
-    return Turned(rung, since, largest, error, errors, (*strayed_px, _strayed_px(pipeline.rows, place, angle)))
+    return Turned(model, since, largest, error, errors, (*strayed_px, _strayed_px(pipeline.rows, place, angle)))
 
 
 def _strayed_px(rows: Sequence[TrackPoint], true_px: NDArray[np.float64], true_angle: NDArray[np.float64]) -> float:
@@ -130,4 +130,4 @@ def rung_of(walk: Walk) -> MotionModel:
     for frame in raw:
         front_end.image(frame, tracker.slot())
         tracker.add()
-    return tracker.rung
+    return tracker.model

@@ -10,7 +10,7 @@ WAYS = (("fibres", "hand", 1500.0), ("nuclei", "spiral", 8000.0), ("sparse", "ha
 
 def test_a_turn_is_modelled_soon_and_finished_well() -> None:
     found = follow(Walk("fibres", "hand", 2000.0, 40.0, 50))
-    assert found.rung is MotionModel.RIGID
+    assert found.model is MotionModel.RIGID
     assert found.since is not None
     assert found.since < 20
     assert found.angle_error_deg < 0.1 < found.angle_deg
@@ -21,7 +21,7 @@ def test_a_turn_is_modelled_soon_and_finished_well() -> None:
 def test_half_a_second_of_slow_turning_shows_in_a_sparse_scene() -> None:
     """At the end at the latest; taken for translations it would be one pixel off from frame to frame."""
     found = follow(Walk("sparse", "spiral", 8000.0, 10.0, 120, seed=2))
-    assert found.rung is MotionModel.RIGID
+    assert found.model is MotionModel.RIGID
     assert found.angle_error_deg < 0.5
     assert found.errors.median_pair_error_px < 0.3
     assert found.errors.wrong_links == 0

@@ -210,7 +210,7 @@ class LiveInsertion:
         return self._brush.extent_of(place)
 
     def _render_tile(self, where: TileKey, frames: Iterable[tuple[Keyframe, Pose]]) -> tuple[Tile, list[Rectangle]]:
-        """Render a tile anew, beside the one that is displayed."""
+        """Re-render a tile, beside the one that is displayed."""
         tile, rendered = self._scratch, []
         tile.value[:] = tile.weight[:] = 0
         for one, place in frames:

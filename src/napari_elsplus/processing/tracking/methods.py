@@ -173,7 +173,7 @@ class RegistrationTracking(FrontEndImages):
     @property
     def motion_model(self) -> MotionModel:
         """The motion model that the score tests have selected so far."""
-        return self._tracker.rung
+        return self._tracker.model
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         """Return the poses of the solved pose graph: loops closed, segments joined; see :class:`TrackingMethod`."""
@@ -183,7 +183,7 @@ class RegistrationTracking(FrontEndImages):
         def frame(index: int) -> PreparedFrame:
             return prepared.get(index) or prepared.add(index, lambda out: np.copyto(out, image(index)))
 
-        return refine(poses, self._tracker.links, registrar, frame, self._tracker.rung)
+        return refine(poses, self._tracker.links, registrar, frame, self._tracker.model)
 
 
 class WithoutPoseGraph:

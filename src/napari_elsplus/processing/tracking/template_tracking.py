@@ -30,7 +30,7 @@ FINE_SAMPLING_PX: Final = 3.0
 
 
 def takes_median(diameter_px: float) -> bool:
-    """Whether the paper smooths images in which the bundle has this diameter: coarsely sampled ones are smooth enough.
+    """Return True if the paper smooths images of a bundle of this diameter: coarsely sampled ones are smooth enough.
 
     Examples
     --------

@@ -1,8 +1,8 @@
-"""Frame after frame: where the probe is, how well that is known, and when it is not.
+"""Frame-to-frame tracking: the pose of the probe, its uncertainty, and its state.
 
 Each frame is linked to a key frame that is renewed before the overlap shrinks: at fast motion that is the frame
 before, at slow motion one key frame serves many frames, so that errors do not add up. The link starts from the motion
-so far; it is kept only if the frames themselves single out its shift, and otherwise sought among all shifts. Frames
+so far; it is accepted by its posterior odds, and otherwise sought among all shifts. Frames
 that no link reaches are predicted for a while, then lost; a new segment starts where frames can be linked again.
 """
 
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
-from napari_elsplus.processing.tracking.motion.prediction import AT_REST, MIN_SHARE, Motion, Turning
+from napari_elsplus.processing.tracking.motion.prediction import AT_REST, Motion, Turning
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
@@ -37,14 +37,14 @@ SURE_CORRELATION: Final = 0.9
 """Correlation below which a predicted link is compared with all other shifts."""
 MAX_SIGMA_PX: Final = 0.7
 """Standard deviation of a displacement, pixels, up to which it is used: below a core pitch."""
-FALL_OF_CORRELATION: Final = 0.08
+FALL_OF_CORRELATION: Final = 0.05
 """Correlation of a registration below the recent mean from which it is rejected: frames that show the same differ by
 noise, which is the same for all."""
 _MEMORY: Final = 0.2
 _RISE_OF_CORRELATION: Final = 0.03
-_ASK_EVERY: Final = 4
-"""Frames between two questions whether the probe turns, as long as it does not."""
-_ASK_AT_REST: Final = 32
+_TEST_EVERY: Final = 4
+"""Frames between two score tests for rotation, as long as none is found."""
+_TEST_AT_REST: Final = 32
 """The same, while one key frame serves."""
 _MIN_REACH_PX: Final = 8.0
 """Smallest scale of the heavy-tailed prior of a searched shift; chosen, a jerk of a hand."""
@@ -85,9 +85,9 @@ class Tracker:
         self.links: list[tuple[int, int, Displacement, PairRegistration]] = []
         self._slots = [self.registrar.view() for _ in range(4)]
         self._scratch = self.registrar.view()
-        self._climb = ModelSelection()
+        self._selection = ModelSelection()
         self._newest: PairRegistration | None = None
-        self._asked = 0
+        self._tested = 0
         self._began = self._covered = 0
         self._turned = 0.0
         self._turning = Turning()
@@ -101,9 +101,9 @@ class Tracker:
         self._coming = self._free()
 
     @property
-    def rung(self) -> MotionModel:
-        """What the frames have asked for so far, beside translations."""
-        return self._climb.rung
+    def model(self) -> MotionModel:
+        """Motion model selected so far, beside translations."""
+        return self._selection.model
 
     def slot(self) -> NDArray[np.float32]:
         """Return the array into which the next image is to be written before :meth:`add` is called."""
@@ -133,18 +133,19 @@ class Tracker:
         assert last is not None
         ahead = self._expected(key, here.index)
         renew = hypot(*ahead) > KEY_FRAME_REACH * self.grid.diameter
-        if self.rung is MotionModel.TRANSLATION:
-            self._ask(renew=renew)
+        if self.model is MotionModel.TRANSLATION:
+            self._test_rotation(renew=renew)
         if renew:
             key = self._key = last
-        if renew or self.rung is not MotionModel.TRANSLATION:
+        if renew or self.model is not MotionModel.TRANSLATION:
             ahead = self._expected(key, here.index)
         if hypot(*ahead) > FARTHEST * self.grid.diameter:
             return None
-        link = self._link(key, here, ahead)
+        motion = self._prior(key, here, ahead)
+        link = self._link(key, here, motion)
         if link is None:
             return None
-        return self._track(here, link) if self._place(key, here, link) else None
+        return self._track(here, link) if self._place(key, here, link, motion) else None
 
     def _restart(self, here: _Placed) -> Pose | None:
         """Start a new segment from the frame before, which itself has no place, if the two can be linked."""
@@ -155,15 +156,16 @@ class Tracker:
         before = self._motion
         self._motion = Motion(self.grid.shutter, FIELD * self.grid.diameter)
         origin = _Placed(previous.view, previous.index)
-        link = self._link(origin, here, self._expected(origin, here.index))
-        if link is None or not self._place(origin, here, link):
+        motion = self._prior(origin, here, self._expected(origin, here.index))
+        link = self._link(origin, here, motion)
+        if link is None or not self._place(origin, here, link, motion):
             self._motion = before
             return None
         here.row = here.col = here.angle = 0.0
         here.scale = 1.0
         self._key = here
         self._segment += 1
-        self._began = self._asked = here.index
+        self._began = self._tested = here.index
         self._covered, self._turned = 0, 0.0
         return self._track(here, link)
 
@@ -182,23 +184,23 @@ class Tracker:
             TrackingState.PREDICTED, last.angle, last.scale,
         )  # fmt: skip
 
-    def _ask(self, *, renew: bool) -> None:
-        """Ask, now and then, whether the frames since the key frame have turned, and from when on that is modelled."""
+    def _test_rotation(self, *, renew: bool) -> None:
+        """Test, now and then, for rotation since the key frame, and from when on it is modelled."""
         key, last, link = self._key, self._last, self._newest
         assert key is not None
         assert last is not None
-        wait = _ASK_EVERY if renew else _ASK_AT_REST
-        if link is None or not link.tells_turn or last is key or last.index - self._asked < wait:
+        wait = _TEST_EVERY if renew else _TEST_AT_REST
+        if link is None or not link.tells_turn or last is key or last.index - self._tested < wait:
             return
-        self._asked = last.index
+        self._tested = last.index
         spread = self._motion.prior(self._motion.ahead(1), 1).spread
         found = self.registrar.remainder(key.view, last.view, link.warp, spread)
         if found is None:
             return
         apart, turn = last.index - key.index, -float(found.step[MotionModel.RIGID, 4])
-        rung = self._climb.weigh(found, keep=renew)
+        model = self._selection.weigh(found, keep=renew)
         covered, turned = self._covered + apart, self._turned + turn
-        if rung is not MotionModel.TRANSLATION:
+        if model is not MotionModel.TRANSLATION:
             self._turning.rate = turned / covered
             last.angle = self._turning.rate * (last.index - self._began)
             key.angle = last.angle - turn
@@ -213,25 +215,24 @@ class Tracker:
             return Displacement(0.0, 0.0)
         ahead = self._motion.ahead(index - last.index)
         gone = last.row - earlier.row, last.col - earlier.col
-        if self.rung is not MotionModel.TRANSLATION:
+        if self.model is not MotionModel.TRANSLATION:
             row, col = turned_by(-last.angle, 1 / last.scale) @ gone
             gone = float(row), float(col)
         return Displacement(gone[0] + ahead.row, gone[1] + ahead.col)
 
-    def _prior(self, earlier: _Placed, here: _Placed, ahead: Displacement, min_share: float = 0.0) -> MotionPrior:
+    def _prior(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> MotionPrior:
         """Return the prior of the motion from a placed frame."""
         last = self._last
         assert last is not None
         if not self._motion.known:
             return self._motion.prior(ahead, here.index - earlier.index)
         before = None if earlier is last else (earlier.velocity, earlier.velocity_variance)
-        return self._motion.prior(ahead, here.index - last.index, before, min_share)
+        return self._motion.prior(ahead, here.index - last.index, before)
 
-    def _link(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> PairRegistration | None:
+    def _link(self, earlier: _Placed, here: _Placed, motion: MotionPrior) -> PairRegistration | None:
         """Register two frames, first at the expected shift, else over all; None if no shift is accepted."""
-        if self.rung is not MotionModel.TRANSLATION:
-            return self._turned_link(earlier, here, ahead, self.rung)
-        motion = self._prior(earlier, here, ahead)
+        if self.model is not MotionModel.TRANSLATION:
+            return self._turned_link(earlier, here, motion, self.model)
         if self._motion.known:
             link = self.registrar.link(earlier.view, here.view, motion)
             if link.correlation > SURE_CORRELATION and self._accepted(link):
@@ -252,25 +253,24 @@ class Tracker:
         found = self.registrar.remainder(earlier.view, here.view, link.warp, motion.spread)
         if found is None or not ModelSelection().weigh(found):
             return None
-        turned = self._turned_link(earlier, here, motion.displacement, MotionModel.RIGID)
+        turned = self._turned_link(earlier, here, motion, MotionModel.RIGID)
         if turned is None or not turned.correlation > max(link.correlation + _RISE_OF_CORRELATION, SURE_CORRELATION):
             return None
-        self._climb.rung = MotionModel.RIGID
+        self._selection.model = MotionModel.RIGID
         return turned
 
     def _turned_link(
-        self, earlier: _Placed, here: _Placed, ahead: Displacement, rung: MotionModel
+        self, earlier: _Placed, here: _Placed, motion: MotionPrior, model: MotionModel
     ) -> PairRegistration | None:
         """Register two frames of a probe that rotates."""
         last, known = self._last, self._motion.known
         assert last is not None
         turn = last.angle - earlier.angle + self._turning.rate * (here.index - last.index) if known else 0.0
         zoom = last.scale / earlier.scale if known else 1.0
-        spread = self._turning.spread(here.index - last.index) if known and self.rung is rung else inf
-        motion = self._prior(earlier, here, ahead)
+        spread = self._turning.spread(here.index - last.index) if known and self.model is model else inf
         for reach in (None, _reach(motion)) if known else (_reach(motion),):
             link = self.registrar.turned_link(
-                earlier.view, here.view, motion, (turn, zoom), rung, self._scratch, reach, spread
+                earlier.view, here.view, motion, (turn, zoom), model, self._scratch, reach, spread
             )
             if link is not None and self._accepted(link) and (reach or link.correlation > SURE_CORRELATION):
                 return link
@@ -280,23 +280,22 @@ class Tracker:
         """Return True if the odds suffice and the frames correlate about as well as frames did so far."""
         return link.observed and not link.correlation < self._usual - FALL_OF_CORRELATION
 
-    def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration) -> bool:
+    def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose and velocity; return False if the probe moved too unevenly within the frames."""
-        shutter, last = self.grid.shutter, self._last
-        assert last is not None
-        motion = self._prior(earlier, here, self._expected(earlier, here.index), MIN_SHARE)
+        shutter, expected = self.grid.shutter, motion.displacement
         after, here.velocity_variance = motion.later_velocity(link.warp, link.warp_covariance)
         by_velocity = hypot(link.warp.b, link.warp.d) / shutter.line_periods_per_frame
+        moved = shutter.displacement(link.warp, after)
+        missed_px = hypot(moved.row - expected.row, moved.col - expected.col)
         here.sigma = hypot(
-            link.sigma, self._motion.unevenness(after, link.warp), by_velocity * here.velocity_variance**0.5
+            link.sigma, self._motion.unevenness(after, link.warp, missed_px), by_velocity * here.velocity_variance**0.5
         )
         if here.sigma > MAX_SIGMA_PX:
             return False
         if not self._motion.known:
             earlier.velocity, earlier.velocity_variance = after, here.velocity_variance
-        moved = shutter.displacement(link.warp, after)
         here.angle, here.scale, here.velocity = earlier.angle + link.turn, earlier.scale * link.zoom, after
-        row, col = moved if self.rung is MotionModel.TRANSLATION else turned_by(here.angle, here.scale) @ moved
+        row, col = moved if self.model is MotionModel.TRANSLATION else turned_by(here.angle, here.scale) @ moved
         here.row, here.col = earlier.row + float(row), earlier.col + float(col)
         self.links.append((earlier.index, here.index, moved, link))
         return True
@@ -305,7 +304,7 @@ class Tracker:
         last = self._last
         assert last is not None
         gap = here.index - last.index
-        if self.rung is not MotionModel.TRANSLATION:
+        if self.model is not MotionModel.TRANSLATION:
             self._turning.follow(here.angle - last.angle, gap)
         self._motion.follow(here.velocity, here.velocity_variance, successive=gap == 1)
         self._last, self._newest = here, link

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares_places
-from napari_elsplus.processing.tracking.pose_graph.marginalisation import linked_anew, retained_nodes
+from napari_elsplus.processing.tracking.pose_graph.marginalisation import marginalised_edges, retained_nodes
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by
 
 NODES = 60
@@ -36,7 +36,7 @@ def test_the_nodes_that_stay_lie_where_they_lay(sigma: float) -> None:
     assert stays.sum() == 20
     assert stays[::7].all()
     assert stays[[0, -1]].all()
-    few_chain, few_loops = linked_anew(chain, loops, stays)
+    few_chain, few_loops = marginalised_edges(chain, loops, stays)
     assert len(few_chain) == 19
     assert 0 < len(few_loops) <= len(loops)
     whole, few = least_squares_places([*chain, *loops]), least_squares_places([*few_chain, *few_loops])

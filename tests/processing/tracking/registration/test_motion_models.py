@@ -116,13 +116,13 @@ def test_motion_of_the_earlier_frame_is_undone_before_it_is_turned() -> None:
 def noticed(rate: float, zoom: float, links: int, seed: int = 0) -> tuple[MotionModel, int]:
     """What a sequence of links asks for, each of which turns and zooms a little; and after how many."""
     random = np.random.default_rng(seed)
-    climb, sigma = ModelSelection(), np.array([3e-4, 3e-4])
+    selection, sigma = ModelSelection(), np.array([3e-4, 3e-4])
     for k in range(links):
         step = np.zeros((3, 6))
         step[:, 4:] = random.normal((rate, zoom), sigma)
-        if climb.weigh(Remainder(step, sigma, 1500.0)) is not MotionModel.TRANSLATION:
-            return climb.rung, k
-    return climb.rung, links
+        if selection.weigh(Remainder(step, sigma, 1500.0)) is not MotionModel.TRANSLATION:
+            return selection.model, k
+    return selection.model, links
 
 
 def test_no_more_is_modelled_than_the_frames_ask_for() -> None:
@@ -130,21 +130,21 @@ def test_no_more_is_modelled_than_the_frames_ask_for() -> None:
 
 
 def test_a_turn_that_no_single_link_shows_is_noticed_in_their_sum() -> None:
-    rung, links = noticed(2e-4, 0.0, 500)
-    assert rung is MotionModel.RIGID
+    model, links = noticed(2e-4, 0.0, 500)
+    assert model is MotionModel.RIGID
     assert 5 < links < 100
     assert noticed(2e-4, 2e-3, 500)[0] is MotionModel.SIMILARITY
 
 
 def test_a_turn_that_begins_late_is_noticed() -> None:
-    climb, sigma, rungs = ModelSelection(), np.array([3e-4, 3e-4]), []
+    selection, sigma, models = ModelSelection(), np.array([3e-4, 3e-4]), []
     random = np.random.default_rng(0)
     for k in range(48):
         step = np.zeros((3, 6))
         step[:, 4:] = random.normal((0.002 if k >= 40 else 0.0, 0.0), sigma)
-        rungs.append(climb.weigh(Remainder(step, sigma, 1500.0)))
-    assert rungs[39] is MotionModel.TRANSLATION
-    assert rungs[-1] is MotionModel.RIGID
+        models.append(selection.weigh(Remainder(step, sigma, 1500.0)))
+    assert models[39] is MotionModel.TRANSLATION
+    assert models[-1] is MotionModel.RIGID
 
 
 def test_errors_that_mislead_many_links_in_a_row_are_no_turn() -> None:
@@ -152,13 +152,13 @@ def test_errors_that_mislead_many_links_in_a_row_are_no_turn() -> None:
     climbed = 0
     for seed in range(40):
         random = np.random.default_rng(seed)
-        climb, sigma, error = ModelSelection(), np.array([3e-4, 3e-4]), np.zeros(2)
+        selection, sigma, error = ModelSelection(), np.array([3e-4, 3e-4]), np.zeros(2)
         for _ in range(60):
             error = 0.6 * error + 0.8 * random.normal(0, sigma)
             step = np.zeros((3, 6))
             step[:, 4:] = error
-            climb.weigh(Remainder(step, sigma, 1500.0))
-        climbed += climb.rung is not MotionModel.TRANSLATION
+            selection.weigh(Remainder(step, sigma, 1500.0))
+        climbed += selection.model is not MotionModel.TRANSLATION
     assert climbed <= 2
 
 

@@ -1,7 +1,7 @@
 """The two views of a raw frame, binned onto a coarser grid, subtracted and smoothed in one pass over its memory.
 
 Row by row of the grid, so that everything but the camera's memory and the result stays in the processor's nearest
-cache; the memory that comes next is asked for ahead of its use.
+cache; the memory that comes next is prefetched.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ class FrontEnd:
         return total
 
     def blank(self, raw: NDArray[Any]) -> bool:
-        """Whether the confocal view shows nothing, so that only background and flat field have structure.
+        """Return True if the confocal view shows nothing, so that only background and flat field have structure.
 
         Most of it is at the camera's limit, or all of it at one level.
 

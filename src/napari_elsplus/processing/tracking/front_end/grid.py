@@ -129,7 +129,7 @@ class Grid:
 
 
 def lit_pixels(first: NDArray[np.int32], last: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Which pixels of an (n, n) image lie in the lit columns of their rows: from `first` to before `last`, (n,)."""
+    """Return the lit pixels of an (n, n) image: columns from `first` to before `last`, (n,), of each row."""
     columns = np.arange(len(first))
     return (columns >= first[:, None]) & (columns < last[:, None])
 

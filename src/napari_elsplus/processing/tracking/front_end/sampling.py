@@ -30,10 +30,10 @@ _AFTER: Final = 3
 def row_shift(
     row: int, height: int, middle: float, warp: NDArray[np.float64], first: NDArray[np.int32], last: NDArray[np.int32]
 ) -> tuple[int, float, int, float, int, int]:
-    """Where one row of the template falls in the image, and the columns in which both are lit.
+    """Return the shift of one row of the template in the image, and the columns in which both are lit.
 
-    Returns the image row above and the fraction below it, the whole column shift and its fraction, and the first column
-    and the one after the last; nothing overlaps where these are equal.
+    These are the image row above and the fraction below it, the whole column shift and its fraction, the first column
+    and the one after the last; nothing overlaps where the last two are equal.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def neighbours(image: NDArray[np.float32], above: int, left: int, size: int) -> 
 
 @lean_kernel
 def bilinear(down: float, across: float) -> tuple[np.float32, ...]:
-    """Weights of these four.
+    """Return the weights of these four.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def bilinear(down: float, across: float) -> tuple[np.float32, ...]:
 
 @lean_kernel
 def between(corners: tuple[NDArray[np.float32], ...], weights: tuple[np.float32, ...], k: int) -> np.float32:
-    """Sample k of such a row.
+    """Return sample k of such a row.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def between(corners: tuple[NDArray[np.float32], ...], weights: tuple[np.float32,
 
 @lean_kernel
 def reaches(shape: tuple[int, int], above: int, left: int, size: int) -> bool:
-    """Whether all pixels that :func:`finely_sampled` reads are there."""
+    """Return True if all pixels that :func:`finely_sampled` reads are there."""
     rows = above >= _BEFORE and above + _AFTER < shape[0]
     return bool(rows and left >= _BEFORE and left + size + _AFTER <= shape[1])
 

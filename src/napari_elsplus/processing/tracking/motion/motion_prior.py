@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 _MIN_STRETCH_SIGMA: Final = 1e-9
 """Smallest standard deviation of stretch and shear: that of a global shutter."""
-_ROUNDS: Final = 3
 DEGREES_OF_FREEDOM: Final = 4.0
 """Of Student's t-distribution: hands jerk, so the tails are heavy; chosen, 3 to 6 serve as well."""
 
@@ -93,8 +92,8 @@ class MotionPrior(NamedTuple):
 
     def _of_differences(self) -> tuple[float, float, float]:
         """Variances of the difference of the velocities and of the shift, and their covariance."""
-        c = self.covariance
-        return float(c[0, 0] + c[2, 2] - 2 * c[0, 2]), float(c[1, 1]), float(c[1, 2] - c[0, 1])
+        (vv, vd, vw), (_, dd, dw), (_, _, ww) = self.covariance.tolist()
+        return vv + ww - 2 * vw, dd, dw - vd
 
     def at(self, b: float, d: float) -> Warp:
         """Return the expected warp at another shift.
@@ -119,33 +118,29 @@ class MotionPrior(NamedTuple):
             (4, 4) covariance of a, b, s, d.
         """
         aa, bb, ab = self._of_differences()
-        c, rows = self.covariance, self.shutter.line_periods_per_frame
+        (_, _, vw), (_, _, dw), (_, _, ww) = self.covariance.tolist()
+        rows = self.shutter.line_periods_per_frame
         # regression of the later velocity on the difference of the velocities (earlier - later) and on minus the shift
-        with_difference, with_shift = float(c[0, 2] - c[2, 2]), -float(c[1, 2])
+        with_difference, with_shift = vw - ww, -dw
         if not isfinite(rows):
             ab = with_difference = rows = 0.0
         aa += 1e-12
         determinant = aa * bb - ab * ab
         p = (bb * with_difference - ab * with_shift) / determinant
         q = (aa * with_shift - ab * with_difference) / determinant
-        after, surprise = self.after, 0.0
-        for _ in range(_ROUNDS):  # the displacement depends on the later velocity
-            moved = self.shutter.displacement(warp, after)
-            gained = rows * (warp.a - 1) + (warp.a - 1) * after.row, warp.s * rows + (warp.a - 1) * after.col
-            found, surprise = [], 0.0
-            for axis in range(2):
-                x = (gained[axis] - self.before[axis] + self.after[axis]) if rows else 0.0
-                y = self.displacement[axis] - moved[axis]
-                found.append(self.after[axis] + p * x + q * y)
-                surprise += (bb * x * x - 2 * ab * x * y + aa * y * y) / determinant
-            after = Velocity(*found)
+        # displacement and difference are linear in the later velocity
+        own, per_velocity = warp.a - 1 if rows else 0.0, warp.b / self.shutter.line_periods_per_frame
+        found, surprise = [], 0.0
+        for axis, gained, shift in ((0, warp.a - 1, warp.b), (1, warp.s, warp.d)):
+            x = rows * gained - self.before[axis] + self.after[axis] if rows else 0.0
+            y = self.displacement[axis] + shift
+            velocity = (self.after[axis] + p * x + q * y) / (1 - p * own - q * per_velocity)
+            x, y = x + own * velocity, y + per_velocity * velocity
+            surprise += (bb * x * x - 2 * ab * x * y + aa * y * y) / determinant
+            found.append(velocity)
         scaled = p * rows
-        spread = max(
-            float(
-                scaled**2 * covariance[k, k] + 2 * scaled * q * covariance[k, k + 1] + q * q * covariance[k + 1, k + 1]
-            )
-            for k in (0, 2)
-        )
-        left = max(float(c[2, 2]) - p * with_difference - q * with_shift, 0.0)
+        s = covariance.tolist()
+        spread = max(scaled**2 * s[k][k] + 2 * scaled * q * s[k][k + 1] + q * q * s[k + 1][k + 1] for k in (0, 2))
+        left = max(ww - p * with_difference - q * with_shift, 0.0)
         left *= (DEGREES_OF_FREEDOM + surprise) / (DEGREES_OF_FREEDOM + 4)
-        return after, left + spread
+        return Velocity(*found), left + spread

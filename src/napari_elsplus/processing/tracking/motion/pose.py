@@ -1,4 +1,4 @@
-"""Where a frame was found to be, and how much that is worth."""
+"""Pose of a frame, and its state."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ if TYPE_CHECKING:
 
 
 class TrackingState(StrEnum):
-    """How much is known of a frame's position."""
+    """State of a frame's pose."""
 
     TRACKED = "tracked"
-    """Linked to other frames by what they show."""
+    """Registered to another frame."""
     PREDICTED = "predicted"
-    """Not linked; the position is what the motion before suggests."""
+    """Not registered; the pose is extrapolated from the motion before."""
     LOST = "lost"
     """Unknown."""
 
 
 class Pose(NamedTuple):
-    """Where the probe was while one frame was read; pixels of the tracking grid.
+    """Pose of the probe while one frame was read; pixels of the tracking grid.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Pose(NamedTuple):
     state : TrackingState
         Tracked, predicted or lost.
     angle : float
-        Of the probe against the segment's first frame, radians, from rows towards columns; zero until asked for.
+        Of the probe against the segment's first frame, radians, from rows towards columns.
     scale : float
         Pixels of the first frame per pixel of this one.
     """

@@ -30,7 +30,7 @@ _FIRST_SURPRISE: Final = 4.0
 _SPREAD_OF_SURPRISE: Final = 1.0
 """Standard deviation of a velocity, in each axis, over the mean distance of recent ones from those expected; 0.8 for a
 normal distribution, 1 for heavier tails."""
-MIN_SHARE: Final = 2.0
+_MIN_SHARE: Final = 2.0
 """Smallest variance of an estimated velocity over that of the next one; chosen. Distortion of the optics adds the same
 to the stretch of every frame: were velocities trusted more than displacements, such errors would add up."""
 _FIRST_TURN: Final = 0.004
@@ -57,7 +57,7 @@ class Motion:
     velocity, change : Velocity
         During the last frame that was registered, and what it gained over the frame before; pixels per frame period.
     variance : float
-        Of that velocity.
+        Of that velocity, as the prior uses it.
     surprise : float
         Mean distance of recent velocities from those expected.
 
@@ -98,9 +98,9 @@ class Motion:
             self.surprise += _MEMORY * (miss - self.surprise)
             gained = Velocity(velocity.row - self.velocity.row, velocity.col - self.velocity.col)
         self.velocity, self.change, self.known = velocity, gained, True
-        self.variance = variance
+        self.variance = max(variance, _MIN_SHARE * self.spread**2)
 
-    def unevenness(self, velocity: Velocity, warp: Warp) -> float:
+    def unevenness(self, velocity: Velocity, warp: Warp, missed_px: float) -> float:
         """Return the error of a displacement, pixels, because the probe did not move evenly within the frames.
 
         The rolling shutter's warp is exact for even motion within each frame, and stays so under a steady acceleration.
@@ -112,6 +112,8 @@ class Motion:
             Of the later frame, pixels per frame period.
         warp : Warp
             From the earlier to the later frame.
+        missed_px : float
+            Distance of the displacement from the expected one: a jolt between two frames lies in part within them.
         """
         if not self._read:
             return 0.0
@@ -119,6 +121,7 @@ class Motion:
         jerk = rows * hypot(warp.a - 1, warp.s)
         if self.known:
             jerk = hypot(velocity.row - self.next_velocity.row, velocity.col - self.next_velocity.col)
+            jerk = max(jerk, missed_px)
         return _UNEVEN * self._read**2 * jerk
 
     @property
@@ -142,7 +145,6 @@ class Motion:
         displacement: Displacement,
         frames: int,
         before: tuple[Velocity, float] | None = None,
-        min_share: float = 0.0,
     ) -> MotionPrior:
         """Return the prior of the motion from an earlier frame to one so many frames after the last registered one.
 
@@ -154,11 +156,9 @@ class Motion:
             Frame periods since the last registered frame.
         before : tuple, optional
             Velocity of the earlier frame and its variance, if that is another than the last registered one.
-        min_share : float
-            Smallest variance of the last velocity over that of the next one: :data:`MIN_SHARE` to estimate velocities.
         """
         q = self.spread**2
-        own = max(self.variance, min_share * q)
+        own = self.variance
         with_shift, with_later = (own * frames, own) if before is None else (0.0, 0.0)
         velocity, variance = (self.velocity, own) if before is None else before
         shift = own * frames**2 + q * frames**3 / 3
@@ -170,7 +170,7 @@ class Motion:
 
 
 class Turning:
-    """How fast the probe turns, as far as accepted links tell, and how much that has been worth.
+    """Rate of rotation of the probe from accepted registrations, and its scatter.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ class Turning:
         self._surprise = _FIRST_TURN
 
     def follow(self, turned: float, frames: int) -> None:
-        """Take note of what the probe has turned within so many frames."""
+        """Add the rotation within so many frames."""
         miss = turned / frames - self.rate
         self._surprise += _MEMORY * (abs(miss) - self._surprise)
         self.rate += _MEMORY * miss

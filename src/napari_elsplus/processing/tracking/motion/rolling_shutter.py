@@ -26,7 +26,7 @@ class Velocity(NamedTuple):
 
 
 class Warp(NamedTuple):
-    """Where a frame's pixels lie in another: ``y' = a y + b``, ``x' = x + s y + d``, about the bundle's centre."""
+    """Map of a frame's pixels into another: ``y' = a y + b``, ``x' = x + s y + d``, about the bundle's centre."""
 
     a: float = 1.0
     b: float = 0.0
@@ -48,8 +48,8 @@ class RollingShutter:
     Parameters
     ----------
     line_periods_per_frame : float
-        Rows of the grid per frame period, idle time included. Infinite for a global shutter, or where it is unknown:
-        the warp between two frames is then a translation.
+        Rows of the grid per frame period, idle time included. Infinite for a global shutter, or without
+        calibration: the warp between two frames is then a translation.
 
     Examples
     --------

@@ -151,7 +151,7 @@ class Corrections:
 
 
 class Path:
-    """Where the tracker has had every frame; lost ones are nowhere.
+    """Poses of every frame as tracked; lost ones are nan.
 
     Attributes
     ----------

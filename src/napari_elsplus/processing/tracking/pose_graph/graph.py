@@ -17,7 +17,7 @@ import numpy as np
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction, Corrections
 from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares
-from napari_elsplus.processing.tracking.pose_graph.marginalisation import linked_anew, retained_nodes
+from napari_elsplus.processing.tracking.pose_graph.marginalisation import marginalised_edges, retained_nodes
 from napari_elsplus.processing.tracking.pose_graph.place_recognition import PlaceIndex
 from napari_elsplus.processing.tracking.pose_graph.relative_pose import (
     AGREEMENT_PX,
@@ -241,7 +241,7 @@ class PoseGraph:
         free = np.array([not kept(node) and node.upright is None for node in self.nodes])
         stays = there.copy()
         stays[there] = retained_nodes(self._where[:count, 2][there], segment[there], free[there], 2 * MAX_NODES // 3)
-        chain, loops = linked_anew(self._chain, self._loops, stays)
+        chain, loops = marginalised_edges(self._chain, self._loops, stays)
         number, left = (np.cumsum(stays) - 1).tolist(), np.flatnonzero(stays).tolist()
         self._chain, self._loops = (
             [edge._replace(earlier=number[edge.earlier], later=number[edge.later]) for edge in edges]

@@ -62,7 +62,7 @@ def retained_nodes(
     return stays
 
 
-def linked_anew(
+def marginalised_edges(
     chain: Sequence[Edge], loops: Sequence[Edge], stays: NDArray[np.bool_]
 ) -> tuple[list[Edge], list[Edge]]:
     """Return the edges between retained nodes; of several between the same two the most accurate is kept.

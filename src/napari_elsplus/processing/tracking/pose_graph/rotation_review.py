@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
-from napari_elsplus.processing.tracking.registration.model_selection import asked_for
+from napari_elsplus.processing.tracking.registration.model_selection import selected_model
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, angle_of, composed, scale_of
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     Found = tuple[int, int, Displacement, PairRegistration]
 
 LARGE_TURN: Final = 0.004
-"""Angle from which frames are registered anew instead of being corrected by a linear step, radians; derived: half a
+"""Angle from which frames are registered again instead of being corrected by a linear step, radians; derived: half a
 pixel at the rim."""
 _MAX_TESTED: Final = 600
 """Registrations that are tested; chosen: some 0.2 s."""
@@ -58,7 +58,7 @@ def review_rotation(links: Sequence[Found], registrar: Registrar, view: Callable
     asked = [(registrar.remainder(view(a), view(b), link.warp, _LOOSE), link) for a, b, _, link in chosen]
     every = [found for found, _ in asked if found is not None]
     sure = [found for found, link in asked if found is not None and link.tells_turn]
-    return min(asked_for(every), asked_for(sure))
+    return min(selected_model(every), selected_model(sure))
 
 
 def turned_links(
@@ -108,8 +108,8 @@ def _turned(
     if abs(turned.turn) > LARGE_TURN:
         velocities = poses[earlier].velocity, poses[later].velocity
         motion = MotionPrior.between(velocities, moved, _VELOCITY_SIGMA_PX, _SHIFT_SIGMA_PX, shutter)
-        anew = registrar.turned_link(before, after, motion, (turned.turn, turned.zoom), model, scratch)
-        turned = turned if anew is None or not anew.observed else anew
+        again = registrar.turned_link(before, after, motion, (turned.turn, turned.zoom), model, scratch)
+        turned = turned if again is None or not again.observed else again
     if later == earlier + 1:
         poses[later] = poses[later]._replace(velocity=shutter.velocities(turned.warp)[1])
     return earlier, later, shutter.displacement(turned.warp, poses[later].velocity), turned

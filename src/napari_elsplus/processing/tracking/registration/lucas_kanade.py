@@ -1,4 +1,4 @@
-"""Two frames brought onto each other to a hundredth of a pixel: inverse-compositional Lucas-Kanade.
+"""Registration of two frames to a hundredth of a pixel by inverse-compositional Lucas-Kanade.
 
 The model is the rolling shutter's warp (``motion.rolling_shutter``): rows stretched, columns
 sheared. Differences of gain and offset between the frames are projected out.
@@ -36,7 +36,7 @@ _TONE_ROWS = 4
 
 
 class Workspace(NamedTuple):
-    """What :func:`align` and what is built on it work in; one for each thread at work.
+    """Scratch of :func:`align` and of what is built on it; one for each thread.
 
     Parameters
     ----------
@@ -234,14 +234,14 @@ def align(
     finely : bool
         Whether the image is sampled through six by six pixels, else between four.
     expected, stiffness : numpy.ndarray
-        (4,) and (4, 4) float64, or larger: what is known of the warp beforehand, and its information; zero leaves a
+        (4,) and (4, 4) float64, or larger: prior mean of the warp, and its information; zero leaves a
         parameter free.
     correlated_px : float
         Number of pixels that share one independent noise value: scales the information.
     warp : numpy.ndarray
         (4,) float64: a, b, s, d; where to start, and the result.
     information : numpy.ndarray
-        (4, 4) float64: inverse covariance of the result, what was known beforehand included.
+        (4, 4) float64: inverse covariance of the result, the prior included.
     work : Workspace
         For frames of this size or larger; its tone is filled.
 
@@ -289,7 +289,7 @@ def align(
         warp[0], warp[2] = a, s
         tone[0] += right[PARAMETERS]
         tone[1] += right[PARAMETERS + 1]
-        # what is known of the warp once gain and offset are eliminated: the Schur complement, left by the elimination
+        # information on the warp once gain and offset are eliminated: the Schur complement, left by the elimination
         for i in range(PARAMETERS):
             for k in range(PARAMETERS):
                 information[i, k] = normal[i, k] / noise

@@ -1,9 +1,9 @@
-"""How much motion a pair of frames asks for: translation, rotation, scale, and no more than the evidence bears.
+"""Score test for rotation and scale beside the rolling shutter's warp, and frames freed of both.
 
-The rolling shutter's warp has no rotation and no change of scale in it. What a link leaves unexplained tells whether
-they are needed: one more pass over the frames gives what rotation and scale would add to the warp, with its
-uncertainty (``registration.model_selection`` weighs it). A frame that has turned is turned back before
-it is compared again, so that everything else stays as it is for a probe that does not turn.
+The rolling shutter's warp contains no rotation and no change of scale. One more pass over registered frames estimates
+what these would add to the warp, with its uncertainty; ``registration.model_selection`` decides whether they are
+modelled. A rotated frame is rotated back before it is registered, so that all else remains as for a probe that does not
+rotate.
 """
 
 from __future__ import annotations
@@ -34,30 +34,30 @@ _TONE: Final = 6
 
 
 class MotionModel(IntEnum):
-    """What is modelled beside the rolling shutter's warp."""
+    """Motion that is modelled beside the rolling shutter's warp."""
 
     TRANSLATION = 0
     """Nothing."""
     RIGID = 1
-    """The probe turns."""
+    """The probe rotates."""
     SIMILARITY = 2
-    """The probe turns, and what it shows changes in scale."""
+    """The probe rotates, and its images change in scale."""
 
 
-_FREE: Final = np.array([[n not in range(4 + rung, 6) for n in range(_UNKNOWNS)] for rung in MotionModel], np.float64)
+_FREE: Final = np.array([[n not in range(4 + model, 6) for n in range(_UNKNOWNS)] for model in MotionModel], np.float64)
 _FREE_PAIRS: Final = _FREE[:, :, None] * _FREE[:, None, :]
 _HELD_AT_ZERO: Final = (1 - _FREE[:, :, None]) * np.eye(_UNKNOWNS)
-"""Which unknowns each rung models, and what makes the equations of the others read: zero."""
+"""Unknowns that each model leaves free, and the equations that hold the others at zero."""
 
 
 class Remainder(NamedTuple):
-    """What a link leaves unexplained, as a change of the warp.
+    """Score test of a registration: the change of the warp that each model would add.
 
     Parameters
     ----------
     step : numpy.ndarray
-        (3, 6): for each rung the change of a, b, s, d, of rows per column and of columns per column, each at its best;
-        what a rung does not model is zero.
+        (3, 6): for each model the change of a, b, s, d, of rows per column and of columns per column, each at its best;
+        what a model does not model is zero.
     sigma : numpy.ndarray
         (2,) standard deviations of the rotation (radians) and of the scale, as parts of one.
     values : float
@@ -128,14 +128,14 @@ def unsheared(velocity: Velocity, line_periods_per_frame: float) -> Matrix:
 
 
 def composed(warp: Warp, step: Matrix) -> tuple[Warp, Matrix]:
-    """Apply a change, and tell what of it is the warp and what is rotation and scale.
+    """Return a warp to which a change was applied, and the rotation and scale of that change.
 
     Parameters
     ----------
     warp : Warp
         That the frames were compared under.
     step : numpy.ndarray
-        (6,): one rung's of :class:`Remainder`.
+        (6,): one model's of :class:`Remainder`.
 
     Returns
     -------
@@ -174,7 +174,7 @@ def remainder(
     correlated_px: float,
     turn: tuple[float, float] = (0.0, inf),
 ) -> Remainder | None:
-    """Ask what rotation and scale would add to a warp.
+    """Estimate what rotation and scale would add to a warp.
 
     Parameters
     ----------

@@ -34,11 +34,6 @@ _FLOOR_SHARE: Final = 0.03
 of the brightest block's variance."""
 _COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0)
 """Distances of competing shifts, pixels of full resolution."""
-_NEAR_PX: Final = 2.0
-"""Distance of the nearest competing shift, whose likelihood follows from the shared curvature: just wrong."""
-_BEYOND_DOUBT_NATS: Final = 60.0
-"""Odds against the shifts on both sides that make the nearer and the farther ones needless; chosen, ten times those
-that are needed."""
 _STEPS: Final = 2
 _HELD: Final = 1e8
 """Information that holds a competing shift where it is, 1 / px^2."""
@@ -49,7 +44,7 @@ _ROW_STEP: Final = 2
 def blocks(side: int) -> NDArray[np.float64]:
     """Return scratch for the sums of every block, for frames of that side at full resolution."""
     across = -(-(side // 2) // BLOCK_PX)
-    return np.zeros((4, across * across))
+    return np.zeros((6, across * across))
 
 
 @lean_kernel
@@ -112,58 +107,78 @@ def log_likelihood(
 
 
 @lean_kernel
-def shared_curvature(
+def log_ratio(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
     first: NDArray[np.int32],
     last: NDArray[np.int32],
     middle: float,
     warp: NDArray[np.float64],
-    down: float,
-    aside: float,
-    gain: float,
+    other: NDArray[np.float64],
     sums: NDArray[np.float64],
 ) -> float:
-    """Return the information on a shift along one direction from structure that both frames contain, 1 / px^2.
+    """Return the log-likelihood of a warp above that of a competing one, where the frames overlap under both, nats.
 
-    Lucas-Kanade squares the slopes of one frame, in which noise passes for structure along a fibre. The noise of two
-    frames is independent: products of the slopes of one and of the other contain structure only.
+    The noise of a block is what the warp leaves unexplained in it.
 
     Parameters
     ----------
-    template, image, first, last, middle, warp
+    template, image, first, last, middle, warp, sums
         As in :func:`log_likelihood`.
-    down, aside : float
-        Unit vector (rows, cols).
-    gain : float
-        Of the image over the template.
-    sums : numpy.ndarray
-        As :func:`log_likelihood` has left it for this warp.
+    other : numpy.ndarray
+        (4,) competing warp, pixels of half resolution.
     """
-    height, total = template.shape[0], 0.0
+    height = template.shape[0]
     across = (height + BLOCK_PX - 1) // BLOCK_PX
-    floor = noise_floor(sums)
-    for row in range(1, height - 1):
-        above, under, whole, beside, begin, end = row_shift(row, height, middle, warp, first, last)
-        begin, end = begin + 1, end - 1
-        if end <= begin or above < 1 or above + 2 >= height:
+    sums[:] = 0.0
+    for row in range(height):
+        above, down, whole, aside, begin, end = row_shift(row, height, middle, warp, first, last)
+        above2, down2, whole2, aside2, begin2, end2 = row_shift(row, height, middle, other, first, last)
+        begin, end = max(begin, begin2), min(end, end2)
+        if end <= begin:
             continue
-        weights, size = bilinear(under, beside), end - begin
-        at = begin + whole
-        upper, lower = neighbours(image, above - 1, at, size), neighbours(image, above + 1, at, size)
-        before, after = neighbours(image, above, at - 1, size), neighbours(image, above, at + 1, size)
-        for k in range(size):
-            col = begin + k
+        weights, weights2 = bilinear(down, aside), bilinear(down2, aside2)
+        corners = neighbours(image, above, begin + whole, end - begin)
+        corners2 = neighbours(image, above2, begin + whole2, end - begin)
+        col = begin
+        while col < end:
             block = row // BLOCK_PX * across + col // BLOCK_PX
-            n = sums[0, block]
-            noise = sums[2, block] + gain * (gain * sums[1, block] - 2 * sums[3, block]) + n * floor
-            of_template = down * (template[row + 1, col] - template[row - 1, col])
-            of_template += aside * (template[row, col + 1] - template[row, col - 1])
-            of_image = down * (between(lower, weights, k) - between(upper, weights, k))
-            of_image += aside * (between(after, weights, k) - between(before, weights, k))
-            total += gain * of_template * of_image * n / noise
-    # central differences over two pixels of half resolution, of which each is two of full resolution
-    return float(total / 16 / (CORRELATED_PX / 4))
+            stop = min(end, (col // BLOCK_PX + 1) * BLOCK_PX)
+            zero = np.float32(0)
+            tt, ii, ti, ii2, ti2 = zero, zero, zero, zero, zero
+            for k in range(col, stop):
+                t, i, i2 = (
+                    template[row, k],
+                    between(corners, weights, k - begin),
+                    between(corners2, weights2, k - begin),
+                )
+                tt += t * t
+                ii += i * i
+                ti += t * i
+                ii2 += i2 * i2
+                ti2 += t * i2
+            sums[0, block] += stop - col
+            sums[1, block] += float(tt)
+            sums[2, block] += float(ii)
+            sums[3, block] += float(ti)
+            sums[4, block] += float(ii2)
+            sums[5, block] += float(ti2)
+            col = stop
+    all_tt, all_ti, all_ti2 = 0.0, 0.0, 0.0
+    for block in range(sums.shape[1]):
+        all_tt += sums[1, block]
+        all_ti += sums[3, block]
+        all_ti2 += sums[5, block]
+    if not all_tt > 0:
+        return 0.0
+    gain, gain2, floor, nats = all_ti / all_tt, all_ti2 / all_tt, noise_floor(sums), 0.0
+    for block in range(sums.shape[1]):
+        n, tt = sums[0, block], sums[1, block]
+        if n > 0:
+            left = sums[2, block] + gain * (gain * tt - 2 * sums[3, block])
+            left2 = sums[4, block] + gain2 * (gain2 * tt - 2 * sums[5, block])
+            nats += 0.5 * n / (CORRELATED_PX / 4) * (left2 - left) / (left + n * floor)
+    return float(nats)
 
 
 @lean_kernel
@@ -255,17 +270,14 @@ def log_odds(
         return 0.0
     equations = work.equations
     held, scratch, rival, start, full = equations[3], equations[4], equations[5, 0], equations[5, 1], equations[5, 2]
-    in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), start)
-    found = log_likelihood(template, image, first, last, middle, start, sums) - prior_terms(warp, expected, terms)[1]
-    against = np.exp(-found)
-    for k, px in enumerate(_COMPETITORS_PX):
-        if k == 2:
-            if against < np.exp(-_BEYOND_DOUBT_NATS):
-                break
-            in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), start)
-            log_likelihood(template, image, first, last, middle, start, sums)
-            shared = shared_curvature(template, image, first, last, middle, start, down, across, work.tone[2], sums)
-            against += np.exp(-0.5 * _NEAR_PX * _NEAR_PX * max(shared, 0.0))
+    half = equations[6, 0]
+    in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), half)
+    prior = prior_terms(warp, expected, terms)[1]
+    unrelated = log_likelihood(template, image, first, last, middle, half, sums) - prior
+    against = np.exp(-unrelated)
+    # one competitor stands for all shifts that the prior allows
+    alike = max(1.0, 1 / (terms[2] * _COMPETITORS_PX[0] ** 2))
+    for px in _COMPETITORS_PX:
         b, d = warp[1] + px * down, warp[3] + px * across
         full[0], full[1] = warp[0] + px * a_follows, b
         full[2], full[3] = warp[2] + px * s_follows, d
@@ -284,10 +296,10 @@ def log_odds(
             template, image, first, last, middle, _ROW_STEP, _STEPS, 0.02, False, start, held,
             CORRELATED_PX / 4 / _ROW_STEP, rival, scratch, work,
         )  # fmt: skip
-        other = log_likelihood(template, image, first, last, middle, rival, sums)
         in_pixels_of(0.5, (rival[0], rival[1], rival[2], rival[3]), full)
-        other -= prior_terms(full, expected, terms)[1]
-        against += np.exp(min(max(other - found, -700.0), 700.0))
+        less = log_ratio(template, image, first, last, middle, half, rival, sums)
+        less += prior_terms(full, expected, terms)[1] - prior
+        against += alike * np.exp(-min(max(less, -700.0), 700.0))
     return float(-np.log(max(against, 1e-300)))
 
 
@@ -309,10 +321,10 @@ def in_pixels_of(px: float, warp: tuple[float, ...], out: NDArray[np.float64]) -
 
 @lean_kernel
 def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
-    """How well a shift is known in the direction in which it is known least.
+    """Return the standard deviation of a shift in its least constrained direction, px, and that direction.
 
-    Returns one standard deviation in pixels, the direction (rows, cols), and what stretch and shear do per pixel along
-    it; infinite and zero where nothing is known.
+    That is (rows, cols) of a unit vector; last the change of stretch and shear per pixel along it. Infinite and zero
+    where nothing is constrained.
 
     Parameters
     ----------
@@ -323,7 +335,7 @@ def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, f
     determinant = aa * ss - shear * shear
     if not determinant > 0:
         return np.inf, 0.0, 0.0, 0.0, 0.0
-    # how stretch and shear make up for a shift; what is left is known of the shift itself
+    # how stretch and shear make up for a shift; what is left is information on the shift itself
     ab, sb, ad, sd = information[0, 1], information[2, 1], information[0, 3], information[2, 3]
     a_row, s_row = -(ss * ab - shear * sb) / determinant, -(aa * sb - shear * ab) / determinant
     a_col, s_col = -(ss * ad - shear * sd) / determinant, -(aa * sd - shear * ad) / determinant
@@ -332,7 +344,7 @@ def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, f
     cols = information[3, 3] + ad * a_col + sd * s_col
     if not (rows > 0 and cols > 0):
         return np.inf, 0.0, 0.0, 0.0, 0.0
-    angle = 0.5 * np.arctan2(2 * both, rows - cols)  # of the direction known best
+    angle = 0.5 * np.arctan2(2 * both, rows - cols)  # of the best constrained direction
     across, along = -np.sin(angle), np.cos(angle)
     known = across * across * rows + 2 * across * along * both + along * along * cols
     return (

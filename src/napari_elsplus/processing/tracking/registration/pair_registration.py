@@ -15,7 +15,7 @@ import numpy as np
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, lit_pixels, overlap_of_discs
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
-from napari_elsplus.processing.tracking.registration import motion_models as ladder
+from napari_elsplus.processing.tracking.registration import motion_models
 from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
 from napari_elsplus.processing.tracking.registration.odds import (
     CORRELATED_PX,
@@ -33,12 +33,9 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 
-MIN_ODDS_NATS: Final = 6.0
-"""Log posterior odds from which a registration is accepted: one wrong in 400 if the noise model held; measured by
-``benchmarks.studies.acceptance``."""
-SHARP_PX: Final = 0.04
-"""Uncertainty of a shift at half resolution, pixels, below which noise matters less than what does not move at the rim:
-the image itself is then used, without its rim, else the high-passed one."""
+MIN_ODDS_NATS: Final = 12.0
+"""Log posterior odds from which a registration is accepted; chosen for about one wrong one in 1,000 in sparse scenes by
+``benchmarks.studies.acceptance``, on 6 recordings a row (seeds 100 to 105) that are not those reported."""
 HIGH_PASS_PX: Final = 8.0
 """Standard deviation of the Gaussian whose result is subtracted from images, pixels of full resolution."""
 _KERNEL: Final = (11, 11)
@@ -56,7 +53,7 @@ _SMALL_TURN: Final = 0.004
 class PreparedFrame:
     """A tracking image, high-passed at half and quarter resolution, and its spectra once needed.
 
-    The arrays belong to the view and are filled anew by :meth:`Registrar.prepare`.
+    The arrays belong to the view and are filled by :meth:`Registrar.prepare`.
     """
 
     levels: tuple[NDArray[np.float32], ...]
@@ -152,11 +149,9 @@ class Registrar:
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
         self._spans = [grid.spans(level=level) for level in range(LEVELS)]
-        self._lit = np.zeros((LEVELS, 2, grid.side), np.int32)
-        for columns, spans in zip(self._lit, self._spans, strict=True):
+        self._lit = np.zeros((LEVELS + 1, 2, grid.side), np.int32)
+        for columns, spans in zip(self._lit, (*self._spans, grid.spans(INNER_FIELD)), strict=True):
             columns[:, : len(spans[0])] = spans
-        self._lit_inner = self._lit.copy()
-        self._lit_inner[0] = grid.spans(INNER_FIELD)
         self._middles = tuple(grid.middle(level) for level in range(LEVELS))
         self._centre = self._middles[1], (grid.centre[1] - 0.5) / 2
         self.work = Workspace.of(grid.side)
@@ -220,23 +215,23 @@ class Registrar:
     def _refined(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp, coarsest: int
     ) -> PairRegistration:
-        expected, warp, information = np.array(motion.warp), np.array(start, float), np.empty((4, 4))
-        correlation, _ = descend(
-            earlier.levels, later.levels, self._lit, self._middles, coarsest, 1, expected, motion.terms, warp,
+        expected, terms = np.array(motion.warp), motion.terms
+        warp, information = np.array(start, float), np.empty((4, 4))
+        correlation, count, sharp = descend(
+            earlier.levels, later.levels, self._lit, self._middles, coarsest, 0, expected, terms, warp,
             information, self.work,
         )  # fmt: skip
-        if correlation > 0:
-            sharp = 2 * weakest_direction(information)[0] < SHARP_PX
-            levels = (earlier.levels, later.levels) if sharp else (self._fine(earlier), self._fine(later))
-            correlation, _ = descend(
-                *levels, self._lit_inner if sharp else self._lit, self._middles, 0, 0, expected, motion.terms, warp,
+        odds = 0.0
+        if sharp:
+            odds = -0.5 * count / CORRELATED_PX * log(max(1 - correlation**2, 1e-12))
+        elif correlation > 0:
+            correlation, _, _ = descend(
+                self._fine(earlier), self._fine(later), self._lit, self._middles, 0, 0, expected, terms, warp,
                 information, self.work,
             )  # fmt: skip
-        odds = 0.0
-        if correlation > 0:
             odds = log_odds(
                 earlier.levels[1], later.levels[1], *self._spans[1], self._middles[1], warp, information, expected,
-                motion.terms, self._sums, self.work,
+                terms, self._sums, self.work,
             )  # fmt: skip
         overlap = overlap_of_discs(hypot(warp[1], warp[3]) / (FIELD * self.grid.diameter))
         return PairRegistration(Warp(*warp.tolist()), information, correlation, overlap, odds)
@@ -260,7 +255,7 @@ class Registrar:
         (first, last), middle = self._spans[1], self._middles[1]
         for b, d in self._everywhere.peaks(self._spectra(earlier), self._spectra(later), motion.warp, reach_px):
             warp = np.array(motion.at(b, d))
-            correlation, _ = descend(
+            correlation, _, _ = descend(
                 earlier.levels, later.levels, self._lit, self._middles, 1, 1, expected, motion.terms, warp, scratch,
                 self.work,
             )  # fmt: skip
@@ -285,10 +280,8 @@ class Registrar:
         warp: Warp,
         spread: tuple[float, float],
         turn: tuple[float, float] = (0.0, inf),
-    ) -> ladder.Remainder | None:
-        """Ask what rotation and scale would add to a warp, where such a rotation is expected, give or take as much.
-
-        None where the frames say nothing.
+    ) -> motion_models.Remainder | None:
+        """Estimate what rotation and scale would add to a warp; None where the frames constrain nothing.
 
         Parameters
         ----------
@@ -303,7 +296,7 @@ class Registrar:
         """
         first, last = self._spans[1]
         stiffness = spread[0] ** -2, spread[1] ** -2
-        return ladder.remainder(
+        return motion_models.remainder(
             earlier.levels[1], later.levels[1], first, last, self._centre, warp, 2.0, stiffness, CORRELATED_PX / 4, turn
         )
 
@@ -323,9 +316,9 @@ class Registrar:
         out : PreparedFrame
             What is filled, and returned.
         """
-        unsheared = ladder.unsheared(velocity, self.grid.shutter.line_periods_per_frame)
-        matrix = ladder.turned_by(-turn, 1 / zoom) @ unsheared
-        ladder.upright(view.image, out.image, self.grid.centre, matrix)
+        unsheared = motion_models.unsheared(velocity, self.grid.shutter.line_periods_per_frame)
+        matrix = motion_models.turned_by(-turn, 1 / zoom) @ unsheared
+        motion_models.upright(view.image, out.image, self.grid.centre, matrix)
         return self.prepare(out)
 
     def turned_link(
@@ -334,7 +327,7 @@ class Registrar:
         later: PreparedFrame,
         motion: MotionPrior,
         rotation: tuple[float, float],
-        rung: ladder.MotionModel,
+        model: motion_models.MotionModel,
         scratch: PreparedFrame,
         reach_px: float | None = None,
         turn_spread: float = inf,
@@ -349,7 +342,7 @@ class Registrar:
             Of the displacement in the later frame's orientation, with the earlier frame's velocity in its own.
         rotation : tuple of float
             Expected angle (radians) and scale of the later frame over the earlier one.
-        rung : MotionModel
+        model : MotionModel
             What is modelled.
         scratch : PreparedFrame
             Is filled with the earlier frame, rotated.
@@ -379,9 +372,9 @@ class Registrar:
             found = None if link is None else self.remainder(upright, later, link.warp, motion.spread, left)
             if link is None or found is None:
                 return None
-            start, form = ladder.composed(link.warp, found.step[rung])
-            more = ladder.angle_of(form)
-            turn, zoom, sigma = turn - more, zoom / ladder.scale_of(form), float(found.sigma[0])
+            start, form = motion_models.composed(link.warp, found.step[model])
+            more = motion_models.angle_of(form)
+            turn, zoom, sigma = turn - more, zoom / motion_models.scale_of(form), float(found.sigma[0])
             if abs(more) < _SMALL_TURN:
                 break
         assert link is not None

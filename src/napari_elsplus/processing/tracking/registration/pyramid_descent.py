@@ -12,6 +12,7 @@ from napari_elsplus.processing.tracking.registration.odds import (
     CORRELATED_PX,
     in_pixels_of,
     prior_terms,
+    weakest_direction,
     write_prior,
 )
 
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     Levels = tuple[NDArray[np.float32], ...]
 
 LEVELS: Final = 3
+SHARP_PX: Final = 0.04
+"""Uncertainty of a shift at half resolution, pixels, below which structure constrains it in every direction; noise
+alone makes 0.06."""
 _STAGES: Final = (
     (2, 1, False, 12, 0.2),
     (1, 2, False, 10, 0.1),
@@ -46,15 +50,19 @@ def descend(
     warp: NDArray[np.float64],
     information: NDArray[np.float64],
     work: Workspace,
-) -> tuple[float, float]:
-    """Refine a warp in place from a coarse to a fine level; return correlation and pixels of the overlap.
+) -> tuple[float, float, bool]:
+    """Refine a warp in place from a coarse to a fine level.
+
+    From half to full resolution it goes on only if the shift is sharp by then: structure constrains it in every
+    direction. Noise then matters less than what does not move at the rim, which is left out.
 
     Parameters
     ----------
     earlier, later : tuple of numpy.ndarray
         Frames at full, half and quarter resolution, (n, n) float32.
     lit : numpy.ndarray
-        (LEVELS, 2, n) int32: first lit column of each row, and the one after the last, at each level.
+        (LEVELS + 1, 2, n) int32: first lit column of each row, and the one after the last, at each level; and at full
+        resolution without the rim.
     middles : tuple of float
         Row of the bundle's centre at each level.
     coarsest, finest : int
@@ -69,18 +77,31 @@ def descend(
         (4, 4) float64: inverse covariance of the result, the prior of stretch and shear included.
     work : Workspace
         For frames of this size.
+
+    Returns
+    -------
+    float
+        Zero-mean normalised correlation of the overlap; 0 where there is none.
+    float
+        Pixels of the overlap.
+    bool
+        True if the shift is sharp.
     """
     equations = work.equations
     stiff, centre, scaled = equations[3], equations[5, 0], equations[5, 1]
-    correlation, count = 0.0, 0.0
+    correlation, count, sharp = 0.0, 0.0, False
     for level, row_step, finely, steps, tolerance_px in _STAGES:
         if level > coarsest or level < finest:
             continue
+        if level == 0 < coarsest and not sharp:
+            sharp = 2 * weakest_direction(information)[0] < SHARP_PX
+            if not sharp:
+                break
         px = 2.0**level
         write_prior(px, terms, prior_terms(warp, expected, terms)[0], stiff)
         in_pixels_of(px, (expected[0], expected[1], expected[2], expected[3]), centre)
         in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
-        columns = lit[level, :, : len(earlier[level])]
+        columns = lit[LEVELS if sharp else level, :, : len(earlier[level])]
         correlation, count = align(
             earlier[level], later[level], columns[0], columns[1], middles[level], row_step, steps, tolerance_px,
             finely, centre, stiff, CORRELATED_PX / row_step / 4**level, scaled, information, work,
@@ -89,7 +110,7 @@ def descend(
             break
         count *= row_step * 4.0**level
         in_pixels_of(1 / px, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
-    return correlation, count
+    return correlation, count, sharp
 
 
 @lean_kernel

@@ -1,7 +1,7 @@
-"""Rows per frame period, measured on a moving probe, for recordings whose calibration does not know it.
+"""Rows per frame period, measured on a moving probe, for recordings whose calibration lacks it.
 
 While the probe gains velocity, each frame is stretched a little more than the one before; the gain itself shows in the
-shifts between frames. Their ratio is the rows per frame period, idle time included. Steady motion says nothing.
+shifts between frames. Their ratio is the rows per frame period, idle time included. Steady motion gives none.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def estimate_line_periods_per_frame(
     Returns
     -------
     LinePeriodsPerFrame or None
-        None if the motion was too even, or too slow, to say it within 3 %.
+        None if the motion was too even, or too slow, to estimate it within 3 %.
     """
     # with little in view stretch and shear come from the prior, which assumes the timing that is to be estimated
     free = (found for found in links if found[1] == found[0] + 1 and found[3].tells_turn)

@@ -1,4 +1,4 @@
-"""Similarity of two frames under a warp: zero-mean normalised correlation, and gain and offset by regression."""
+"""Normalised correlation of two frames, and gain and offset by regression."""
 
 from __future__ import annotations
 
@@ -7,28 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
+from napari_elsplus.processing.tracking.front_end.sampling import row_shift
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-
-@lean_kernel
-def fitted_tone(count: float, t1: float, i1: float, tt: float, ti: float) -> tuple[float, float]:
-    """Gain and offset of an image i against a template t, from sums over pixels; 1 and 0 where these are even.
-
-    Parameters
-    ----------
-    count : float
-        Number of pixels.
-    t1, i1, tt, ti : float
-        Sums over them of the template, the image, and of products.
-    """
-    spread = tt * count - t1 * t1
-    if not spread > 0:
-        return 1.0, 0.0
-    gain = (ti * count - t1 * i1) / spread
-    return gain, (i1 - gain * t1) / count
 
 
 @lean_kernel
@@ -37,51 +19,13 @@ def tone_between(
     image: NDArray[np.float32],
     first: NDArray[np.int32],
     last: NDArray[np.int32],
-    middle_row: float,
+    middle: float,
     warp: NDArray[np.float64],
     row_step: int,
 ) -> tuple[float, float]:
     """Estimate gain and offset of an image against a template by regression, from some rows and the nearest pixels.
 
-    Parameters
-    ----------
-    template, image : numpy.ndarray
-        (n, n) float32 frames: the earlier one, and the later one that is sampled under the warp.
-    first, last : numpy.ndarray
-        (n,) int32: first lit column of each row, and the one after the last.
-    middle_row : float
-        Row of the bundle's centre.
-    warp : numpy.ndarray
-        (4,) a, b, s, d.
-    row_step : int
-        Every how many rows are used.
-    """
-    height = template.shape[0]
-    count, t1, i1, tt, ti = 0.0, 0.0, 0.0, 0.0, 0.0
-    for row in range(1, height - 1, row_step):
-        above, down, whole, across, begin, end = row_shift(row, height, middle_row, warp, first, last)
-        nearest, aside = above + int(down + 0.5), whole + int(across + 0.5)
-        for col in range(begin, end):
-            t, i = template[row, col], image[nearest, col + aside]
-            t1 += t
-            i1 += i
-            tt += t * t
-            ti += t * i
-        count += end - begin
-    return fitted_tone(count, t1, i1, tt, ti)
-
-
-@lean_kernel
-def correlation(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: float,
-    warp: NDArray[np.float64],
-    row_step: int,
-) -> tuple[float, float]:
-    """Zero-mean normalised correlation of the overlap under a warp, and the number of its pixels.
+    1 and 0 where the template is even.
 
     Parameters
     ----------
@@ -97,34 +41,22 @@ def correlation(
         Every how many rows are used.
     """
     height = template.shape[0]
-    count, sum_t, sum_i, sum_tt, sum_ti, sum_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for row in range(0, height, row_step):
+    count, t1, i1, tt, ti = 0.0, 0.0, 0.0, 0.0, 0.0
+    for row in range(1, height - 1, row_step):
         above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
-        if end <= begin:
-            continue
-        here, corners = template[row, begin:end], neighbours(image, above, begin + whole, end - begin)
-        weights = bilinear(down, across)
-        zero = np.float32(0)
-        t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
-        for k in range(end - begin):
-            t, i = here[k], between(corners, weights, k)
+        nearest, aside = above + int(down + 0.5), whole + int(across + 0.5)
+        for col in range(begin, end):
+            t, i = template[row, col], image[nearest, col + aside]
             t1 += t
             i1 += i
             tt += t * t
             ti += t * i
-            ii += i * i
         count += end - begin
-        sum_t += float(t1)
-        sum_i += float(i1)
-        sum_tt += float(tt)
-        sum_ti += float(ti)
-        sum_ii += float(ii)
-    return correlation_from_sums(
-        count,
-        sum_tt - sum_t * sum_t / max(count, 1.0),
-        sum_ii - sum_i * sum_i / max(count, 1.0),
-        sum_ti - sum_t * sum_i / max(count, 1.0),
-    ), count
+    spread = tt * count - t1 * t1
+    if not spread > 0:
+        return 1.0, 0.0
+    gain = (ti * count - t1 * i1) / spread
+    return gain, (i1 - gain * t1) / count
 
 
 @lean_kernel
