@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
-from napari_elsplus.processing.tracking.motion.prediction import AT_REST, Motion, Turning
+from napari_elsplus.processing.tracking.motion.prediction import AT_REST, MIN_SHARE, Motion, Turning
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
@@ -220,14 +220,14 @@ class Tracker:
             gone = float(row), float(col)
         return Displacement(gone[0] + ahead.row, gone[1] + ahead.col)
 
-    def _prior(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> MotionPrior:
+    def _prior(self, earlier: _Placed, here: _Placed, ahead: Displacement, min_share: float = 0.0) -> MotionPrior:
         """Return the prior of the motion from a placed frame."""
         last = self._last
         assert last is not None
         if not self._motion.known:
             return self._motion.prior(ahead, here.index - earlier.index)
         before = None if earlier is last else (earlier.velocity, earlier.velocity_variance)
-        return self._motion.prior(ahead, here.index - last.index, before)
+        return self._motion.prior(ahead, here.index - last.index, before, min_share)
 
     def _link(self, earlier: _Placed, here: _Placed, motion: MotionPrior) -> PairRegistration | None:
         """Register two frames, first at the expected shift, else over all; None if no shift is accepted."""
@@ -283,6 +283,7 @@ class Tracker:
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose and velocity; return False if the probe moved too unevenly within the frames."""
         shutter, expected = self.grid.shutter, motion.displacement
+        motion = self._prior(earlier, here, expected, MIN_SHARE)
         after, here.velocity_variance = motion.later_velocity(link.warp, link.warp_covariance)
         by_velocity = hypot(link.warp.b, link.warp.d) / shutter.line_periods_per_frame
         moved = shutter.displacement(link.warp, after)

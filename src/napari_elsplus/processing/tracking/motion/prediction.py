@@ -30,7 +30,7 @@ _FIRST_SURPRISE: Final = 4.0
 _SPREAD_OF_SURPRISE: Final = 1.0
 """Standard deviation of a velocity, in each axis, over the mean distance of recent ones from those expected; 0.8 for a
 normal distribution, 1 for heavier tails."""
-_MIN_SHARE: Final = 2.0
+MIN_SHARE: Final = 0.3
 """Smallest variance of an estimated velocity over that of the next one; chosen. Distortion of the optics adds the same
 to the stretch of every frame: were velocities trusted more than displacements, such errors would add up."""
 _FIRST_TURN: Final = 0.004
@@ -57,7 +57,7 @@ class Motion:
     velocity, change : Velocity
         During the last frame that was registered, and what it gained over the frame before; pixels per frame period.
     variance : float
-        Of that velocity, as the prior uses it.
+        Of that velocity.
     surprise : float
         Mean distance of recent velocities from those expected.
 
@@ -98,7 +98,7 @@ class Motion:
             self.surprise += _MEMORY * (miss - self.surprise)
             gained = Velocity(velocity.row - self.velocity.row, velocity.col - self.velocity.col)
         self.velocity, self.change, self.known = velocity, gained, True
-        self.variance = max(variance, _MIN_SHARE * self.spread**2)
+        self.variance = variance
 
     def unevenness(self, velocity: Velocity, warp: Warp, missed_px: float) -> float:
         """Return the error of a displacement, pixels, because the probe did not move evenly within the frames.
@@ -145,6 +145,7 @@ class Motion:
         displacement: Displacement,
         frames: int,
         before: tuple[Velocity, float] | None = None,
+        min_share: float = 0.0,
     ) -> MotionPrior:
         """Return the prior of the motion from an earlier frame to one so many frames after the last registered one.
 
@@ -156,9 +157,11 @@ class Motion:
             Frame periods since the last registered frame.
         before : tuple, optional
             Velocity of the earlier frame and its variance, if that is another than the last registered one.
+        min_share : float
+            Smallest variance of the last velocity over that of the next one: :data:`MIN_SHARE` to estimate velocities.
         """
         q = self.spread**2
-        own = self.variance
+        own = max(self.variance, min_share * q)
         with_shift, with_later = (own * frames, own) if before is None else (0.0, 0.0)
         velocity, variance = (self.velocity, own) if before is None else before
         shift = own * frames**2 + q * frames**3 / 3
@@ -191,7 +194,15 @@ class Turning:
         self._surprise = _FIRST_TURN
 
     def follow(self, turned: float, frames: int) -> None:
-        """Add the rotation within so many frames."""
+        """Add a rotation.
+
+        Parameters
+        ----------
+        turned : float
+            Radians.
+        frames : int
+            Frame periods within which the probe rotated.
+        """
         miss = turned / frames - self.rate
         self._surprise += _MEMORY * (abs(miss) - self._surprise)
         self.rate += _MEMORY * miss

@@ -1,11 +1,11 @@
 """Log posterior odds of a registered warp against competing shifts, in nats of the whole frame.
 
 Along a straight fibre or in an empty view a correlation can be high and its shift wrong. A warp is therefore compared
-with unrelated frames, with a shift just wrong, and with others farther away along the direction in which the shift is
-constrained least, everything else fitted under the motion prior. Each block of pixels has contrast and noise of its
-own: with n independent values and the normalised correlation r of the high-passed frames, a block contributes
-n / 2 ln(1 / (1 - r^2)) above unrelated frames. A bright, even fibre therefore does not drown its end, which alone
-constrains the shift along it.
+with unrelated frames, and with competing shifts along the direction in which the shift is constrained least, everything
+else fitted under the motion prior. Each block of pixels has contrast and noise of its own, so that a bright, even fibre
+does not drown its end, which alone constrains the shift along it. Above unrelated frames a block with n independent
+values and the normalised correlation r contributes n / 2 ln(1 / (1 - r^2)); above a competing warp, half the residual
+that this leaves more, over the noise.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def log_ratio(
 ) -> float:
     """Return the log-likelihood of a warp above that of a competing one, where the frames overlap under both, nats.
 
-    The noise of a block is what the warp leaves unexplained in it.
+    The noise of a block is what the warp leaves unexplained in it, its weight that of a Wiener filter.
 
     Parameters
     ----------
@@ -171,13 +171,15 @@ def log_ratio(
         all_ti2 += sums[5, block]
     if not all_tt > 0:
         return 0.0
-    gain, gain2, floor, nats = all_ti / all_tt, all_ti2 / all_tt, noise_floor(sums), 0.0
+    gain, other_gain, floor, nats = all_ti / all_tt, all_ti2 / all_tt, noise_floor(sums), 0.0
     for block in range(sums.shape[1]):
-        n, tt = sums[0, block], sums[1, block]
-        if n > 0:
-            left = sums[2, block] + gain * (gain * tt - 2 * sums[3, block])
-            left2 = sums[4, block] + gain2 * (gain2 * tt - 2 * sums[5, block])
-            nats += 0.5 * n / (CORRELATED_PX / 4) * (left2 - left) / (left + n * floor)
+        n, tt, ii, ti = sums[0, block], sums[1, block], sums[2, block], sums[3, block]
+        if ti > 0:
+            # weight of a Wiener filter: blocks without structure in common contribute chance alone
+            shared = ti * ti / ((tt + n * floor) * (ii + n * floor))
+            left = ii + gain * (gain * tt - 2 * ti)
+            other_left = sums[4, block] + other_gain * (other_gain * tt - 2 * sums[5, block])
+            nats += 0.5 * shared * n / (CORRELATED_PX / 4) * (other_left - left) / (left + n * floor)
     return float(nats)
 
 

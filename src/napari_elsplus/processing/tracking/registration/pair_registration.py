@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 
-MIN_ODDS_NATS: Final = 12.0
+MIN_ODDS_NATS: Final = 8.0
 """Log posterior odds from which a registration is accepted; chosen for about one wrong one in 1,000 in sparse scenes by
 ``benchmarks.studies.acceptance``, on 6 recordings a row (seeds 100 to 105) that are not those reported."""
 HIGH_PASS_PX: Final = 8.0
@@ -223,7 +223,7 @@ class Registrar:
         )  # fmt: skip
         odds = 0.0
         if sharp:
-            odds = -0.5 * count / CORRELATED_PX * log(max(1 - correlation**2, 1e-12))
+            odds = min(-0.5 * count / CORRELATED_PX * log(max(1 - correlation**2, 1e-12)), 700.0)
         elif correlation > 0:
             correlation, _, _ = descend(
                 self._fine(earlier), self._fine(later), self._lit, self._middles, 0, 0, expected, terms, warp,
