@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from napari_elsplus.errors import InputError
+from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.instrument.calibration import (
     BundleSection,
     GalvoSection,
@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.scan.lag import ScanLag
 
     Image = NDArray[np.float32]
+
+
+STRETCHES: Final = (0.5, 2.0)
+"""Smallest and largest change of areas from the residual to the confocal view; those that a bundle section accepts."""
 
 
 def apply_offset(draft: Draft, offset: SlitOffset) -> Calibration:
@@ -168,6 +172,12 @@ def in_lamp_light(calibration: Calibration, pair: BundlePair) -> Calibration:
 
 def _bundle_section(pair: BundlePair) -> BundleSection:
     top, bottom = (tuple(float(value) for value in row) for row in pair.alignment.residual_to_confocal)
+    stretch = abs(top[0] * bottom[1] - top[1] * bottom[0])
+    if not STRETCHES[0] < stretch < STRETCHES[1]:
+        raise MeasurementError(
+            f"the views' alignment changes areas by {stretch:.2g}, so these are no two images of one bundle",
+            "is the probe lit from the far end?",
+        )
     return BundleSection(
         confocal_centre=pair.confocal.centre,
         residual_centre=pair.residual.centre,
