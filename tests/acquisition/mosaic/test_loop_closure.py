@@ -73,8 +73,8 @@ def drifts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every frame be tracked a little off, in one direction, as no tracker of ours is."""
     place = tracking.Tracker._place
 
-    def off(self, earlier, here, link):
-        fits = place(self, earlier, here, link)
+    def off(self, earlier, here, link, motion):
+        fits = place(self, earlier, here, link, motion)
         if fits:
             here.row, here.col = here.row + DRIFT[0], here.col + DRIFT[1]
         return fits
