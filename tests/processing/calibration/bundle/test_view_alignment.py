@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.bundle.core_matching import AlignmentModel
 from napari_elsplus.processing.calibration.bundle.location import locate_pair
 from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
+from napari_elsplus.processing.calibration.measurements import measure_pair
 
 RIG = Rig(left=(105.0, 103.0), right=(95.5, 318.3), diameter_px=190.0)
 
@@ -96,3 +99,10 @@ def test_where_saturation_leaves_nothing_to_compare_it_says_so() -> None:
     image = RIG.bundle()[0]
     with pytest.raises(MeasurementError, match="saturated all over"):
         align_views(image, *locate_pair(image), saturated=np.ones(image.shape, bool))
+
+
+def test_a_standing_line_in_both_views_is_no_bundle(open_recording: Path) -> None:
+    """Its pattern correlates under a strongly distorted map, which no cores determine."""
+    frames = tifffile.imread(open_recording / "line.tif")
+    with pytest.raises(MeasurementError, match="do not show the same cores"):
+        measure_pair(frames)

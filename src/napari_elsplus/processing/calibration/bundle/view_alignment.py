@@ -36,6 +36,8 @@ MIN_CLOSE: Final = 0.5
 lattice a core off, 0.2, and of noisy frames, 0.8."""
 CERTAIN: Final = 0.95
 """Correlation of the cores above which an alignment is correct everywhere; chosen: of well lit cores it is 0.99."""
+MAX_UNCERTAINTY_PX: Final = 1.0
+"""Of a distorted map at the rim, above which it follows no cores; chosen: of dim frames it is a tenth."""
 MIDDLE: Final = 0.45
 """Part of the radius that even strong distortion leaves aligned; chosen."""
 SAMPLING_PX: Final = 0.001
@@ -181,6 +183,8 @@ def _distorted_alignment(views: _Views, affine: CoreFit | None) -> Alignment:
         _require_same_cores(affine.correlation, distorted, near)
         return _simplest_alignment(views, affine, distorted.left_over_px(full, distorted.start(affine.motion)))
     fit = full if model is DistortionModel.CUBIC else distorted.fit(near, model)
+    if distorted.uncertainty_px(fit) > MAX_UNCERTAINTY_PX:
+        raise _other_cores(0.0)
     _require_same_cores(fit.correlation, distorted, near)
     motion = distorted.affine_part(fit.coefficients)
     gain, gain_uncertainty = views.gain(lambda image: warped(image, distorted.positions(fit.coefficients)))
@@ -208,7 +212,11 @@ def _require_same_cores(correlation: float, distorted: DistortionMatcher, near: 
             f"({correlation:.2f}): one is distorted by more than a polynomial of third degree describes",
             "is a lens tilted or the wrong way round, and the rim in focus in both views?",
         )
-    raise MeasurementError(
+    raise _other_cores(correlation)
+
+
+def _other_cores(correlation: float) -> MeasurementError:
+    return MeasurementError(
         f"the two views do not show the same cores (correlation {correlation:.2f})",
         "is the bundle in focus in both, and the light bright enough?",
     )
