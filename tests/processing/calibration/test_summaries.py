@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from benchmarks.rigs.random_rigs import Rig
@@ -21,3 +22,14 @@ def test_an_edge_that_is_seen_in_part_is_warned_of(edge_seen: float, warned: boo
     draft = Draft(Calibration())
     summary = summarize_pair(pair, draft.with_calibration(apply_pair(draft, pair)), None)
     assert any("the edge of the confocal view is seen on 30 %" in text for text in summary.warnings) == warned
+
+
+@pytest.mark.parametrize(("spread", "warned"), [(0.09, False), (0.17, True)])
+def test_a_gain_that_varies_as_that_of_a_scanned_target_is_warned_of(spread: float, warned: bool) -> None:
+    pair = measure_pair(Rig(left=(110.0, 103.0), right=(105.5, 318.3), diameter_px=190.0).bundle(2))
+    draft = Draft(Calibration())
+    known = apply_pair(draft, pair)
+    gain_map = np.tile(np.float32([1 - spread, 1 + spread]), (192, 96))
+    known = known.model_copy(update={"gain_map": gain_map})
+    summary = summarize_pair(pair, draft.with_calibration(known), None)
+    assert any("varies by" in text and "laser off" in text for text in summary.warnings) == warned
