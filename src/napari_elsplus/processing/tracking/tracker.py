@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
-from napari_elsplus.processing.tracking.motion.prediction import AT_REST, MIN_SHARE, Motion, Turning
+from napari_elsplus.processing.tracking.motion.prediction import AT_REST, MIN_SHARE, MIN_SHARE_TURNING, Motion, Turning
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
@@ -283,7 +283,8 @@ class Tracker:
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose and velocity; return False if the probe moved too unevenly within the frames."""
         shutter, expected = self.grid.shutter, motion.displacement
-        motion = self._prior(earlier, here, expected, MIN_SHARE)
+        share = MIN_SHARE if self.model is MotionModel.TRANSLATION else MIN_SHARE_TURNING
+        motion = self._prior(earlier, here, expected, share)
         after, here.velocity_variance = motion.later_velocity(link.warp, link.warp_covariance)
         by_velocity = hypot(link.warp.b, link.warp.d) / shutter.line_periods_per_frame
         moved = shutter.displacement(link.warp, after)

@@ -30,9 +30,11 @@ _FIRST_SURPRISE: Final = 4.0
 _SPREAD_OF_SURPRISE: Final = 1.0
 """Standard deviation of a velocity, in each axis, over the mean distance of recent ones from those expected; 0.8 for a
 normal distribution, 1 for heavier tails."""
-MIN_SHARE: Final = 0.3
+MIN_SHARE: Final = 2.0
+MIN_SHARE_TURNING: Final = 0.3
 """Smallest variance of an estimated velocity over that of the next one; chosen. Distortion of the optics adds the same
-to the stretch of every frame: were velocities trusted more than displacements, such errors would add up."""
+to the stretch of every frame: were velocities trusted more than displacements, such errors would add up. Where the
+probe turns, shear may be rotation as well as velocity, which is therefore held more firmly."""
 _FIRST_TURN: Final = 0.004
 _LEAST_TURN: Final = 0.0005
 """Radians per frame by which a turn may well differ from what is expected: before any was seen, and at least."""
