@@ -14,6 +14,8 @@ import pytest
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import DeviceError, ElsPlusError, InputError
+from napari_elsplus.hardware.driver_takeover import DriverOrder
+from napari_elsplus.hardware.parking import ParkStage, ParkState
 from napari_elsplus.hardware.protocols import Camera, Region, Scanner
 from napari_elsplus.hardware.rigs import open_rig, rig_names
 from napari_elsplus.instrument.optics import PRESETS
@@ -76,6 +78,12 @@ class LineScanner(StillScanner):
             raise DeviceError("the galvo is busy", "wait")
         self.hold(card.park_v)
 
+    @property
+    def park_state(self):
+        if self._place.with_suffix(".unread").exists():
+            raise RuntimeError("the state cannot be read")
+        return super().park_state
+
     def hold(self, volts):
         self._place.write_text(f"{volts}")
 
@@ -94,6 +102,23 @@ with open_rig("mine") as rig:
     print("holds", flush=True)
     time.sleep(60)
 """
+
+
+def test_a_guardian_goes_on_after_an_error_of_a_driver_of_ones_own(frames, tmp_path, monkeypatch) -> None:
+    """Before: it ended with a traceback, the galvo where it was."""
+    (tmp_path / "mine.py").write_text(LINE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    unread = tmp_path / "place.unread"
+    unread.touch()
+    order = DriverOrder("mine:LineScanner", -0.7, {"park_v": -0.7}, {}, {"place": str(tmp_path / "place")})
+    stages = []
+
+    def report(state: ParkState) -> None:
+        stages.append(state.stage)
+        unread.unlink(missing_ok=True)
+
+    assert order.take_over(report).parked
+    assert stages == [ParkStage.NOT_PARKED, ParkStage.PARKED]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import dataclass, field
+from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
-from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.outside import import_driver, open_outside
 from napari_elsplus.hardware.parking import RETRY_LATER_S, ParkStage, ParkState
@@ -15,7 +15,7 @@ from napari_elsplus.hardware.protocols import Scanner
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 POLL_S: Final = 0.02
 """Seconds between two looks at the state of parking; chosen: small against the 0.5 s within which a galvo parks."""
@@ -68,23 +68,27 @@ class DriverOrder:
         ParkState
             The last state.
         """
+        last = ParkState()
+        for attempt in count(1):
+            for state in self._attempt(attempt):
+                if state.stage is not last.stage:
+                    report(state)
+                last = state
+            if last.parked:
+                break
+            time.sleep(RETRY_LATER_S)
+        return last
+
+    def _attempt(self, attempt: int) -> Iterator[ParkState]:
+        """Open the scanner, and yield its states until it is parked, or what went wrong, whatever the driver raised."""
         card, limits = CardSettings(**{**self.card, "park_v": self.volts}), GalvoLimits(**self.limits)
-        stage, attempts = ParkStage.UNKNOWN, 0
-        while True:
-            attempts += 1
-            try:
-                with open_outside(self.kind, Scanner, card, limits, **self.options) as scanner:
-                    while True:
-                        state: ParkState = scanner.park_state
-                        if state.stage is not stage:
-                            stage = state.stage
-                            report(state)
-                        if state.parked:
-                            return state
-                        time.sleep(POLL_S)
-            except ElsPlusError as error:
-                failed = ParkState(ParkStage.NOT_PARKED, str(error), attempts)
-                if stage is not failed.stage:
-                    stage = failed.stage
-                    report(failed)
-                time.sleep(RETRY_LATER_S)
+        try:
+            with open_outside(self.kind, Scanner, card, limits, **self.options) as scanner:
+                state: ParkState = scanner.park_state
+                while not state.parked:
+                    yield state
+                    time.sleep(POLL_S)
+                    state = scanner.park_state
+                yield state
+        except Exception as error:  # noqa: BLE001 - nobody else would park
+            yield ParkState(ParkStage.NOT_PARKED, str(error), attempt)
