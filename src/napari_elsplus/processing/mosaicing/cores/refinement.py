@@ -96,6 +96,19 @@ class CoreGains:
 
 
 @kernel
+def _interpolate(image: NDArray[np.float32], row: float, col: float) -> tuple[float, float, float]:
+    """Return an image's bilinear value at a place and its slopes along rows and columns; NaN beyond the image."""
+    rows, cols = image.shape
+    r, c = int(np.floor(row)), int(np.floor(col))
+    if r < 0 or c < 0 or r + 1 >= rows or c + 1 >= cols:
+        return np.nan, np.nan, np.nan
+    down, across = row - r, col - c
+    a, b, d, e = image[r, c], image[r, c + 1], image[r + 1, c], image[r + 1, c + 1]
+    downward = d - a + across * (a - b - d + e)
+    return a + across * (b - a) + down * downward, downward, b - a + down * (a - b - d + e)
+
+
+@kernel
 def _accumulate(
     expected: NDArray[np.float32],
     places: NDArray[np.float64],
@@ -106,20 +119,14 @@ def _accumulate(
     right: NDArray[np.float64],
 ) -> None:
     """Add the normal equations of shift and exposure."""
-    rows, cols = expected.shape
     slope = np.zeros(3)
     for k in range(len(values)):
-        r, c = int(np.floor(places[k, 0])), int(np.floor(places[k, 1]))
-        if r < 0 or c < 0 or r + 1 >= rows or c + 1 >= cols:
-            continue
-        down, across = places[k, 0] - r, places[k, 1] - c
-        a, b, d, e = expected[r, c], expected[r, c + 1], expected[r + 1, c], expected[r + 1, c + 1]
-        level = a + across * (b - a) + down * (d - a + across * (a - b - d + e))
+        level, downward, sideways = _interpolate(expected, places[k, 0], places[k, 1])
         missed = values[k] - exposure * level
         if missed != missed:  # NaN: beyond the image
             continue
-        slope[0] = exposure * (d - a + across * (a - b - d + e))
-        slope[1] = exposure * (b - a + down * (a - b - d + e))
+        slope[0] = exposure * downward
+        slope[1] = exposure * sideways
         slope[2] = level
         for i in range(3):
             right[i] += weights[k] * slope[i] * missed
@@ -137,14 +144,8 @@ def _regress(
     square: NDArray[np.float64],
 ) -> None:
     """Add the products of values and expected ones, and the squares of these, for each core."""
-    rows, cols = expected.shape
     for k in range(len(values)):
-        r, c = int(np.floor(places[k, 0])), int(np.floor(places[k, 1]))
-        if r < 0 or c < 0 or r + 1 >= rows or c + 1 >= cols:
-            continue
-        down, across = places[k, 0] - r, places[k, 1] - c
-        a, b, d, e = expected[r, c], expected[r, c + 1], expected[r + 1, c], expected[r + 1, c + 1]
-        level = exposure * (a + across * (b - a) + down * (d - a + across * (a - b - d + e)))
+        level = exposure * _interpolate(expected, places[k, 0], places[k, 1])[0]
         if level != level or values[k] != values[k]:
             continue
         product[k] += level * values[k]
