@@ -294,16 +294,12 @@ def measure_step(rig: Rig, calibration: Calibration, preset_name: str) -> StepRe
 
 
 def mirror_step(rig: Rig, calibration: Calibration, preset_name: str) -> Iterator[str]:
-    """Report the response of the galvo to a step; parameters and errors are those of `measure_step`.
+    """Report the response of the galvo to a step.
 
     Parameters
     ----------
-    rig : Rig
-        Open rig, an evenly fluorescent target before its probe.
-    calibration : Calibration
-        With galvo and bundle.
-    preset_name : str
-        Region and frame rate.
+    rig, calibration, preset_name
+        As in :func:`measure_step`, whose errors it raises, too.
 
     Yields
     ------

@@ -12,7 +12,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.processing.tracking.methods import FrontEndImages, WithoutPoseGraph
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
-from napari_elsplus.processing.tracking.tracker import FARTHEST, KEY_FRAME_REACH, PATIENCE_FRAMES
+from napari_elsplus.processing.tracking.tracker import KEY_FRAME_REACH, MAX_DISPLACEMENT_DIAMETERS, PATIENCE_FRAMES
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -146,7 +146,7 @@ class PairwiseTracking(FrontEndImages, WithoutPoseGraph):
 
     def _registered(self, fixed: _Placed, here: _Placed, expected: tuple[float, float]) -> Pose | None:
         """Return the pose of a frame from its registration on another; None if it was not registered."""
-        if hypot(*expected) > FARTHEST * self.grid.diameter:
+        if hypot(*expected) > MAX_DISPLACEMENT_DIAMETERS * self.grid.diameter:
             return None
         found = self._register(fixed.image, here.image, expected)
         if found is None:

@@ -20,7 +20,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.processing.tracking.methods import RegistrationTracking, TemplateTracking, TrackingMethod
 from napari_elsplus.processing.tracking.pairwise_tracking import PairwiseRegistration, PairwiseTracking
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TEMPLATE_PX
-from napari_elsplus.processing.tracking.tracker import FARTHEST
+from napari_elsplus.processing.tracking.tracker import MAX_DISPLACEMENT_DIAMETERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -59,7 +59,7 @@ class TrackingFactory(Protocol):
 
 
 def _ours(diameter: float) -> float:
-    return FARTHEST * diameter
+    return MAX_DISPLACEMENT_DIAMETERS * diameter
 
 
 def _papers(_: float) -> float:

@@ -31,7 +31,7 @@ KEY_FRAME_REACH: Final = 0.1
 """Displacement from the key frame, in bundle diameters, at which it is renewed."""
 PATIENCE_FRAMES: Final = 5
 """Frames without a link that are predicted before the track is lost."""
-FARTHEST: Final = 0.6
+MAX_DISPLACEMENT_DIAMETERS: Final = 0.6
 """Predicted displacement, in bundle diameters, beyond which no link is tried."""
 SURE_CORRELATION: Final = 0.9
 """Correlation below which a predicted link is compared with all other shifts."""
@@ -81,6 +81,7 @@ class Tracker:
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
+        self._max_displacement_px = MAX_DISPLACEMENT_DIAMETERS * grid.diameter
         self.registrar = Registrar(grid)
         self.links: list[tuple[int, int, Displacement, PairRegistration]] = []
         self._slots = [self.registrar.view() for _ in range(4)]
@@ -139,7 +140,7 @@ class Tracker:
             key = self._key = last
         if renew or self.model is not MotionModel.TRANSLATION:
             ahead = self._expected(key, here.index)
-        if hypot(*ahead) > FARTHEST * self.grid.diameter:
+        if hypot(*ahead) > self._max_displacement_px:
             return None
         motion = self._prior(key, here, ahead)
         link = self._link(key, here, motion)
@@ -175,8 +176,8 @@ class Tracker:
         assert key is not None
         assert last is not None
         ahead = self._expected(last, here.index)
-        gone = here.index - last.index > PATIENCE_FRAMES or hypot(*ahead) > FARTHEST * self.grid.diameter
-        if gone or not self._motion.known:
+        patient = here.index - last.index <= PATIENCE_FRAMES
+        if not patient or hypot(*ahead) > self._max_displacement_px or not self._motion.known:
             return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, TrackingState.LOST)
         row, col = turned_by(last.angle, last.scale) @ ahead
         return Pose(
