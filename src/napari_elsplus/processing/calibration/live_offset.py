@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.calibration.line import parts_of
 from napari_elsplus.processing.calibration.measurements import measure_offset
 
 if TYPE_CHECKING:
@@ -19,6 +21,8 @@ SEARCH_INTERVAL_FRAMES: Final = 60
 
 class OffsetFollower:
     """Measures the slit offset in one frame after the other, each line searched near its last position.
+
+    Core and halo of the line, which do not depend on the tilt mirror, are fitted whenever the whole view is searched.
 
     Parameters
     ----------
@@ -44,8 +48,14 @@ class OffsetFollower:
         last = self._last if self._followed < SEARCH_INTERVAL_FRAMES else None
         self._followed = 0 if last is None else self._followed + 1
         try:
-            self._last = measure_offset([frame], self._background, self._pair, near=last)
+            found = measure_offset([frame], self._background, self._pair, near=last)
         except MeasurementError:
             self._last = None
             raise
+        if last is None:
+            light = frame if self._background is None else frame - self._background
+            parts = parts_of(found.confocal, light[:, : found.split])
+        else:
+            parts = last.parts
+        self._last = replace(found, parts=parts)
         return self._last

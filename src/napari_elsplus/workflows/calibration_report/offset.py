@@ -65,7 +65,7 @@ def offset_picture(
     residual = _profile("residual", found.residual, found.rows, "orange")
     plots = [Plot("rows from the confocal line", "grey levels", [*confocal, *residual], bands=bands)]
     if scale is not None and found.rows:
-        plots.append(_sectioning_against_offset(found, setup, scale))
+        plots.append(_sectioning_against_offset(found, draft, setup, scale))
     return Picture(summary.headline, lines, summary.warnings, summary.details, plots, good, far)
 
 
@@ -73,7 +73,7 @@ def _predicted_performance(found: SlitOffset, draft: Draft, setup: Setup, scale:
     if found.rows == 0:
         return ["without an offset ELS+ is zero everywhere"]
     slit_rows = setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
-    line = _line(found, slit_rows, scale)
+    line = _line(found, draft, slit_rows, scale)
     light_dn, gain_db = found.confocal.amplitude, setup.acquired_with.gain_db or 0.0
     bundle_um = draft.bundle_um or (found.confocal.columns[1] - found.confocal.columns[0]) * scale  # the lit columns
     given = predict_performance(
@@ -87,17 +87,20 @@ def _predicted_performance(found: SlitOffset, draft: Draft, setup: Setup, scale:
     ]
 
 
-def _line(found: SlitOffset, slit_rows: float, scale: float) -> LineModel:
-    """Return the line with its measured core, and with its halo where the profile shows it."""
-    if found.parts is None:
+def _line(found: SlitOffset, draft: Draft, slit_rows: float, scale: float) -> LineModel:
+    """Return the line with its core and halo, those calibrated before where this profile does not show both."""
+    seen, known = found.parts, draft.calibration.offset
+    if seen is not None:
+        return line_of_parts(seen.core_rows * scale, seen.halo_rows * scale, seen.halo_share)
+    if known is None or known.core_rows is None or known.halo_rows is None or known.halo_share is None:
         return line_as_seen(found.confocal, slit_rows, scale)
-    return line_of_parts(found.parts.core_rows * scale, found.parts.halo_rows * scale, found.parts.halo_share)
+    return line_of_parts(known.core_rows * scale, known.halo_rows * scale, known.halo_share)
 
 
-def _sectioning_against_offset(found: SlitOffset, setup: Setup, scale: float) -> Plot:
+def _sectioning_against_offset(found: SlitOffset, draft: Draft, setup: Setup, scale: float) -> Plot:
     """Return what ELS+ keeps and how it sections against the slit offset, with the present offset marked."""
     slit_rows = setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
-    line, present_um = _line(found, slit_rows, scale), abs(found.rows) * scale
+    line, present_um = _line(found, draft, slit_rows, scale), abs(found.rows) * scale
     offsets = np.linspace(_OFFSETS_UM[0], max(_OFFSETS_UM[1], 1.2 * present_um), _COMPUTED)
     els = axial_response(_DEPTHS_UM, offset_um=offsets[:, None], slit_um=slit_rows * scale, line=line).els
     distances = [[np.interp(-level, -curve / curve[0], _DEPTHS_UM) for curve in els] for level in (0.5, 0.1)]
