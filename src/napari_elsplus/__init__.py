@@ -23,10 +23,12 @@ if TYPE_CHECKING:
     from napari_elsplus.io.calibrations import write_calibration as save_calibration
     from napari_elsplus.io.recordings import open_recording as open_recording
     from napari_elsplus.workflows.axial import measure_axial_response as measure_axial_response
+    from napari_elsplus.workflows.batch.run import batch as batch
     from napari_elsplus.workflows.calibration import calibrate as calibrate
     from napari_elsplus.workflows.mosaicing import mosaic as mosaic
     from napari_elsplus.workflows.mosaicing import track as track
     from napari_elsplus.workflows.pictures.comparison import compare as compare
+    from napari_elsplus.workflows.recommendation.recommend import recommend as recommend
     from napari_elsplus.workflows.sectioning import section as section
     from napari_elsplus.workflows.simulated import simulate_axial_scan as simulate_axial_scan
     from napari_elsplus.workflows.simulated import simulate_calibration as simulate_calibration
@@ -37,6 +39,7 @@ __version__ = "0.1.0"
 _PLACES = {
     "Calibration": "instrument.calibration:Calibration",
     "RecordingPlan": "acquisition.streaming.recorder:RecordingPlan",
+    "batch": "workflows.batch.run:batch",
     "calibrate": "workflows.calibration:calibrate",
     "compare": "workflows.pictures.comparison:compare",
     "load_calibration": "io.calibrations:read_calibration",
@@ -45,6 +48,7 @@ _PLACES = {
     "open_engine": "acquisition.session:open_engine",
     "open_recording": "io.recordings:open_recording",
     "open_rig": "hardware.rigs:open_rig",
+    "recommend": "workflows.recommendation.recommend:recommend",
     "save_calibration": "io.calibrations:write_calibration",
     "section": "workflows.sectioning:section",
     "simulate_axial_scan": "workflows.simulated:simulate_axial_scan",
@@ -57,6 +61,7 @@ _PLACES = {
 __all__ = [
     "Calibration",
     "RecordingPlan",
+    "batch",
     "calibrate",
     "compare",
     "load_calibration",
@@ -65,6 +70,7 @@ __all__ = [
     "open_engine",
     "open_recording",
     "open_rig",
+    "recommend",
     "save_calibration",
     "section",
     "simulate_axial_scan",

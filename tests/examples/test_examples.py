@@ -15,6 +15,7 @@ WRITTEN = {
     "calibrate_from_files": ("slit offset -21.7", ["rig.json", "rig.npz"]),
     "measure_the_sectioning": ("signal kept in contact: 82 %", []),
     "mosaic_of_a_recording": ("40 of 40 frames tracked", ["mosaic.ome.tif", "track.csv"]),
+    "recommend_an_offset": ("to keep 95 %: slit 8 rows, offset -52.7 rows", []),
     "run_the_simulated_rig": ("lost: {}", ["live.ome.tif", "live.calibration.json"]),
     "section_a_recording": ("els: 12 images", ["ls.ome.tif", "els.ome.tif", "comparison.png"]),
 }
