@@ -41,7 +41,19 @@ NOT_FOR_CHILDREN = ("PYTHONHOME", "PYTHONPATH", "PIP_USER", "PIP_TARGET")
 """Variables that would make the .venv import, or install into, other places than itself."""
 
 EXTRAS = "pyqt,video,zarr,batch,genicam"
-PURE = ("tests/instrument", "tests/io", "tests/processing", "tests/simulation", "tests/workflows")
+PURE = (
+    "tests/benchmarks/documents",
+    "tests/benchmarks/harness",
+    "tests/benchmarks/imperfect",
+    "tests/benchmarks/rigs",
+    "tests/benchmarks/studies",
+    "tests/cli/files",
+    "tests/instrument",
+    "tests/io",
+    "tests/processing",
+    "tests/simulation",
+    "tests/workflows",
+)
 """Tests of computation alone, with no window, device or clock: these run in two processes, the others in turn."""
 WINDOW_LIBRARIES = {
     "libdbus-1-3": "libdbus-1.so.3",
