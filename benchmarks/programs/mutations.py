@@ -227,8 +227,8 @@ MISTAKES: Final = tuple(
 )
 
 
-def try_all(mistakes: Sequence[Mistake]) -> Iterator[tuple[Mistake, bool, float]]:
-    """Make each mistake in turn; yield it, if a test noticed it, and the seconds that this took.
+def try_all(mistakes: Sequence[Mistake]) -> Iterator[tuple[Mistake, str, float]]:
+    """Make each mistake in turn; yield it, the test that noticed it (empty: none), and the seconds that this took.
 
     Raises
     ------
@@ -262,11 +262,11 @@ def _copy(folder: Path) -> Iterator[Path]:
         shutil.rmtree(folder)
 
 
-def _run_tests(folder: Path, tests: Sequence[str]) -> bool:
-    """Run tests in a copy, in a child of this process that has all libraries loaded; return True if one fails."""
+def _run_tests(folder: Path, tests: Sequence[str]) -> str:
+    """Run tests in a copy, in a child of this process that has all libraries loaded; return the one that fails."""
     child = os.fork()
     if child:
-        return _await(child) != 0
+        return _first_failure(folder) if _await(child) else ""
     code = 1
     try:
         code = _pytest(folder, tests)
@@ -275,6 +275,13 @@ def _run_tests(folder: Path, tests: Sequence[str]) -> bool:
         raise
     finally:
         os._exit(code)
+
+
+def _first_failure(folder: Path) -> str:
+    """Return the test that ended a run, from the run's log."""
+    lines = (folder / "log.txt").read_text("utf-8", "replace").splitlines()
+    failed = [line.split(" - ")[0] for line in lines if line.startswith(("FAILED", "ERROR"))]
+    return failed[0].rpartition("hardware/")[2] if failed else "no end of the tests"
 
 
 def _pytest(folder: Path, tests: Sequence[str]) -> int:
@@ -326,9 +333,9 @@ def mutations(words: tuple[str, ...]) -> None:
     """Make deliberate mistakes in the drivers, and count those that the tests let pass."""
     chosen = [m for m in MISTAKES if not words or any(word in m.label for word in words)]
     passed = []
-    for mistake, noticed, took_s in try_all(chosen):
-        click.echo(f"{'noticed' if noticed else 'PASSED '} {took_s:5.1f} s  {mistake.label}")
-        if not noticed:
+    for mistake, noticed_by, took_s in try_all(chosen):
+        click.echo(f"{'noticed' if noticed_by else 'PASSED '} {took_s:5.1f} s  {mistake.label}  [{noticed_by}]")
+        if not noticed_by:
             passed.append(mistake)
     click.echo(f"{len(passed)} of {len(chosen)} mistakes pass unnoticed")
 
