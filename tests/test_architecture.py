@@ -46,6 +46,7 @@ ORDER = (
     "hardware.parking",
     "hardware.protocols",
     "hardware.limits",
+    "hardware.micro_manager",
     "hardware.u3v",
     "hardware.daq",
     "hardware.detached",

@@ -90,7 +90,7 @@ def test_what_the_manifest_names_exists() -> None:
 def test_qt_is_asked_for_only_in_extras() -> None:
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert not [need for need in project["dependencies"] if re.match(r"pyqt[56]|pyside", need, re.IGNORECASE)]
-    assert set(project["optional-dependencies"]) == {"pyqt", "pyside", "genicam", "video", "zarr", "batch"}
+    assert set(project["optional-dependencies"]) == {"pyqt", "pyside", "genicam", "mmcore", "video", "zarr", "batch"}
 
 
 def test_every_constraint_lies_within_its_bound() -> None:

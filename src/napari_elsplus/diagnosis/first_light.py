@@ -24,7 +24,7 @@ from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.drivers import features_of
 from napari_elsplus.hardware.limits import allowed_rate_hz, preset_region
-from napari_elsplus.hardware.rig_files import CAMERA_KINDS, CameraTable
+from napari_elsplus.hardware.rig_files import U3V_KINDS, CameraTable
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
 from napari_elsplus.hardware.u3v import flea3
@@ -308,7 +308,7 @@ def first_light(context: click.Context, report: Path | None) -> None:
 
 @first_light.command("camera")
 @click.option("--serial", default="", help="Serial number, where several cameras are connected.")
-@click.option("--kind", type=click.Choice(CAMERA_KINDS), default="flea3", show_default=True, help="As in a rig file.")
+@click.option("--kind", type=click.Choice(U3V_KINDS), default="flea3", show_default=True, help="As in a rig file.")
 def _camera(serial: str, kind: str) -> None:
     """Report the camera's identity, sensor and clock, and its line period."""
     _print(examine_camera(choose_camera(serial), kind))

@@ -9,6 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from napari_elsplus.hardware.daq.scanner import DaqScanner
+from napari_elsplus.hardware.micro_manager.camera import MicroManagerCamera
 from napari_elsplus.hardware.outside import open_outside
 from napari_elsplus.hardware.protocols import Camera, Scanner
 
@@ -38,6 +39,8 @@ def open_camera(table: CameraTable) -> Camera:
     if ":" in table.kind:
         camera: Camera = open_outside(table.kind, Camera, **table.options)
         return camera
+    if table.micro_manager is not None:
+        return MicroManagerCamera(**table.micro_manager.model_dump(), line_rate_hz=table.line_rate_hz)
     from napari_elsplus.hardware.u3v.camera import U3vCamera
     from napari_elsplus.hardware.u3v.discovery import choose_camera
 
@@ -73,7 +76,7 @@ def features_of(table: CameraTable) -> Callable[[Control], Features]:
     Parameters
     ----------
     table : CameraTable
-        Table ``camera`` of a rig file, of a kind in this package.
+        Table ``camera`` of a rig file, of a USB3 Vision camera.
     """
     wiring: dict[str, Any] = {"line_rate_hz": table.line_rate_hz, "strobe_line": table.strobe_line}
     if table.kind == "flea3":

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import MAX_HOLD_S, CardSettings
+from napari_elsplus.hardware.micro_manager.camera import CORE_NUMBER
 from napari_elsplus.hardware.rig import SIMULATED, SIMULATED_REAL
 from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
@@ -29,7 +30,11 @@ RESERVED = (SIMULATED, SIMULATED_REAL)
 """Names that no file may take."""
 
 
-CAMERA_KINDS: Final = ("flea3", "genicam")
+U3V_KINDS: Final = ("flea3", "genicam")
+"""Drivers of USB3 Vision cameras."""
+MICRO_MANAGER: Final = "mmcore"
+"""Driver of Micro-Manager's cameras."""
+CAMERA_KINDS: Final = (*U3V_KINDS, MICRO_MANAGER)
 SCANNER_KINDS: Final = ("nidaqmx",)
 """Drivers of this package."""
 DRIVER: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
@@ -64,6 +69,16 @@ class _DriverTable(_Table):
         return self
 
 
+class MicroManagerTable(_Table):
+    """A camera of Micro-Manager: its configuration file, and the names of its properties and tags."""
+
+    config: str
+    frame_rate: str
+    gain: str = ""
+    frame_number: str = CORE_NUMBER
+    folder: str = ""
+
+
 class CameraTable(_DriverTable):
     """Camera driver, and what the camera does not report by itself."""
 
@@ -72,6 +87,13 @@ class CameraTable(_DriverTable):
     line_rate_hz: Positive = LINE_RATE_HZ
     strobe: StrobePhase = StrobePhase.EXPOSURE
     strobe_line: Annotated[int, Field(ge=0, le=3)] = 1
+    micro_manager: MicroManagerTable | None = None
+
+    @model_validator(mode="after")
+    def _micro_manager_has_its_table(self) -> Self:
+        if (self.kind == MICRO_MANAGER) != (self.micro_manager is not None):
+            raise ValueError(f'kind = "{MICRO_MANAGER}" and the table camera.micro_manager need each other')
+        return self
 
 
 class ScannerTable(_DriverTable):

@@ -1,0 +1,1 @@
+"""A camera of Micro-Manager, through its device adapters."""
