@@ -28,12 +28,16 @@ def test_els_is_ls_minus_residual_and_keeps_the_fibres(recording):
 
 
 def test_three_images_stand_side_by_side_in_micrometres(recording):
-    shown = [(data, attributes) for data, attributes in recording.values() if attributes["visible"]]
+    titles, above = recording["fibres titles"]
+    shown = [(data, attributes) for data, attributes in recording.values() if attributes["visible"]][1:]
     um_per_px = PRESETS["240hz"].optics.um_per_px
     lefts = [attributes["translate"][2] for _, attributes in shown]
     assert [attributes["name"] for _, attributes in shown] == ["fibres LS", "fibres residual", "fibres ELS+"]
     assert all(attributes["scale"][1:] == (um_per_px, um_per_px) for _, attributes in shown)
     assert np.all(np.diff(lefts) > shown[0][0].shape[2] * um_per_px)
+    assert above["features"] == {"title": ["LS", "residual", "ELS+"]}
+    np.testing.assert_allclose(titles[:, 1] * above["scale"][1], lefts)
+    assert np.all(titles[:, 0] * above["scale"][0] < shown[0][1]["translate"][1])
 
 
 def test_frames_do_not_depend_on_the_order_in_which_they_are_looked_at(recording):

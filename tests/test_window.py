@@ -39,7 +39,10 @@ def test_the_window_shows_what_the_manifest_offers(
     tabs = [dock.tabs.tabText(index) for index in range(dock.tabs.count())]
     assert tabs == panels[1:]
     assert panels[0] in [one.windowTitle() for one in viewer.window._qt_window.findChildren(QDockWidget)]
-    assert [layer.name for layer in viewer.layers if layer.visible] == ["fibres LS", "fibres residual", "fibres ELS+"]
+    titles, *shown = [layer for layer in viewer.layers if layer.visible]
+    assert [layer.name for layer in shown] == ["fibres LS", "fibres residual", "fibres ELS+"]
+    assert list(titles.text.values) == ["LS", "residual", "ELS+"]
+    assert viewer.layers.selection.active is shown[-1]
     assert viewer.canvas.overlays.scale_bar.visible
 
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final
 
 import click
+import napari
 
 from benchmarks.screens.clipping import clipped_texts
 from benchmarks.screens.scenes import SETTLE_S, Scene
+from benchmarks.screens.walk import open_dock_in, walk_to_figure, walk_to_mosaic, write_videos
 
 SIZES: Final = ((1280, 800), (1600, 1000))
 """Width and height of the window, pixels: a laptop, and a desk."""
@@ -18,6 +21,8 @@ THEMES: Final = ("dark", "light")
 
 RATE_S: Final = 4.0
 """Time for the display rate, which is averaged over 61 images, to forget the resizing, seconds."""
+WALK_FRAMES: Final = 60
+"""Frames of the recording of the walk: a quarter of a second."""
 DOCS: Final = Path(__file__).parents[2] / "docs" / "images"
 IN_DOCS: Final = {
     "Compare": "compare", "Compare difference": "compare-difference", "Axial response": "axial-panel",
@@ -30,8 +35,12 @@ IN_DOCS: Final = {
 @click.command()
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("screens"), show_default=True)
 @click.option("--docs", is_flag=True, help="Save the pictures of the documentation into docs/images, and no others.")
-def main(out: Path, docs: bool) -> None:
+@click.option("--walk", is_flag=True, help="Time the way from another lab's videos to a figure and a mosaic.")
+def main(out: Path, docs: bool, walk: bool) -> None:
     """Save PANEL-WIDTHxHEIGHT-THEME.png for each into a folder, and list text that does not fit; exit 1 if any."""
+    if walk:
+        walk_and_time(DOCS if docs else out)
+        return
     sizes, themes = (SIZES[:1], THEMES[:1]) if docs else (SIZES, THEMES)
     out = DOCS if docs else out
     out.mkdir(parents=True, exist_ok=True)
@@ -59,6 +68,30 @@ def main(out: Path, docs: bool) -> None:
     for line in clipped:
         click.echo(line, err=True)
     raise SystemExit(1 if clipped else 0)
+
+
+def walk_and_time(out: Path) -> None:
+    """Go from videos to a figure and a mosaic, save the figure into a folder, and print the time of each step."""
+    with TemporaryDirectory() as settings, TemporaryDirectory() as given:
+        os.environ["ELSPLUS_CONFIG"] = settings  # as at the first start
+        folder = Path(given)
+        write_videos(folder, WALK_FRAMES)
+        viewer = napari.Viewer()
+        viewer.window.resize(*SIZES[0])
+        dock = open_dock_in(viewer)
+        hand = walk_to_figure(dock, folder)
+        figure_s = hand.seconds
+        compare: Any = dock.by_title["Compare"].panel
+        compare.save_figure_to(folder / "published-figure.png")
+        walk_to_mosaic(hand, folder)
+        for step in hand.steps:
+            click.echo(f"{step.action:45} person {step.person_s:5.1f} s, computer {step.computer_s:5.1f} s")
+        click.echo(f"{figure_s:.0f} s to the figure, {hand.seconds:.0f} s to the mosaic, {hand.typed} typed numbers")
+        out.mkdir(parents=True, exist_ok=True)
+        shutil.copy(folder / "published-figure.png", out)
+        for tab in dock.by_title.values():
+            tab.cleanup()
+        viewer.close()
 
 
 if __name__ == "__main__":

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.instrument.optics import preset
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.axial import simulated_scan
-from napari_elsplus.viewing.layers import image_layers, raw_layer, side_by_side
+from napari_elsplus.viewing.layers import TITLES, image_layers, raw_layer, side_by_side, titles_above
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.stack import Stack
 from napari_elsplus.workflows.simulated import RenderedFrames, simulate_calibration, simulate_recording
@@ -21,18 +22,21 @@ if TYPE_CHECKING:
 PRESET: Final = "240hz"
 FRAMES: Final = 480
 """Frames of the sample recording: two seconds at 240 Hz."""
+SHOWN: Final = (Mode.LS, Mode.RESIDUAL, Mode.ELS)
+"""Images of the sample recording that are displayed, from left to right."""
 SEED: Final = 1
 """Seed of specimen, motion and noise; chosen."""
 
 
 def recording() -> list[tuple[Any, ...]]:
-    """Return layers of a probe moved by hand over stained fibres for two seconds: raw, LS, residual, ELS+, ELSA."""
+    """Return layers of a probe moved by hand over fibres for two seconds: titles, raw, ELSA, LS, residual, ELS+."""
     frames = simulate_recording(frames=FRAMES, seed=SEED)
     stack = Stack("fibres", _planes(frames), _metadata())
     raw = raw_layer(stack, frames.calibration)
     raw[1]["visible"] = False
     *shown, elsa = image_layers(stack, frames.calibration)
-    return [raw, elsa, *side_by_side(shown)]
+    placed = side_by_side(shown)
+    return [titles_above("fibres titles", placed, [TITLES[mode] for mode in SHOWN]), raw, elsa, *placed]
 
 
 def calibration_set() -> list[tuple[Any, ...]]:

@@ -258,7 +258,7 @@ def test_themes_and_loading(viewer, panel, qtbot, open_recording, tmp_path):
     panel.load(tmp_path / "cal.json")
     panel.choose("offset")
     assert state(panel, "offset") is StepState.DONE
-    assert "from a file" in panel.form.headline.text()
+    assert panel.form.headline.text() == "loaded from file"
     panel.form.undo.click()
     assert state(panel, "offset") is StepState.MISSING
 

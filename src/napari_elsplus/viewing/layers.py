@@ -19,6 +19,7 @@ from napari_elsplus.viewing.stack import Stack, attributes, images_origin_px, pr
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from napari_elsplus.instrument.calibration import Calibration
@@ -33,6 +34,11 @@ TITLES: Final = {Mode.LS: "LS", Mode.RESIDUAL: "residual", Mode.ELS: "ELS+", Mod
 """Display names of the modes, as in the paper."""
 GAP_PX: Final = 20
 """Columns between images that are displayed side by side; chosen, 6 % of an image at 240 Hz."""
+TITLE_COLOUR: Final = "#8c8c8c"
+"""Grey, legible on black and on white."""
+TITLE_RISE: Final = 0.03
+"""Distance of a title from its image, fraction of the image's rows; chosen."""
+TITLE_PT: Final = 12
 MOSAIC: Final = "mosaic"
 """Key of a mosaic's layers in their metadata."""
 
@@ -152,6 +158,55 @@ def side_by_side(layers: list[Layer]) -> list[Layer]:
         place = (*words["translate"][:-1], words["translate"][-1] + aside)
         placed.append((data, {**words, "translate": place, "visible": True}, kind))
     return placed
+
+
+def titles_layer(
+    name: str,
+    titles: Sequence[str],
+    corners: Sequence[tuple[float, float]],
+    place: Mapping[str, Any],
+    colours: Sequence[str] = (),
+) -> Layer:
+    """Return a layer of text above images.
+
+    Parameters
+    ----------
+    name : str
+        Of the layer.
+    titles : sequence of str
+        One for each image.
+    corners : sequence of tuple of float
+        Row and column above which each begins, in pixels of the layer.
+    place : mapping
+        Scale, translation, units and labels of the two axes, as far as they differ from napari's defaults.
+    colours : sequence of str, optional
+        Of the titles, as hex.
+    """
+    colour = list(colours) or TITLE_COLOUR
+    text = {"string": "{title}", "color": colour, "size": TITLE_PT, "anchor": "upper_left"}
+    words = {"name": name, "size": 1, "face_color": "transparent", "border_color": "transparent", "text": text}
+    words["features"] = {"title": list(titles)}
+    return np.array(corners, np.float64).reshape(-1, 2), {**words, "visible": True, **place}, "points"
+
+
+def titles_above(name: str, layers: Sequence[Layer], titles: Sequence[str]) -> Layer:
+    """Return a layer of titles above layers of images.
+
+    Parameters
+    ----------
+    name : str
+        Of the layer.
+    layers : sequence of tuple
+        (data, attributes, type) each, of one scale.
+    titles : sequence of str
+        One for each.
+    """
+    first = layers[0][1]
+    step, rise = first["scale"][-1], TITLE_RISE * layers[0][0].shape[-2]
+    places = [words["translate"] for _, words, _ in layers]
+    corners = [(place[-2] / step - rise, place[-1] / step) for place in places]
+    place = {key: first[key][-2:] for key in ("scale", "units", "axis_labels")}
+    return titles_layer(name, titles, corners, place)
 
 
 def finished_layer(stack: Stack) -> Layer:

@@ -109,7 +109,7 @@ def test_all_panels_share_one_engine_that_ends_with_the_dock(viewer, dock, small
 def test_the_status_line_names_rig_stream_and_calibration(dock, qtbot):
     state = dock.status_line.state
     assert "no rig connected" in state.text()
-    assert "no calibration" in state.text()
+    assert "active calibration: none" in state.text()
     dock.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
     qtbot.waitUntil(lambda: "<b>simulated</b>: connected" in state.text(), timeout=10_000)
 

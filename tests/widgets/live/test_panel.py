@@ -24,6 +24,7 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration, recall
 from napari_elsplus.processing.calibration.scan.lag import ScanLag
@@ -55,6 +56,10 @@ def panel(viewer, qtbot, tmp_path):
     return panel
 
 
+def images(viewer):
+    return [layer for layer in viewer.layers if layer.name != "live titles"]
+
+
 def ended(panel):
     recording = panel.connection.client.status.recording
     return recording is not None and not recording.running
@@ -80,7 +85,8 @@ def test_live_layers_fill_and_are_kept_as_the_user_has_set_them(viewer, panel, q
     start(panel, qtbot)
     els = viewer.layers["live ELS+"]
     qtbot.waitUntil(lambda: np.abs(els.data).max() > 1, timeout=30_000)
-    assert [layer.name for layer in viewer.layers if layer.visible] == ["live LS", "live ELS+"]
+    assert [layer.name for layer in viewer.layers if layer.visible] == ["live LS", "live ELS+", "live titles"]
+    assert list(viewer.layers["live titles"].text.values) == ["LS", "ELS+"]
     viewer.layers.remove(before)
     assert els.scale == pytest.approx([1.33, 1.33])
     assert els.translate[1] > 466 * 1.33
@@ -89,7 +95,7 @@ def test_live_layers_fill_and_are_kept_as_the_user_has_set_them(viewer, panel, q
     stop(panel, qtbot)
     start(panel, qtbot)
     qtbot.wait(200)
-    assert len(viewer.layers) == 2
+    assert len(images(viewer)) == 2
     assert els in viewer.layers
     assert (els.colormap.name, tuple(els.contrast_limits), viewer.scene.camera.zoom) == ("magenta", (3, 77), 2.5)
     panel.form.contrast.value = CONTINUOUS
@@ -135,9 +141,10 @@ def test_what_is_shown_follows_the_boxes(viewer, panel, qtbot):
     panel.form.kinds["ls"].value = False
     panel.form.kinds["elsa"].value = True
     qtbot.waitUntil(lambda: "elsa" in panel.layers.images, timeout=30_000)
-    assert {layer.name for layer in viewer.layers if layer.visible} == {"live ELS+", "live ELSA"}
+    assert {layer.name for layer in images(viewer) if layer.visible} == {"live ELS+", "live ELSA"}
+    assert list(viewer.layers["live titles"].text.values) == ["ELS+", "ELSA"]
     panel.form.side_by_side.value = False
-    qtbot.waitUntil(lambda: {layer.translate[1] for layer in viewer.layers if layer.visible} == {0.0}, timeout=30_000)
+    qtbot.waitUntil(lambda: {layer.translate[1] for layer in images(viewer) if layer.visible} == {0.0}, timeout=30_000)
     assert recall("live")["kinds"] == ["els", "elsa"]
 
 
@@ -155,7 +162,7 @@ def test_a_killed_engine_is_said_once_the_layers_stay_and_it_can_start_again(vie
     qtbot.waitUntil(lambda: any("SIGKILL" in words for _, words in said()), timeout=30_000)
     qtbot.wait(600)
     assert sum("SIGKILL" in words for _, words in said()) == 1
-    assert len(viewer.layers) == 2
+    assert len(images(viewer)) == 2
     panel.form.start.native.click()
     qtbot.waitUntil(lambda: panel.connection.client is not None and not panel.requests.busy, timeout=30_000)
     assert len(small_engine) == 2
@@ -300,6 +307,13 @@ def test_a_calibration_reaches_the_other_panels_whoever_loaded_it(viewer, qtbot,
     rig.connect.native.click()  # the rig that is connected anew works by what is known
     qtbot.waitUntil(lambda: rig.connection.client is not None and not rig.requests.busy, timeout=60_000)
     assert rig.connection.client.calibration == known
+    rig.forgetting.native.click()  # no calibration is active any more, nor the next time
+    qtbot.waitUntil(lambda: rig.connection.calibration is None and active_calibration() is None, timeout=30_000)
+    assert rig.connection.client.calibration is None
+    qtbot.waitUntil(lambda: steps.draft.calibration == Calibration(), timeout=30_000)
+    assert not rig.forgetting.enabled
+    steps.undo()
+    qtbot.waitUntil(lambda: rig.connection.client.calibration == known, timeout=30_000)
 
 
 def test_closing_the_dock_does_not_wait_for_the_engine(viewer, panel, qtbot, tmp_path, small_engine, monkeypatch):
@@ -433,4 +447,4 @@ def test_a_recording_has_a_limit_is_described_and_opened(viewer, panel, qtbot, t
     assert not panel.form.opening.native.isHidden()
     panel.form.opening.native.click()
     (path,) = tmp_path.glob("recording-*.ome.tif")
-    assert any(layer.metadata["elsplus"]["path"] == path for layer in viewer.layers)
+    assert any(layer.metadata["elsplus"]["path"] == path for layer in images(viewer))

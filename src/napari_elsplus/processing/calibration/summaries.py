@@ -174,7 +174,7 @@ def summarize_lag(lag: ScanLag, _draft: Draft, setup: Setup) -> StepSummary:
     warnings: list[str] = []
     if setup.line_period_s is not None:
         rows = with_uncertainty(lag.lag_s / setup.line_period_s, lag.uncertainty_s / setup.line_period_s)
-        lines.append(f"{rows} rows by which the scan leads the slit")
+        lines.append(f"drive leads by {rows} rows")
     if lag.row_errors is not None:
         lines.append(f"row error at most {lag.row_errors.largest_rows:.2f} rows")
     if lag.ramp is not None:

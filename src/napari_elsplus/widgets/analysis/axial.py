@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from magicgui.widgets import ComboBox, FloatSpinBox, PushButton
-from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
+from qtpy.QtWidgets import QLabel
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing
@@ -32,7 +32,16 @@ from napari_elsplus.widgets.shared.choosing import (
     refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, next_hint, set_enabled
+from napari_elsplus.widgets.shared.files import file_to_save
+from napari_elsplus.widgets.shared.panel import (
+    Panel,
+    button_row,
+    copy_as_script,
+    form_layout,
+    next_hint,
+    panel_layout,
+    set_enabled,
+)
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.work import Work
@@ -199,8 +208,7 @@ class AxialResponsePanel(Panel):
         self.numbers.setWordWrap(True)
         self.plot = ThemedPlot("distance / µm", "signal", self.viewer.theme)
         self.plot.setMinimumHeight(200)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(6, 6, 6, 6)
+        layout = panel_layout(self)
         fields = [field for group in self._fields.values() for field in group]
         self._form = form_layout(self.source, *fields, self.shown)
         layout.addLayout(self._form)
@@ -251,7 +259,6 @@ class AxialResponsePanel(Panel):
 
     def _ask_where_to_save(self) -> None:
         kinds = dialog_filter(PICTURE, TABLE, AXIAL_RESPONSES)
-        path, _ = QFileDialog.getSaveFileName(self, "Save the axial response", "axial.png", kinds)
-        if path:
+        if path := file_to_save(self, "Save the axial response", "axial.png", kinds):
             with notify_errors(self):
                 self.save_to(path)

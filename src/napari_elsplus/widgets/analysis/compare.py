@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from magicgui.widgets import ComboBox, PushButton, SpinBox
 from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
+from qtpy.QtWidgets import QLabel
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
@@ -35,7 +35,16 @@ from napari_elsplus.widgets.shared.choosing import (
     refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, next_hint, set_enabled
+from napari_elsplus.widgets.shared.files import file_to_save, note_folder
+from napari_elsplus.widgets.shared.panel import (
+    Panel,
+    button_row,
+    copy_as_script,
+    form_layout,
+    next_hint,
+    panel_layout,
+    set_enabled,
+)
 from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
@@ -110,6 +119,7 @@ class ComparePanel(Panel):
         with notify_errors(self):
             source = self._chosen()
             facts, cores, index = source.metadata["elsplus"], self.cores.value, self._index()
+            note_folder(facts["path"])
 
             def made() -> Comparison:
                 comparison = compare_stack(facts["stack"], facts["calibration"], cores)
@@ -145,8 +155,9 @@ class ComparePanel(Panel):
             return
         index, inside = self._index(), self._comparison.inside
         if self.view.value == DIFFERENCE:
+            planes = [np.abs(np.asarray(layer.data[index])) for layer in self.display.images]
+            white = max(white_level(plane, inside) for plane in planes)  # one scale, to compare them
             for layer in self.display.images:
-                white = white_level(np.abs(np.asarray(layer.data[index])), inside)
                 layer.contrast_limits = (-white, white)
             return
         levels = white_levels(self._comparison.at(index), inside, self.scaling.value)
@@ -223,8 +234,7 @@ class ComparePanel(Panel):
         self.numbers.setWordWrap(True)
         self.plot = ThemedPlot("position along the line / px", "grey levels", self.viewer.theme)
         self.plot.setMinimumHeight(180)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(6, 6, 6, 6)
+        layout = panel_layout(self)
         layout.addLayout(form_layout(self.recording, self.cores, self.scaling, self.view, self.line_width))
         layout.addLayout(button_row(self.start, self.rescale))
         layout.addWidget(self.work)
@@ -319,14 +329,12 @@ class ComparePanel(Panel):
 
     def _ask_where_to_save(self) -> None:
         kinds = dialog_filter(PICTURE, TABLE)
-        path, _ = QFileDialog.getSaveFileName(self, "Save the profiles", "profiles.png", kinds)
-        if path:
+        if path := file_to_save(self, "Save the profiles", "profiles.png", kinds):
             with notify_errors(self):
                 self.plot.save(Path(path))
 
     def _ask_where_to_save_figure(self) -> None:
-        path, _ = QFileDialog.getSaveFileName(self, "Save the figure", "comparison.pdf", FIGURES)
-        if path:
+        if path := file_to_save(self, "Save the figure", "comparison.pdf", FIGURES):
             self.save_figure_to(path)
 
 

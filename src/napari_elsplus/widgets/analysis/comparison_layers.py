@@ -9,7 +9,7 @@ import numpy as np
 from napari.layers import Image, Points, Shapes
 from napari.utils import Colormap
 
-from napari_elsplus.viewing.layers import GAP_PX, SMOOTH
+from napari_elsplus.viewing.layers import GAP_PX, SMOOTH, TITLE_RISE, titles_layer
 from napari_elsplus.viewing.stack import attributes
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ class ComparisonLayers:
                 one.planes.dask(), cache=False, colormap=SIGNED if one.signed else "gray",
                 interpolation2d=SMOOTH, **options,
             )  # fmt: skip
-            image.colorbar.visible = one.signed  # its grey levels are compared, those of the others are scaled
+            image.colorbar.visible = one.signed and not self.images  # one scale for all; others are scaled anyway
             self.images.append(image)
             self._viewer.layers.append(image)
         place = {key: options[key][1:] for key in ("scale", "units", "axis_labels")}
@@ -205,12 +205,10 @@ class ComparisonLayers:
 
     def _add_titles(self, images: Sequence[ComparedImage], place: dict[str, Any]) -> None:
         self._title_texts = [one.title for one in images]
-        corners = [(-0.03 * self._side, offset) for offset in self._offsets_px]
-        text = {"string": self._title_texts, "color": [one.colour for one in images], "size": 12}
-        self._titles = Points(
-            corners, name=f"{PREFIX} titles", size=1, face_color="transparent", border_color="transparent",
-            text={**text, "anchor": "upper_left"}, **place,
-        )  # fmt: skip
+        corners = [(-TITLE_RISE * self._side, offset) for offset in self._offsets_px]
+        colours = [one.colour for one in images]
+        data, attributes, _ = titles_layer(f"{PREFIX} titles", self._title_texts, corners, place, colours)
+        self._titles = Points(data, **attributes)
         self._titles.editable = False
         self._viewer.layers.append(self._titles)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from magicgui.widgets import ComboBox, PushButton
 from napari.layers import Image, Shapes
-from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QVBoxLayout
+from qtpy.QtWidgets import QLabel, QSizePolicy
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
@@ -34,7 +34,16 @@ from napari_elsplus.widgets.shared.choosing import (
     refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, next_hint, set_enabled
+from napari_elsplus.widgets.shared.files import file_to_save
+from napari_elsplus.widgets.shared.panel import (
+    Panel,
+    button_row,
+    copy_as_script,
+    form_layout,
+    next_hint,
+    panel_layout,
+    set_enabled,
+)
 from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
@@ -191,8 +200,7 @@ class QualityPanel(Panel):
         self.numbers.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)  # it follows the dock
         self.plot = ThemedPlot("row from the centre / µm", "residual / central level", self.viewer.theme)
         self.plot.setMinimumHeight(160)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(6, 6, 6, 6)
+        layout = panel_layout(self)
         layout.addLayout(form_layout(self.recording, self.cores))
         layout.addLayout(button_row(self.align, self.mark, self.average))
         layout.addWidget(self.work)
@@ -268,8 +276,7 @@ class QualityPanel(Panel):
 
     def _ask_where_to_save(self) -> None:
         kinds = dialog_filter(PICTURE, TABLE)
-        path, _ = QFileDialog.getSaveFileName(self, "Save the profile", "edge.png", kinds)
-        if path:
+        if path := file_to_save(self, "Save the profile", "edge.png", kinds):
             with notify_errors(self):
                 self.plot.save(Path(path))
 

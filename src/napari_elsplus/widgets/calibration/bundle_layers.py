@@ -15,10 +15,12 @@ if TYPE_CHECKING:
     from napari_elsplus.widgets.calibration.session import ShownResult
 
 IMAGE, OUTLINES = "calibration: bundle", "calibration: outlines"
+PAIR_KEY = "pair"
+"""Of the displayed result in the image's metadata."""
 
 
 def show_bundle(viewer: napari.viewer.Viewer, shown: ShownResult | None, draft: Draft) -> None:
-    """Add the layers of the bundle pair if it is the displayed result; else remove them.
+    """Add the layers of the bundle pair if it is the displayed result; else remove them. Those of the same pair remain.
 
     Parameters
     ----------
@@ -29,14 +31,19 @@ def show_bundle(viewer: napari.viewer.Viewer, shown: ShownResult | None, draft: 
     draft : Draft
         Results accepted so far.
     """
-    for name in (IMAGE, OUTLINES):
-        if name in viewer.layers:
-            viewer.layers.remove(name)
-    if shown is None or not isinstance(shown.found, BundlePair):
+    pair = shown.found if shown is not None and isinstance(shown.found, BundlePair) else None
+    present = [viewer.layers[name] for name in (IMAGE, OUTLINES) if name in viewer.layers]
+    same = pair is not None and len(present) == len((IMAGE, OUTLINES)) and present[0].metadata.get(PAIR_KEY) is pair
+    for layer in [] if same else present:
+        viewer.layers.remove(layer)
+    if shown is None or pair is None:
         return
-    pair = shown.found
     accepted = draft if draft.pair is pair else PAIR.accept(draft, pair, shown.setup)
     data, attributes, _ = outline_layer(accepted.calibration, OUTLINES)
     placed = {key: attributes[key] for key in ("scale", "units") if key in attributes}
-    viewer.add_image(pair.image, name=IMAGE, **placed)
+    if same:
+        for layer in present:
+            layer.scale, layer.units = placed["scale"], placed["units"]
+        return
+    viewer.add_image(pair.image, name=IMAGE, metadata={PAIR_KEY: pair}, **placed)
     viewer.add_shapes(data, **attributes)

@@ -15,7 +15,6 @@ from qtpy.QtWidgets import (
     QPushButton,
     QSpinBox,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -27,6 +26,7 @@ from napari_elsplus.processing.calibration.step import Capture, StepState
 from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps
 from napari_elsplus.viewing.calibration_script import MeasurementSource
 from napari_elsplus.widgets.shared.choosing import preset_label
+from napari_elsplus.widgets.shared.panel import panel_layout
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.window.keys import key_name
 
@@ -50,6 +50,8 @@ HEADLINE_PT: Final = 17
 FAR_PT: Final = 40
 """In points; chosen: legible from across the bench, with both hands on the tilt mirror."""
 NEAR_PT: Final = 11
+COLUMNS: Final = 3
+"""Of steps, optics and buttons; chosen: their texts fit a dock of 440 px."""
 PLOT_STRETCH: Final = 1000
 """Of the layout; chosen: far above 1, so that plots take all free space."""
 
@@ -81,14 +83,13 @@ class Form:
         self.target, self.voltages = QDoubleSpinBox(), QSpinBox()
         self.target.setRange(3, 100)
         self.target.setValue(29)
-        self.target.setSuffix(" \N{MICRO SIGN}m")
         self.target.setToolTip("Target slit offset, either sign, 3 to 100 \N{MICRO SIGN}m; green within 1")
         self.voltages.setRange(20, 4000)
         self.voltages.setValue(SWEEP_VOLTAGES)
         self.voltages.setToolTip("Voltages of the sweep, 20 to 4000; the paper takes at least 400")
-        self.bundle_um = _number("µm", 1, 10_000, "Diameter of the imaged part of the bundle; it gives the micrometres")
-        self.line_period_us = _number("µs", 4, 1000, "Time from the readout of one row to that of the next")
-        self.periods_per_frame = _number("", 2, 100_000, "Line periods from one frame to the next, idle time included")
+        self.bundle_um = _number(1, 10_000, "Diameter of the imaged part of the bundle; it gives the micrometres")
+        self.line_period_us = _number(4, 1000, "Time from the readout of one row to that of the next")
+        self.periods_per_frame = _number(2, 100_000, "Line periods from one frame to the next, idle time included")
         self.measure, self.follow_button, self.from_file = QPushButton(), QPushButton(), QPushButton("From file...")
         self.from_layer = QPushButton("From layer")
         self.accept, self.discard, self.undo = QPushButton("Accept"), QPushButton("Discard"), QPushButton("Undo")
@@ -320,25 +321,21 @@ class Form:
         return button
 
     def _lay_out(self, panel: QWidget, work: QWidget) -> None:
-        layout = QVBoxLayout(panel)
-        layout.setContentsMargins(6, 6, 6, 6)
+        layout = panel_layout(panel)
         layout.addLayout(_row(self.rig, self.connect_button))
         layout.addWidget(self.preset)
-        grid = QGridLayout()
-        for index, button in enumerate(self.steps.values()):
-            grid.addWidget(button, index // 2, index % 2)
-        layout.addLayout(grid)
-        given = QFormLayout()
-        given.addRow("bundle diameter", self.bundle_um)
-        given.addRow("line period", self.line_period_us)
-        given.addRow("line periods per frame", self.periods_per_frame)
-        layout.addLayout(given)
-        layout.addLayout(_row(self.measure, self.follow_button))
-        layout.addLayout(_row(self.from_file, self.from_layer))
+        layout.addLayout(_grid(*self.steps.values()))
+        optics = {
+            "bundle Ø (µm)": self.bundle_um,
+            "line period (µs)": self.line_period_us,
+            "line periods / frame": self.periods_per_frame,
+        }
+        layout.addLayout(_grid(*(QLabel(text) for text in optics), *optics.values()))
+        layout.addLayout(_row(self.measure, self.follow_button, self.from_file, self.from_layer))
         layout.addLayout(_row(self.accept, self.discard, self.undo, self.next_step))
         layout.addWidget(self.explanation)
         self._options = QFormLayout()
-        self._options.addRow("target offset", self.target)
+        self._options.addRow("target offset (µm)", self.target)
         self._options.addRow("voltages", self.voltages)
         layout.addLayout(self._options)
         layout.addWidget(work)
@@ -348,9 +345,7 @@ class Form:
             layout.addWidget(plot, PLOT_STRETCH)
         layout.addStretch(1)
         layout.addWidget(self.numbers)
-        layout.addLayout(_row(self.load, self.save))
-        layout.addLayout(_row(self.report, self.history))
-        layout.addLayout(_row(self.save_plots, self.script))
+        layout.addLayout(_grid(self.load, self.save, self.report, self.history, self.save_plots, self.script))
 
 
 def _html(text: str) -> str:
@@ -362,12 +357,11 @@ def _allow(button: QPushButton, why_not: str, tooltip: str) -> None:
     button.setToolTip(why_not or tooltip)
 
 
-def _number(unit: str, decimals: int, largest: float, tooltip: str) -> QDoubleSpinBox:
+def _number(decimals: int, largest: float, tooltip: str) -> QDoubleSpinBox:
     """Return a field of a positive number, displayed as unknown at 0."""
     field = QDoubleSpinBox()
     field.setDecimals(decimals)
     field.setRange(0, largest)
-    field.setSuffix(f" {unit}" if unit else "")
     field.setSpecialValueText("unknown")
     field.setKeyboardTracking(False)
     field.setToolTip(f"{tooltip}; unknown at 0")
@@ -378,6 +372,15 @@ def _text() -> QLabel:
     label = QLabel()
     label.setWordWrap(True)
     return label
+
+
+def _grid(*widgets: QWidget) -> QGridLayout:
+    """Return a layout of three columns of one width."""
+    grid = QGridLayout()
+    for index, widget in enumerate(widgets):
+        grid.addWidget(widget, *divmod(index, COLUMNS))
+        grid.setColumnStretch(index % COLUMNS, 1)
+    return grid
 
 
 def _row(*widgets: QWidget) -> QHBoxLayout:

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QComboBox, QDialog, QFileDialog, QHBoxLayout, QLabel, QPushButton, QVBoxLayout
+from qtpy.QtWidgets import QComboBox, QDialog, QHBoxLayout, QLabel, QPushButton, QVBoxLayout
 
 from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
 from napari_elsplus.widgets.shared.calibration_state import amber
+from napari_elsplus.widgets.shared.files import file_to_save, folder_to_open
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.workflows.calibration_report.history import CalibrationHistory, calibration_history
@@ -77,12 +78,11 @@ class HistoryDialog(QDialog):
         self.notes.setText("<br>".join([counted, *map(amber, self.history.warnings)]))
 
     def _choose_folder(self) -> None:
-        if folder := QFileDialog.getExistingDirectory(self, "Folder of calibrations"):
+        if folder := folder_to_open(self, "Folder of calibrations"):
             self.show_folder(Path(folder))
 
     def _save(self) -> None:
         kinds = dialog_filter(PICTURE, TABLE)
-        path, _ = QFileDialog.getSaveFileName(self, "Save the plot", "history.png", kinds)
-        if path:
+        if path := file_to_save(self, "Save the plot", "history.png", kinds):
             with notify_errors(self._panel):
                 self.plot.save(Path(path))

@@ -392,7 +392,7 @@ class CalibrationPanel(Panel):
             present=any(step.state(draft)[0] is not StepState.MISSING for step in calibration_steps()),
         )
         if shown is None and step.state(draft)[0] is not StepState.MISSING:
-            form.show_headline("read from a file; measure it to display more")
+            form.show_headline("loaded from file")
         show_bundle(self.viewer, shown, draft)
 
     def _theme_changed(self) -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from napari_elsplus.instrument.calibration import Calibration
+
 if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
-    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.widgets.shared.connection import Connection
 
 
@@ -55,7 +56,7 @@ class Sharing:
         return error
 
     def activated_elsewhere(self, own: Calibration) -> Calibration | None:
-        """Return the active calibration if another panel has activated it since the last call.
+        """Return the active calibration if another panel has changed it since the last call, an empty one if forgotten.
 
         Parameters
         ----------
@@ -65,5 +66,9 @@ class Sharing:
         shared = self._connection.calibration
         if shared is self._seen or not (self._activation is None or self._activation.done()):
             return None
+        forgotten = shared is None and self._seen is not None
         self._seen = shared
+        if forgotten:
+            self._file = None
+            return Calibration()
         return None if shared is own else shared

@@ -26,6 +26,10 @@ PANELS: Final = (
 """From left to right, in the order of the work; the manifest declares each as a widget of its own, too."""
 FIRST: Final = "Compare"
 """The tab in front at first: it needs no instrument."""
+TAB_STYLE: Final = "QTabBar {background: none; border: none; padding: 0px} QTabBar::tab {padding: 4px 6px}"
+"""Of the tabs; napari's draws its own frame around the bar, which cuts their tops."""
+TOP_PX: Final = 4
+"""Space above the tabs, pixels; chosen: the dock's title bar overlaps as much."""
 STATUS_MS: Final = 200
 """Interval of the status line, milliseconds; chosen, faster than it can be read."""
 
@@ -48,6 +52,10 @@ class ElsPlusDock(EnginePanel):
         super().__init__(viewer)
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
+        self.tabs.setStyleSheet(TAB_STYLE)
+        bar = self.tabs.tabBar()
+        assert bar is not None
+        bar.setDrawBase(False)
         self.tabs.setUsesScrollButtons(False)
         self.tabs.setElideMode(Qt.TextElideMode.ElideNone)
         self.by_title = {kind.title: Tab(kind, viewer) for kind in PANELS}
@@ -55,7 +63,7 @@ class ElsPlusDock(EnginePanel):
             self.tabs.addTab(tab, title)
         self.status_line = StatusLine()
         layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setContentsMargins(0, TOP_PX, 0, 0)
         layout.setSpacing(0)
         layout.addWidget(self.tabs, 1)
         layout.addWidget(self.status_line)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QGridLayout, QLabel, QToolButton, QWidget
 
+from napari_elsplus.io.settings import active_calibration
 from napari_elsplus.widgets.shared.calibration_state import amber, calibration_lines
 from napari_elsplus.widgets.shared.problems import problems
 
@@ -53,7 +54,8 @@ class StatusLine(QWidget):
         client = connection.client
         status = None if client is None else client.status
         lines = [rig_line(connection.rig if client is not None else None, status)]
-        first, *lacking = calibration_lines(connection.calibration, connection.calibration_file)
+        calibration, file = connection.calibration, connection.calibration_file
+        first, *lacking = calibration_lines(calibration, active_calibration() if calibration is None else file)
         lines.append("; ".join([first, *lacking]))
         _set_text(self.state, "<br>".join(lines))
         newest = str(connection.died or "") or _newest_fault(status) or problems.newest

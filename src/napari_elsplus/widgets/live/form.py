@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from magicgui.types import FileDialogMode
 from magicgui.widgets import CheckBox, ComboBox, FileEdit, FloatSpinBox, PushButton, SpinBox
-from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QLabel, QWidget
 
 from napari_elsplus.acquisition.engine.live_images import RAW, LiveView
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
@@ -17,7 +17,7 @@ from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.widgets.live.layers import KINDS
 from napari_elsplus.widgets.shared.calibration_state import lag_button
-from napari_elsplus.widgets.shared.panel import button_row, form_layout
+from napari_elsplus.widgets.shared.panel import button_row, form_layout, panel_layout
 from napari_elsplus.widgets.shared.requests import RequestBar
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 
@@ -193,13 +193,10 @@ class LiveForm:
         self.snapping.tooltip = f"Save the newest raw frame and the calibration ({key_name('snap')}){why}"
 
     def _build_layout(self) -> None:
-        layout = QVBoxLayout(self._panel)
-        for row in (
-            [self.start, self.record, self.snapping],
-            list(self.kinds.values()),
-            [self.side_by_side, self.background, self.flat_field],
-        ):
-            layout.addLayout(button_row(*row))
+        layout = panel_layout(self._panel)
+        layout.addLayout(button_row(self.start, self.record, self.snapping))
+        layout.addLayout(button_row(*self.kinds.values()))
+        layout.addLayout(button_row(self.side_by_side, self.background, self.flat_field))
         layout.addLayout(
             form_layout(
                 self.contrast, self.cores, self.average, self.folder, self.seconds, self.frames, self.pretrigger_s

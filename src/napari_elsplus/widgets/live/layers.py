@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from napari.layers import Image
+from napari.layers import Image, Points
 
 from napari_elsplus import __version__
 from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.instrument.calibration import utc_now
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLES
+from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, TITLES, titles_layer
 from napari_elsplus.widgets.shared.choosing import LIVE
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ class LiveLayers:
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         self._viewer = viewer
         self._layers: dict[str, Image] = {}
+        self._titles: Points | None = None
         self._last_sequence = -1
         self._unscaled: set[str] = set()
 
@@ -81,6 +82,7 @@ class LiveLayers:
         shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
         um = None if calibration is None else calibration.um_per_px
         first = not self.images
+        corners: dict[str, tuple[float, float]] = {}
         left_px = 0
         for kind in KINDS:
             layer = self.images.get(kind)
@@ -108,10 +110,12 @@ class LiveLayers:
             for name, value in place.items():
                 setattr(layer, name, value)
             layer.metadata["elsplus"] = facts
+            corners[KINDS[kind]] = -TITLE_RISE * shape[0], left_px
             left_px += shape[1] + GAP_PX if side_by_side else 0
         self._last_sequence = -1
+        self._arrange_titles(corners if side_by_side else {}, um)
         if first and self.images:
-            ours = set(self.images.values())
+            ours = {self._titles, *self.images.values()}
             for other in self._viewer.layers:  # would be displayed through the live image
                 mosaic = MOSAIC in other.metadata.get("elsplus", ())
                 other.visible = other.visible and (mosaic or other in ours)
@@ -162,6 +166,20 @@ class LiveLayers:
         image = np.asarray(layer.data)
         white = white_level(image, np.ones(image.shape, bool))
         layer.contrast_limits = (0.0, max(float(white), 1.0))
+
+    def _arrange_titles(self, corners: dict[str, tuple[float, float]], um: float | None) -> None:
+        """Write each image's kind above it, at its corner (row, col) in pixels of `um` micrometres."""
+        place = {"scale": (um or 1.0,) * 2, "units": ("um" if um else "pixel",) * 2}
+        data, attributes, _ = titles_layer(f"{LIVE} titles", list(corners), list(corners.values()), place)
+        if self._titles is not None and self._titles in self._viewer.layers:
+            self._titles.data, self._titles.features = data, attributes["features"]
+            self._titles.scale, self._titles.units = place["scale"], place["units"]
+        elif corners:
+            self._titles = Points(data, **attributes)
+            self._titles.editable = False
+            active = self._viewer.layers.selection.active
+            self._viewer.layers.append(self._titles)
+            self._viewer.layers.selection.active = active
 
     def _add(self, kind: str, shape: tuple[int, ...], dtype: str, place: dict[str, Any]) -> Image:
         buffer: NDArray[Any] = np.zeros(shape, dtype)

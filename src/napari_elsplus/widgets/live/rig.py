@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from magicgui.widgets import ComboBox, FloatSpinBox, PushButton, SpinBox
 from napari.utils.notifications import show_info
 from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QFileDialog, QLabel, QVBoxLayout
+from qtpy.QtWidgets import QLabel
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError
@@ -18,12 +18,13 @@ from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS, preset
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.formats.registry import CALIBRATION, dialog_filter
-from napari_elsplus.io.settings import recall, remember, set_active_calibration
+from napari_elsplus.io.settings import active_calibration, recall, remember, set_active_calibration
 from napari_elsplus.widgets.live.rehearsal import Rehearsal
 from napari_elsplus.widgets.shared.calibration_state import calibration_lines, lag_advice, lag_button
 from napari_elsplus.widgets.shared.choosing import preset_label
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.panel import button_row, form_layout, next_hint
+from napari_elsplus.widgets.shared.files import file_to_open, file_to_save
+from napari_elsplus.widgets.shared.panel import button_row, form_layout, next_hint, panel_layout
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.requests import RequestBar
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
@@ -134,6 +135,10 @@ class RigPanel(EnginePanel):
                 self.connection.apply(calibration, written), lambda _: show_info(f"saved {written.name}")
             )
 
+    def forget(self) -> None:
+        """Leave no calibration active: raw frames are displayed, and the galvo parks where the rig parks it."""
+        self.requests.follow(self.connection.apply(None), lambda _: set_active_calibration(None))
+
     def refresh(self) -> None:
         """Update status text and buttons."""
         client, busy = self.connection.client, self.requests.busy
@@ -153,6 +158,12 @@ class RigPanel(EnginePanel):
         self.save_file.tooltip = (
             "Write the active calibration; recordings without a calibration are displayed with it"
             if self.save_file.enabled
+            else "No calibration yet"
+        )
+        self.forgetting.enabled = self.save_file.enabled or active_calibration() is not None
+        self.forgetting.tooltip = (
+            "Leave no calibration active: live images are raw, recordings without their own are displayed raw"
+            if self.forgetting.enabled
             else "No calibration yet"
         )
         self.calibrate_simulated.enabled = connected and simulated
@@ -206,16 +217,17 @@ class RigPanel(EnginePanel):
         self.connect, self.parking = PushButton(text="Connect"), PushButton(text="Park")
         self.calibrate_simulated = PushButton(text="Calibrate simulated rig")
         self.open_file, self.save_file = PushButton(text="Load calibration..."), PushButton(text="Save calibration...")
+        self.forgetting = PushButton(text="Forget calibration")
         self.lag, self.bar = lag_button(), RequestBar()
         self.optics, self.status = QLabel(), QLabel()
         for label in (self.optics, self.status):
             label.setWordWrap(True)
-        layout = QVBoxLayout(self)
+        layout = panel_layout(self)
         self.rehearsal = Rehearsal()
         layout.addLayout(form_layout(self.rig, self.preset, self.slit_rows, self.rate_hz, self.gain_db))
         layout.addWidget(self.optics)
         layout.addLayout(button_row(self.connect, self.parking))
-        layout.addLayout(button_row(self.open_file, self.save_file))
+        layout.addLayout(button_row(self.open_file, self.save_file, self.forgetting))
         layout.addWidget(self.calibrate_simulated.native)
         for part in (self.bar, self.status, self.lag.native, self.rehearsal):
             layout.addWidget(part)
@@ -227,6 +239,7 @@ class RigPanel(EnginePanel):
         self.lag.clicked.connect(self.measure_lag)
         self.open_file.clicked.connect(self._ask_for_file)
         self.save_file.clicked.connect(self._ask_where_to_save)
+        self.forgetting.clicked.connect(self.forget)
         for choice in (self.preset, self.slit_rows, self.rate_hz, self.gain_db):
             choice.changed.connect(self.apply)
 
@@ -276,13 +289,9 @@ class RigPanel(EnginePanel):
         return "calibrate in the Calibration tab, or press Load calibration..."
 
     def _ask_for_file(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Calibration", "", dialog_filter(CALIBRATION))
-        if path:
+        if path := file_to_open(self, "Calibration", dialog_filter(CALIBRATION)):
             self.load(Path(path))
 
     def _ask_where_to_save(self) -> None:
-        path, _ = QFileDialog.getSaveFileName(
-            self, "Save the calibration", "calibration.json", dialog_filter(CALIBRATION)
-        )
-        if path:
+        if path := file_to_save(self, "Save the calibration", "calibration.json", dialog_filter(CALIBRATION)):
             self.save(Path(path))

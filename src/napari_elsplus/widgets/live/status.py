@@ -56,7 +56,8 @@ def status_text(
     ]
     lines += _recorded(status)
     measures = status.measures
-    lines.append(f"saturated {100 * measures.saturated:.2f} %, sharpness (relative) {measures.focus:.3g}")
+    sharpness = f", sharpness (relative) {measures.focus:.3g}" if isfinite(measures.focus) else ""  # none of the dark
+    lines.append(f"saturated {100 * measures.saturated:.2f} %{sharpness}")
     if measures.saturated > SATURATION_WARNING_SHARE:
         lines.append("<b>Saturated</b>: reduce laser power or gain.")
     lines += [f"stale: {section} ({reason})" for section, reason in status.stale.items()]

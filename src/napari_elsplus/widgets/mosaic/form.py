@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from magicgui.types import FileDialogMode
 from magicgui.widgets import CheckBox, ComboBox, FileEdit, PushButton
-from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QLabel, QWidget
 
 from napari_elsplus.io.settings import recall, remember
 from napari_elsplus.processing.images.sectioning import Mode
@@ -15,7 +15,7 @@ from napari_elsplus.processing.tracking.registry import tracking_methods
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.mosaic.sources import source_names
 from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
-from napari_elsplus.widgets.shared.panel import button_row, form_layout
+from napari_elsplus.widgets.shared.panel import button_row, form_layout, panel_layout
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
@@ -156,7 +156,7 @@ class MosaicForm:
         self.saving.tooltip = f"Save OME-TIFF, PNG with scale bar, and track ({key_name('save mosaic')}){why}"
 
     def _build_layout(self, work: QWidget) -> None:
-        layout = QVBoxLayout(self._panel)
+        layout = panel_layout(self._panel)
         layout.addLayout(form_layout(self.recording, self.calibration, self.method, self.insertion))
         for row in (
             list(self.modes.values()),

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from napari.utils.notifications import show_info, show_warning
 from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QFileDialog
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig_files import is_simulated
@@ -26,6 +25,7 @@ from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
 from napari_elsplus.widgets.shared.calibration_state import lag_advice
 from napari_elsplus.widgets.shared.choosing import chosen_image, refresh_choices
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
+from napari_elsplus.widgets.shared.files import file_to_open, file_to_save, note_folder
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.window import closing
@@ -101,6 +101,7 @@ class MosaicPanel(EnginePanel):
         """Make mosaics of the selected stack in a thread."""
         with notify_errors(self):
             plan, chosen = self.form.plan, self._chosen()
+            note_folder(chosen.metadata.get("elsplus", {}).get("path"))
             _ = plan.tracked
             calibration = self.form.calibration.value
             path = calibration if isinstance(calibration, Path) and calibration.is_file() else None
@@ -357,15 +358,14 @@ class MosaicPanel(EnginePanel):
         self.refresh()
 
     def _ask_for_file(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Recording", "", recordings_filter())
-        if path:
+        if path := file_to_open(self, "Recording", recordings_filter()):
             self.viewer.open(path, plugin="napari-elsplus")
 
     def _ask_where_to_save(self) -> None:
         if not self.form.saving.enabled:
             return
-        path, _ = QFileDialog.getSaveFileName(self, "Save mosaics", "mosaic.ome.tif", dialog_filter(TIFF, writing=True))
-        if path:
+        kinds = dialog_filter(TIFF, writing=True)
+        if path := file_to_save(self, "Save mosaics", "mosaic.ome.tif", kinds):
             self.save(Path(path))
 
 

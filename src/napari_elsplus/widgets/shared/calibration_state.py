@@ -44,12 +44,12 @@ def calibration_name(calibration: Calibration | None, file: Path | None) -> str:
     Parameters
     ----------
     calibration : Calibration or None
-        The active calibration.
+        The active calibration; None if there is none, or it has not been read.
     file : pathlib.Path or None
         Its file; None if it was not saved.
     """
     if calibration is None:
-        return "no calibration"
+        return "none" if file is None else f"{file.name}, of recordings without their own"
     measured = calibration.created.replace("T", " ").removesuffix("Z")
     return f"{file.name if file is not None else 'not saved'}, measured {measured} UTC"
 
@@ -60,11 +60,11 @@ def calibration_lines(calibration: Calibration | None, file: Path | None) -> lis
     Parameters
     ----------
     calibration : Calibration or None
-        The active calibration.
+        The active calibration; None if there is none, or it has not been read.
     file : pathlib.Path or None
         Its file; None if it was not saved.
     """
-    lines = [f"calibration: {calibration_name(calibration, file)}"]
+    lines = [f"active calibration: {calibration_name(calibration, file)}"]
     if calibration is None:
         return lines
     if advice := lag_advice(calibration):

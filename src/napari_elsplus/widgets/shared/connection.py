@@ -75,13 +75,13 @@ class Connection:
         applied, path = self._applied
         return path if applied is not None and applied is self.calibration else None
 
-    def apply(self, calibration: Calibration, path: Path | None = None) -> Future[None]:
+    def apply(self, calibration: Calibration | None, path: Path | None = None) -> Future[None]:
         """Make a calibration the active one of all panels, and of the engine where a rig is connected.
 
         Parameters
         ----------
-        calibration : Calibration
-            Becomes active if the engine accepts it.
+        calibration : Calibration or None
+            Becomes active if the engine accepts it; with None no calibration is active any more.
         path : Path, optional
             File in which it is saved.
 

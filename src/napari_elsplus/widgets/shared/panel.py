@@ -9,8 +9,9 @@ from weakref import WeakSet
 from magicgui.widgets import PushButton
 from napari.utils.notifications import show_info
 from qtpy.QtCore import QEvent
-from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QWidget
+from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
+from napari_elsplus.widgets.shared.files import note_folder
 from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from qtpy.QtGui import QDragEnterEvent, QDropEvent
 
 PLUGIN: Final = "napari-elsplus"
+MARGIN_PX: Final = 6
+"""Around the content of a panel, pixels; chosen."""
 P = TypeVar("P", bound="Panel")
 _present: WeakSet[Panel] = WeakSet()
 
@@ -83,6 +86,7 @@ class Panel(QWidget, metaclass=_OnePerViewer):
             return
         event.acceptProposedAction()
         for path in _dropped_paths(event.mimeData()):
+            note_folder(path)
             self.open_dropped(path)
 
     def cleanup(self) -> None:
@@ -158,6 +162,13 @@ def set_enabled(button: PushButton, enabled: bool, does: str, first: str) -> Non
     """
     button.enabled = enabled
     button.tooltip = does if enabled else f"{does}; first {first}"
+
+
+def panel_layout(panel: QWidget) -> QVBoxLayout:
+    """Return the layout of a panel's rows, with the margins that all panels have."""
+    layout = QVBoxLayout(panel)
+    layout.setContentsMargins(*[MARGIN_PX] * 4)
+    return layout
 
 
 def button_row(*buttons: Widget) -> QHBoxLayout:

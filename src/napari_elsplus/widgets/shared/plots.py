@@ -148,6 +148,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
             self.setLabel(
                 side, text, siPrefixEnableRanges=(), color=self._text
             )  # no SI prefix: the label states the unit
+            self.getAxis(side).resizeEvent()  # centres the new text
         self.plotItem.clear()
         self._regions, self._lines = [], []
         for band in self._bands:
