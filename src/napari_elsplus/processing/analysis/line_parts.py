@@ -81,20 +81,16 @@ def measure_line_parts(
     noise = float(np.std(np.diff(profiles, axis=0)[np.abs(u[1:]).mean(axis=1) > 0.8 * np.abs(u).max()])) + 1e-6
     weights = 1 / np.hypot(_HONEYCOMB * np.maximum(mean, 0), noise)
 
-    def fitted(chosen: NDArray[np.intp], start: Floats) -> Floats:
-        def misfit(parameters: Floats) -> Floats:
-            model = _model(parameters, u[:, chosen])
-            return np.asarray(((model - profiles[:, chosen]) * weights[:, None]).ravel())
-
-        return np.asarray(least_squares(misfit, start, x_scale=np.maximum(np.abs(start), 0.1)).x)
-
-    everything = np.arange(profiles.shape[1])
     peak, level = float(mean.max()), float(np.percentile(mean, 5))
     start = np.array([0.7 * (peak - level), np.log(core_rows), 0.3 * (peak - level), np.log(5 * core_rows), 0.0, level])
-    whole = _parts(fitted(everything, start))
-    start = fitted(everything, start)
-    left_out = np.array([_parts(fitted(everything[everything % GROUPS != k], start)) for k in range(GROUPS)])
-    sigma = np.sqrt((GROUPS - 1) / GROUPS * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
+    best = least_squares(
+        lambda parameters: ((_model(parameters, u) - profiles) * weights[:, None]).ravel(),
+        start,
+        lambda parameters: (_derivatives(parameters, u) * weights[:, None]).reshape(len(start), -1).T,
+        x_scale=np.maximum(np.abs(start), 0.1),
+    )
+    whole = _parts(best.x)
+    sigma = _jackknife_sigma(best.x, best.jac, best.fun, np.arange(profiles.size) % GROUPS)
     core, halo, share = whole
     if not (_MIN_HALO_SHARE < share < 1 and halo > 2 * core):
         raise MeasurementError(
@@ -102,6 +98,17 @@ def measure_line_parts(
             "let the line stand near the middle of the bundle",
         )
     return LineParts(core, halo, share, float(sigma[0]), float(sigma[1]), float(sigma[2]))
+
+
+def _jackknife_sigma(best: Floats, jacobian: Floats, misfit: Floats, group: NDArray[np.intp]) -> Floats:
+    """Return one standard deviation of core, halo and share, from fits without each group: one step from the best."""
+    left_out = []
+    for k in range(GROUPS):
+        kept = group != k
+        slopes = jacobian[kept]
+        left_out.append(_parts(best - np.linalg.lstsq(slopes.T @ slopes, slopes.T @ misfit[kept], rcond=None)[0]))
+    spread = np.square(np.array(left_out) - np.mean(left_out, axis=0)).sum(axis=0)
+    return np.asarray(np.sqrt((GROUPS - 1) / GROUPS * spread), np.float64)
 
 
 def _profiles(view: Floats, row: float, slope: float, columns: tuple[int, int]) -> tuple[Floats, Floats]:
@@ -124,6 +131,16 @@ def _model(parameters: Floats, u: Floats) -> Floats:
     z = np.square(u - shift)
     narrow, wide = np.exp(-0.5 * z * np.exp(-2 * log_core)), np.exp(-0.5 * z * np.exp(-2 * log_halo))
     return np.asarray(core * narrow + halo * wide + level)
+
+
+def _derivatives(parameters: Floats, u: Floats) -> Floats:
+    """Return the derivatives of the model by its parameters, (parameters, rows, groups)."""
+    core, log_core, halo, log_halo, shift, _ = parameters
+    from_line = u - shift
+    by_core, by_halo = (from_line * np.exp(-2 * each) for each in (log_core, log_halo))
+    narrow, wide = (np.exp(-0.5 * from_line * by) for by in (by_core, by_halo))
+    steep, flat = core * narrow * by_core, halo * wide * by_halo
+    return np.stack([narrow, steep * from_line, wide, flat * from_line, steep + flat, np.ones_like(u)])
 
 
 def _parts(parameters: Floats) -> tuple[float, float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
@@ -41,7 +42,9 @@ def mean_frame(frames: Frames) -> Image:
         raise InputError("there are 0 frames", "give at least one")
     total = np.zeros(frames[0].shape, np.float64)
     for number in range(len(frames)):
-        total += np.asarray(frames[number], np.float64)
+        frame = np.asarray(frames[number])
+        # OpenCV adds integers to float64 without a converted copy of the frame, many times as fast as numpy.
+        cv2.accumulate(frame if frame.dtype in (np.uint8, np.uint16) else frame.astype(np.float64), total)
     if not np.isfinite(total).all():
         raise InputError("a frame holds NaN or infinity", "record it again")
     return (total / len(frames)).astype(np.float32)
@@ -65,8 +68,8 @@ def brightest(frames: Frames, background: Image | None) -> Image:
 
 def column_between_views(frame: Image) -> int:
     """Return the column between the two views: the middle of the darkest gap near the middle of the frame."""
-    light = frame - np.median(frame, axis=0)
-    brightness = np.sort(light, axis=0)[-max(3, len(light) // 50) :].mean(axis=0)
+    ordered = np.sort(np.ascontiguousarray(frame.T), axis=1)
+    brightness = ordered[:, -max(3, len(frame) // 50) :].mean(axis=1) - np.median(ordered, axis=1)
     width = max(3, len(brightness) // 60)
     brightness = np.convolve(brightness, np.full(width, 1 / width), mode="same")
     start, stop = int(0.3 * len(brightness)), int(0.7 * len(brightness))

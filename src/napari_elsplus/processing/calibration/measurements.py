@@ -25,7 +25,8 @@ from napari_elsplus.processing.calibration.frame_regions import (
     unlit_pixels,
 )
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
-from napari_elsplus.processing.calibration.line import Line, LineParts, locate_line
+from napari_elsplus.processing.calibration.line import Line, LineParts, locate_line, parts_of
+from napari_elsplus.processing.calibration.line_scatter import relative_shifts
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
@@ -52,8 +53,8 @@ LIT_FRAMES: Final = 64
 SAMPLING_ROWS: Final = 0.006
 """Rows; part of the offset's uncertainty that no residual shows: the views' pixels sample the cores at other phases.
 Chosen: about half the error of bright lines on the presets' bundles, 0.012 at 240 Hz and 0.005 at 120 Hz."""
-SCATTER_FRAMES, MIN_SCATTER_FRAMES = 5, 3
-"""Frames of a standing line that are located one by one, at most and at least; chosen: few, as each takes time."""
+MIN_SCATTER_FRAMES: Final = 3
+"""Frames of a standing line below which their scatter is not estimated; chosen."""
 _NEIGHBOURS: Final = 4
 """Runs of columns whose errors are correlated; chosen: the cores of the two views differ by fewer columns."""
 
@@ -235,27 +236,16 @@ def measure_offset(
             raise MeasurementError(f"{name} view: {error.problem}", error.remedy) from None
     found = _offset_at((lines[0].column, lines[1].column), lines[0], lines[1], split)
     found = found if pair is None else offset_at(found, pair)
-    return found if alone else _with_scatter(found, frames, reference, background)
-
-
-def _with_scatter(found: SlitOffset, frames: Frames, reference: RowReference, background: Image | None) -> SlitOffset:
-    """Return the offset of a mean frame, its uncertainty including the scatter of single frames."""
-    offsets = []
-    parts = slice(0, found.split), slice(found.split, None)
-    for number in np.unique(np.linspace(0, len(frames) - 1, SCATTER_FRAMES).astype(int)):
-        frame = reference.without_row_noise(frames[int(number)])
-        dark = (None if background is None else background[:, part] for part in parts)
-        try:
-            rows = [
-                locate_line(frame[:, part], of_part, near).row_at(near.column)
-                for part, of_part, near in zip(parts, dark, (found.confocal, found.residual), strict=True)
-            ]
-        except MeasurementError:
-            continue
-        offsets.append(rows[1] - rows[0])
-    if len(offsets) < MIN_SCATTER_FRAMES:
+    if alone:
         return found
-    unsteady_rows = float(np.std(offsets, ddof=1)) / float(np.sqrt(len(frames)))
+    light = np.subtract(frame, 0 if background is None else background, dtype=np.float32)
+    found = replace(found, parts=parts_of(lines[0], light[:, :split]))
+    if len(frames) < MIN_SCATTER_FRAMES:
+        return found
+    views = (lines[0], slice(0, split)), (lines[1], slice(split, None))
+    single = (reference.without_row_noise(frames[k]) for k in range(len(frames)))
+    shifts = relative_shifts(views, frame, single, background)
+    unsteady_rows = float(np.std(shifts, ddof=1) / np.sqrt(len(frames)))
     uncertainty_rows = float(np.hypot(found.uncertainty_rows, unsteady_rows))
     return replace(found, uncertainty_rows=uncertainty_rows, unsteady_rows=unsteady_rows)
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.calibration import sections, summaries
-from napari_elsplus.processing.calibration.frame_regions import mean_frame
-from napari_elsplus.processing.calibration.line import parts_of
 from napari_elsplus.processing.calibration.measurements import (
     map_galvo,
     measure_background,
@@ -86,11 +83,7 @@ def steps_table() -> str:
 
 
 def _estimate_offset(inputs: StepInputs, draft: Draft) -> SlitOffset:
-    background = draft.calibration.background
-    found = measure_offset(inputs.frames, background, draft.pair)
-    frame = mean_frame(inputs.frames)
-    light = frame if background is None else frame - background
-    return replace(found, parts=parts_of(found.confocal, light[:, : found.split]))
+    return measure_offset(inputs.frames, draft.calibration.background, draft.pair)
 
 
 def _outdated_by_offset(draft: Draft, offset: SlitOffset) -> Mapping[str, str]:
