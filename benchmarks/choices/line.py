@@ -16,7 +16,7 @@ from scipy.optimize import OptimizeWarning, curve_fit
 from benchmarks.harness.methods import Benchmark, Case, Judgement, Method, Role, plain
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.line import locate_line
+from napari_elsplus.processing.calibration.line.location import locate_line
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.rigs.random_rigs import Rig
 from benchmarks.studies.sectioning import clipped_share
-from napari_elsplus.processing.calibration.line import locate_line
+from napari_elsplus.processing.calibration.line.location import locate_line
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, line_response
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.workflows.sectioning_performance import (

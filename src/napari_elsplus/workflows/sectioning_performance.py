@@ -13,7 +13,7 @@ from napari_elsplus.processing.tracking.front_end.grid import overlap_of_discs
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel, drop_offs, line_response, signal_kept
 
 if TYPE_CHECKING:
-    from napari_elsplus.processing.calibration.line import Line
+    from napari_elsplus.processing.calibration.line.location import Line
 
 ELECTRONS_PER_DN: Final = 40.0
 """Electrons per grey level of an 8-bit camera at 0 dB; assumed, since frames of a line do not constrain it."""

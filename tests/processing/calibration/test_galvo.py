@@ -13,7 +13,7 @@ from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.instrument.calibration import FrameSection
 from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo
-from napari_elsplus.processing.calibration.line import Line
+from napari_elsplus.processing.calibration.line.location import Line
 from napari_elsplus.processing.calibration.measurements import map_galvo
 from napari_elsplus.processing.calibration.summaries import summarize_galvo
 from napari_elsplus.simulation.calibration_scenes import standing_line

@@ -15,7 +15,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import clustered_influence, overlapping_influence
-from napari_elsplus.processing.calibration.line import Line, locate_line
+from napari_elsplus.processing.calibration.line.location import Line, locate_line
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

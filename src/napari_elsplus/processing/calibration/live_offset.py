@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.line import parts_of
 from napari_elsplus.processing.calibration.measurements import measure_offset
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.calibration.measurements import BundlePair, SlitOffset
@@ -53,11 +51,5 @@ class OffsetFollower:
         except MeasurementError:
             self._last = None
             raise
-        if last is None:
-            background = 0 if self._background is None else self._background
-            light = np.subtract(frame, background, dtype=np.float32)
-            parts = parts_of(found.confocal, light[:, : found.split])
-        else:
-            parts = last.parts
-        self._last = replace(found, parts=parts)
+        self._last = found if last is None else replace(found, parts=last.parts)
         return self._last

@@ -25,8 +25,8 @@ from napari_elsplus.processing.calibration.frame_regions import (
     unlit_pixels,
 )
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
-from napari_elsplus.processing.calibration.line import Line, LineParts, locate_line, parts_of
-from napari_elsplus.processing.calibration.line_scatter import relative_shifts
+from napari_elsplus.processing.calibration.line.location import Line, LineParts, locate_line, parts_of
+from napari_elsplus.processing.calibration.line.scatter import relative_shifts
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.line import Line, locate_line
+from napari_elsplus.processing.calibration.line.location import Line, locate_line
 
 RIG = Rig(left=(100.0, 98.0), right=(91.0, 302.5), diameter_px=180.0, line_rows=2.2, tilt_deg=1.0)
 ROW = 3.3

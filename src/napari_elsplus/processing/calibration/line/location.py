@@ -17,7 +17,7 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.line_parts import LineParts as LineParts
 from napari_elsplus.processing.analysis.line_parts import measure_line_parts
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence
-from napari_elsplus.processing.calibration.line_search import Streak, brightest_streak, without_hot_pixels
+from napari_elsplus.processing.calibration.line.search import Streak, brightest_streak, without_hot_pixels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

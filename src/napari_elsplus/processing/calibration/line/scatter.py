@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy import ndimage
 
-from napari_elsplus.processing.calibration.line import TAPER
+from napari_elsplus.processing.calibration.line.location import TAPER
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.calibration.line import Line
+    from napari_elsplus.processing.calibration.line.location import Line
 
     Image = NDArray[np.float32]
 
@@ -44,7 +44,7 @@ class LineShifts:
 
     Examples
     --------
-    >>> from napari_elsplus.processing.calibration.line import locate_line
+    >>> from napari_elsplus.processing.calibration.line.location import locate_line
     >>> rows = np.arange(80)[:, None] - 31.25 + 0 * np.arange(120)
     >>> mean, lower = (np.float32(100 * np.exp(-((rows - by) ** 2) / 8)) for by in (0, 0.1))
     >>> round(float(LineShifts(mean, locate_line(mean)).shift_rows(1.1 * lower)), 2)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.calibration.line import locate_line
-from napari_elsplus.processing.calibration.line_scatter import LineShifts
+from napari_elsplus.processing.calibration.line.location import locate_line
+from napari_elsplus.processing.calibration.line.scatter import LineShifts
 from napari_elsplus.simulation.calibration_scenes import line_volts, standing_line
 from napari_elsplus.simulation.model.imperfections import Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument

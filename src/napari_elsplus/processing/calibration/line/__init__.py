@@ -1,0 +1,1 @@
+"""The laser line in one view: search, location, scatter from frame to frame."""
