@@ -132,6 +132,11 @@ def python() -> str:
     return str(VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python"))
 
 
+def program() -> str:
+    """Path of the plugin's command line."""
+    return str(Path(python()).with_name("napari-elsplus.exe" if os.name == "nt" else "napari-elsplus"))
+
+
 def fingerprint() -> str:
     """Say in one number what the .venv was made from: requirements, Python, platform, place."""
     parts = [(ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt")]
@@ -149,11 +154,14 @@ def installed_groups() -> set[str] | None:
     return set(stamp["groups"]) if whole else None
 
 
-def prepare(*groups: str) -> None:
-    """Bring the .venv up to date: the project with its Qt, and these dependency groups. The stamp comes last."""
+def prepare(*groups: str) -> bool:
+    """Bring the .venv up to date: the project with its Qt, and these dependency groups. Give whether it was not.
+
+    The stamp comes last.
+    """
     present = installed_groups()
     if present is not None and present.issuperset(groups):
-        return
+        return False
     quiet = [] if sys.stdout.isatty() else ["-qq"]
     pip = [python(), "-m", "pip", "install", "--disable-pip-version-check", *quiet]
     if present is None:
@@ -169,9 +177,20 @@ def prepare(*groups: str) -> None:
     chosen = [word for group in wanted for word in ("--group", group)]
     must("installing", [*pip, "--constraint", "constraints.txt", "--editable", f".[{EXTRAS}]", *chosen])
     STAMP.write_text(json.dumps({"fingerprint": fingerprint(), "groups": wanted}), encoding="utf-8")
+    return True
 
 
 # Screen and system libraries ------------------------------------------------------------------------------------------
+
+
+def warm_up() -> None:
+    """Start the simulated rig once: kernels are compiled, its calibration is remembered; whether it works or not."""
+    say("compiling: half a minute, after an installation only")
+    with tempfile.TemporaryDirectory() as folder:
+        names = {"--mosaic": "mosaic.ome.tif", "--report": "report.json"}
+        files = [word for option, name in names.items() for word in (option, str(Path(folder, name)))]
+        if run([program(), "acquire", "--seconds", "1", *files]):
+            say("the simulated rig did not start; kernels are compiled when they are needed")
 
 
 def screen_answers() -> bool:
@@ -224,7 +243,7 @@ def system_packages(packages: list[str], purpose: str) -> None:
 
 def start() -> int:
     """Open napari with the plugin, or run the demonstration where no window can be opened."""
-    prepare()
+    installed = prepare()
     has_window = screen_answers()
     display_named = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     if not has_window and sys.platform.startswith("linux") and display_named:
@@ -233,10 +252,11 @@ def start() -> int:
             system_packages(missing, "a window")
             has_window = screen_answers()
     if has_window:
+        if installed:
+            warm_up()
         return run([python(), "-m", "napari_elsplus._window"])
     say("no screen answers: running the demonstration instead of opening napari")
-    program = Path(python()).with_name("napari-elsplus.exe" if os.name == "nt" else "napari-elsplus")
-    code = run([str(program), "demo", "--out", str(DEMO), "--force"])
+    code = run([program(), "demo", "--out", str(DEMO), "--force"])
     if code == 0:
         say(f"the results lie in {DEMO}")
     return code

@@ -197,6 +197,20 @@ def test_with_a_screen_napari_opens(run: ModuleType, recorder: Recorder, monkeyp
     assert recorder.commands[-1] == [run.python(), "-m", "napari_elsplus._window"]
 
 
+@pytest.mark.parametrize("failing", ["", "acquire"])
+def test_kernels_are_compiled_after_an_installation_and_napari_opens_anyway(
+    run: ModuleType, recorder: Recorder, monkeypatch: pytest.MonkeyPatch, failing: str
+) -> None:
+    monkeypatch.setattr(run, "screen_answers", lambda: True)
+    recorder.failing = failing
+    assert run.main([]) == 0
+    assert recorder.commands[-2][:4] == [run.program(), "acquire", "--seconds", "1"]
+    assert recorder.commands[-1] == [run.python(), "-m", "napari_elsplus._window"]
+    before = len(recorder.commands)
+    assert run.main([]) == 0
+    assert len(recorder.commands) == before + 1
+
+
 def test_without_one_the_demonstration_runs_and_says_where_the_results_lie(
     run: ModuleType, recorder: Recorder, capsys: pytest.CaptureFixture[str]
 ) -> None:

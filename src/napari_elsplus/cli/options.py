@@ -13,6 +13,7 @@ from rich.progress import Progress
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import refuse_existing
+from napari_elsplus.processing.compilation import compilation_remark
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -122,10 +123,10 @@ class Display:
     def compiling(self, kernel: str) -> None:
         """Display the name of a `kernel` that is being compiled, in place of the step's; an empty one at its end."""
         if self._bar is not None:
-            remark = f" (compiling {kernel}, once after an installation)" if kernel else ""
+            remark = f" ({compilation_remark(kernel)})" if kernel else ""
             self._bar.update(self._task, description=self._step + remark, refresh=True)
         elif kernel and self._console.is_terminal:
-            self._console.print(f"compiling {kernel}, once after an installation")
+            self._console.print(compilation_remark(kernel))
 
     def _with_bar(self, numbers: Iterable[Item], step: str) -> Iterator[Item]:
         with Progress(*Progress.get_default_columns(), console=self._console, transient=True) as bar:

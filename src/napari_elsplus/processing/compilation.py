@@ -34,3 +34,8 @@ def report_compilation(kernel: str) -> None:
     """Pass the name of a `kernel`, or an empty string at the end of its compilation, to whoever waits."""
     for report in _REPORTS:
         report(kernel)
+
+
+def compilation_remark(kernel: str) -> str:
+    """Return what is displayed while a `kernel` is compiled; an empty string for an empty name."""
+    return f"compiling {kernel}, once after an installation" if kernel else ""

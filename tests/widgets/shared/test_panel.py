@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+from threading import Event
+
 import pytest
-from qtpy.QtWidgets import QPushButton
+from qtpy.QtWidgets import QLabel, QPushButton
+
+from napari_elsplus.acquisition.engine.status import Status
+from napari_elsplus.processing.compilation import report_compilation
+from napari_elsplus.widgets.dock.status_line import rig_line
+from napari_elsplus.widgets.shared.work import Work
 
 PLUGIN = "napari-elsplus"
 
@@ -14,3 +21,34 @@ def test_a_button_that_cannot_be_pressed_says_what_comes_first(make_napari_viewe
     barred = [button for button in panel.findChildren(QPushButton) if not button.isEnabled()]
     assert len(barred) >= 3
     assert [button.text() for button in barred if "; first " not in button.toolTip()] == []
+
+
+def test_the_bar_names_the_kernel_that_is_compiled_meanwhile(qtbot):
+    compiled, ended, results = Event(), Event(), []
+    work = Work(lambda: None)
+    qtbot.addWidget(work)
+    label = work.findChild(QLabel)
+
+    def compute():
+        report_compilation("align")
+        compiled.wait(10)
+        report_compilation("")
+        ended.wait(10)
+        return 3
+
+    work.begin(0, compute, results.append)
+    try:
+        qtbot.waitUntil(lambda: label.text() == "compiling align, once after an installation", timeout=10_000)
+        assert label.isVisible()
+        compiled.set()
+        qtbot.waitUntil(lambda: not label.isVisible(), timeout=10_000)
+    finally:
+        compiled.set()
+        ended.set()
+    qtbot.waitUntil(lambda: not work.busy, timeout=10_000)
+    assert results == [3]
+
+
+def test_the_status_line_names_the_kernel_that_the_engine_compiles():
+    assert "compiling align" in rig_line("simulated", Status(compiling="align"))
+    assert "compiling" not in rig_line("simulated", Status())

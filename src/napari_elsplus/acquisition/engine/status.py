@@ -86,6 +86,8 @@ class Status:
         True if the camera has settings; an unconfigured engine does not start.
     notice : str
         Why the default frame rate is lower than the preset's; empty if it is not.
+    compiling : str
+        Name of the kernel that is being compiled; empty if there is none.
     live : bool
         True while frames stream.
     scanning : bool
@@ -126,6 +128,7 @@ class Status:
 
     configured: bool = False
     notice: str = ""
+    compiling: str = ""
     live: bool = False
     scanning: bool = False
     park_state: ParkState = field(default_factory=ParkState)

@@ -25,6 +25,7 @@ from napari_elsplus.acquisition.link.session import Session
 from napari_elsplus.acquisition.streaming import shared_memory as shared
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.hardware.priority import keep_pace
+from napari_elsplus.processing.compilation import reported_compilation
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -62,7 +63,8 @@ class Server:
         sender.start()
         self._session.supervision.start()
         try:
-            with ThreadPoolExecutor(_THREADS, "command") as pool:
+            compiling = reported_compilation(self._session.report_compilation)
+            with compiling, ThreadPoolExecutor(_THREADS, "command") as pool:
                 while True:
                     try:
                         request = self._connection.recv()

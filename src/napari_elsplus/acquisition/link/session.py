@@ -47,6 +47,7 @@ class Session:
         self._opened: tuple[Rig, Engine, LiveMosaic] | None = None
         self._cancelled = Event()
         self._progress: Progress | None = None
+        self._compiling = ""
         self.supervision = Supervision(self._secure)
         self.offsets: Newest[SlitOffset | MeasurementError] = Newest()
 
@@ -97,9 +98,9 @@ class Session:
     def status(self) -> Status:
         """Return the status of the engine, the mosaic and the procedure."""
         if self._opened is None:
-            return Status(progress=self._progress)
+            return Status(progress=self._progress, compiling=self._compiling)
         _, engine, mosaic = self._opened
-        return replace(engine.status(), progress=self._progress, track=mosaic.state)
+        return replace(engine.status(), progress=self._progress, compiling=self._compiling, track=mosaic.state)
 
     # procedures
 
@@ -148,6 +149,10 @@ class Session:
     def report_progress(self, step: str, done: float, total: float) -> None:
         """Put a step and its progress in whole seconds, `done` of `total`, into the status."""
         self._progress = Progress(step, int(done), max(round(total), 1))
+
+    def report_compilation(self, kernel: str) -> None:
+        """Put the name of a `kernel` that is being compiled into the status; an empty one at its end."""
+        self._compiling = kernel
 
     def watch(self, step: str) -> ProgressWrapper:
         """Return what wraps the numbers of a step's parts: it counts them in the status, and ends when cancelled."""

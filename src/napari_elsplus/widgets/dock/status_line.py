@@ -10,6 +10,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QGridLayout, QLabel, QToolButton, QWidget
 
 from napari_elsplus.io.settings import active_calibration
+from napari_elsplus.processing.compilation import compilation_remark
 from napari_elsplus.widgets.shared.calibration_state import amber, calibration_lines
 from napari_elsplus.widgets.shared.problems import problems
 
@@ -98,6 +99,8 @@ def rig_line(rig: str | None, status: Status | None) -> str:
         doing += f"; recording {Path(recording.path).name}"
     if status.track is not None and status.track.running:
         doing += "; live mosaic"
+    if status.compiling:
+        doing += f"; {compilation_remark(status.compiling)}"
     return f"<b>{rig}</b>: {doing}"
 
 

@@ -14,6 +14,7 @@ from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.io import read_calibration
 from napari_elsplus.io.formats.registry import dialog_filter, recordings_filter
 from napari_elsplus.io.formats.tiff import TIFF
+from napari_elsplus.processing.compilation import compilation_remark
 from napari_elsplus.viewing.mosaic.files import mosaic_script, save_mosaics
 from napari_elsplus.viewing.mosaic.live import LiveMosaicView
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
@@ -320,6 +321,8 @@ class MosaicPanel(EnginePanel):
             step = client.status.progress
             return f"Calibrating: {step.step}, {step.done} of {step.total}"
         if self._shown is None or drawing is None:
+            if client is not None and client.status.compiling:
+                return compilation_remark(client.status.compiling).capitalize()
             waiting = self.work.busy or self.requests.busy
             return "Starting..." if waiting else next_hint(HINT)
         counts = self._shown.rows.counts

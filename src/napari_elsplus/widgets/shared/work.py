@@ -11,6 +11,7 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QGridLayout, QLabel, QProgressBar, QPushButton, QWidget
 
 from napari_elsplus.errors import ElsPlusError, error_message
+from napari_elsplus.processing.compilation import compilation_remark, reported_compilation
 from napari_elsplus.widgets.shared.panel import panel_of
 from napari_elsplus.widgets.shared.problems import problems
 
@@ -45,6 +46,7 @@ class Work(QWidget):
         self._cancelled = Event()
         self._done, self._total, self._counts = 0, 0, True
         self._worker: Any = None
+        self._name = self._kernel = ""
         self._bar, self._step = QProgressBar(), QLabel()
         self._step.setWordWrap(True)
         self._cancel = QPushButton("Cancel")
@@ -81,7 +83,7 @@ class Work(QWidget):
         """
         self._cancelled.clear()
         self._done, self._total, self._counts = 0, total, total == 0
-        self._step.setText("")
+        self._name = self._kernel = ""
         self._step.hide()
         self._bar.setRange(0, total)
         self._finished = finished
@@ -90,7 +92,8 @@ class Work(QWidget):
 
         def guarded() -> tuple[Any, Exception | None]:
             try:
-                return once.pop()(), None
+                with reported_compilation(self._compiling):
+                    return once.pop()(), None
             except (ElsPlusError, OSError, Cancelled) as error:
                 return None, error
 
@@ -130,16 +133,19 @@ class Work(QWidget):
         done, total : int
             Steps done, and of how many.
         """
-        self._done, self._total = done, total
-        self._step.setText(text)
-        self._step.show()
+        self._done, self._total, self._name = done, total, text
 
     def cancel(self) -> None:
         """Stop at the next step."""
         self._cancelled.set()
         self._cancel_elsewhere()
 
+    def _compiling(self, kernel: str) -> None:
+        self._kernel = kernel
+
     def _show_progress(self) -> None:
+        self._step.setText(compilation_remark(self._kernel) or self._name)
+        self._step.setVisible(bool(self._step.text()))
         self._bar.setRange(0, self._total)
         self._bar.setValue(self._done)
 

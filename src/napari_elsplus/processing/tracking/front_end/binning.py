@@ -72,10 +72,11 @@ def subtract_views(
         row = ring[i % _TAPS, _MARGIN : side + _MARGIN]
         row[:] = np.float32(0)
         if i < side and last[i] > first[i]:
+            begin, end = int(np.intp(first[i])), int(np.intp(last[i]))  # of one type, for which kernels are compiled
             if weights[0] != 0.0:
-                _add_row(raw, confocal, binning, weights[0], i, first[i], last[i], lines, row)
+                _add_row(raw, confocal, binning, weights[0], i, begin, end, lines, row)
             if weights[1] != 0.0:
-                _add_row(raw_residual, residual, binning, weights[1], i, first[i], last[i], lines, row)
+                _add_row(raw_residual, residual, binning, weights[1], i, begin, end, lines, row)
         if i >= 2:
             _smooth_row(ring, i - 2, first[i - 2], last[i - 2], scale[i - 2], offset[i - 2], lines[0], out[i - 2])
 
@@ -113,7 +114,7 @@ def _add_row(
         return
     sums = lines[0]
     sums[width] = sums[width + 1] = np.float32(0)
-    a = 0
+    a = int(np.intp(0))  # a variable, as later
     while a < width:
         above, b = _run(top, slope, a, width)
         _sum_rows(raw, above, max(top + slope * a - above, 0.0), slope, left, a, b, binning, sums)

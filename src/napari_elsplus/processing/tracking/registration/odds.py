@@ -34,11 +34,12 @@ _FLOOR_SHARE: Final = 0.03
 of the brightest block's variance."""
 _COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0)
 """Distances of competing shifts, pixels of full resolution."""
-_STEPS: Final = 2
 _HELD: Final = 1e8
 """Information that holds a competing shift where it is, 1 / px^2."""
-_ROW_STEP: Final = 2
-"""Of the rows of half resolution, every how many competing warps are fitted to; likelihoods take all."""
+_FIT: Final = (2, 2, 0.02, False)
+"""Of the rows of half resolution, every how many competing warps are fitted to (likelihoods take all); Gauss-Newton
+steps; the smallest step, pixels; whether they are sampled finely. In a kernel, a tuple's elements have the types of
+variables, whereas each literal number would have what it is passed to compiled once more."""
 
 
 def blocks(side: int) -> NDArray[np.float64]:
@@ -279,6 +280,7 @@ def log_odds(
     against = np.exp(-unrelated)
     # one competitor stands for all shifts that the prior allows
     alike = max(1.0, 1 / (terms[2] * _COMPETITORS_PX[0] ** 2))
+    row_step, steps, tolerance_px, finely = _FIT
     for px in _COMPETITORS_PX:
         b, d = warp[1] + px * down, warp[3] + px * across
         full[0], full[1] = warp[0] + px * a_follows, b
@@ -295,8 +297,8 @@ def log_odds(
         held[3, 3] += 4 * _HELD * across * across
         in_pixels_of(2.0, (full[0], full[1], full[2], full[3]), rival)
         align(
-            template, image, first, last, middle, _ROW_STEP, _STEPS, 0.02, False, start, held,
-            CORRELATED_PX / 4 / _ROW_STEP, rival, scratch, work,
+            template, image, first, last, middle, row_step, steps, tolerance_px, finely, start, held,
+            CORRELATED_PX / 4 / row_step, rival, scratch, work,
         )  # fmt: skip
         in_pixels_of(0.5, (rival[0], rival[1], rival[2], rival[3]), full)
         less = log_ratio(template, image, first, last, middle, half, rival, sums)

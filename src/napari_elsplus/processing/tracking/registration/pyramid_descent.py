@@ -101,10 +101,10 @@ def descend(
         write_prior(px, terms, prior_terms(warp, expected, terms)[0], stiff)
         in_pixels_of(px, (expected[0], expected[1], expected[2], expected[3]), centre)
         in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
-        columns = lit[LEVELS if sharp else level, :, : len(earlier[level])]
+        at, side = (LEVELS if sharp else level), len(earlier[level])
         correlation, count = align(
-            earlier[level], later[level], columns[0], columns[1], middles[level], row_step, steps, tolerance_px,
-            finely, centre, stiff, CORRELATED_PX / row_step / 4**level, scaled, information, work,
+            earlier[level], later[level], lit[at, 0, :side], lit[at, 1, :side], middles[level], row_step, steps,
+            tolerance_px, finely, centre, stiff, CORRELATED_PX / row_step / 4**level, scaled, information, work,
         )  # fmt: skip
         if correlation == 0.0:
             break
