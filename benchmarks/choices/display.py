@@ -89,6 +89,7 @@ def judge(_: Shown, rate: dict[str, Any]) -> Judgement:
             "drawing and all else / ms": rate["window_ms"] - rate["update_ms"],
             "camera / Hz": rate["camera_hz"],
             "engine's p99 / ms": rate["latency_p99_ms"],
+            "tick p99 / ms": rate["tick_p99_ms"],
             "lost": rate["lost"],
         },
     )

@@ -1,7 +1,8 @@
 """Display rate of live images: ``python -m benchmarks.rigs.display_rate --seconds S --canvas PX [PX ...]``.
 
 A window of its own with the Live panel, the engine in its process, the simulated rig at 240 Hz; one layer, then two, up
-to five, on a canvas of each size. Prints a line of JSON for each.
+to five, on a canvas of each size. Prints a line of JSON for each. At last Stop is pressed by the mouse, again and
+again, and the times until the panel displays that the stream has stopped are printed on the error stream.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ import sys
 import time
 from argparse import ArgumentParser
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import napari
 import numpy as np
-from qtpy.QtCore import QEventLoop
+from qtpy.QtCore import QEventLoop, Qt, QTimer
+from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QDockWidget, QOpenGLWidget  # type: ignore[attr-defined] # where Qt 6 has it
 
 from napari_elsplus.acquisition.engine.status import Settings
@@ -23,7 +25,7 @@ from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.widgets.live.panel import LivePanel
+from napari_elsplus.widgets.live.panel import TICK_MS, LivePanel
 from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
@@ -35,6 +37,9 @@ if TYPE_CHECKING:
 
 PRESET: Final = "240hz"
 SETTLE_S: Final = 1.0
+STOPS: Final = 10
+MOUSE: Final[Any] = QTest
+"""Its stubs declare static functions as methods."""
 _PATIENCE_S: Final = 60.0
 
 
@@ -62,6 +67,8 @@ class Rate:
         Of the engine, since the stream began.
     lost : int
         Frames lost since the stream began.
+    tick_p99_ms : float
+        99 % of the intervals between two events of a timer of `TICK_MS` in the window's thread are shorter.
     """
 
     layers: int
@@ -74,6 +81,7 @@ class Rate:
     camera_hz: float
     latency_p99_ms: float
     lost: int
+    tick_p99_ms: float
 
 
 def measure(seconds: float, canvases_px: Sequence[int], most: int) -> None:
@@ -93,6 +101,10 @@ def measure(seconds: float, canvases_px: Sequence[int], most: int) -> None:
                 rate = _measure(panel, client, layers, wanted_px, seconds)
                 sys.stdout.write(json.dumps(asdict(rate)) + "\n")
                 sys.stdout.flush()
+        stops_s = sorted(_stop(panel) for _ in range(STOPS))
+        sys.stderr.write(
+            f"Stop is displayed after {np.median(stops_s):.2f} s (median of {STOPS}), {stops_s[-1]:.2f} s\n"
+        )
     finally:
         panel.cleanup()
         viewer.close()
@@ -117,10 +129,15 @@ def _measure(panel: LivePanel, client: EngineClient, layers: int, wanted_px: int
         return shown
 
     _go_on(SETTLE_S)
+    ticks_s: list[float] = []
+    timer = QTimer()
+    timer.timeout.connect(lambda: ticks_s.append(time.perf_counter()))
+    timer.start(TICK_MS)
     panel.layers.update = timed  # type: ignore[method-assign,assignment] # while it is measured
     drawn, begin_s, spent_s = panel.canvas.drawn, time.perf_counter(), time.thread_time()
     _go_on(seconds)
     measured_s, spent_s = time.perf_counter() - begin_s, time.thread_time() - spent_s
+    timer.stop()
     panel.layers.update = update  # type: ignore[method-assign]
     status = client.status
     return Rate(
@@ -134,7 +151,22 @@ def _measure(panel: LivePanel, client: EngineClient, layers: int, wanted_px: int
         status.camera_hz,
         status.latency_ms.p99,
         sum(status.dropped.values()),
+        1e3 * float(np.quantile(np.diff(ticks_s), 0.99)),
     )
+
+
+def _stop(panel: LivePanel) -> float:
+    """Press Stop, and return the seconds until the panel displays it; then start again."""
+    button: Any = panel.form.start.native
+    begin_s = time.perf_counter()
+    MOUSE.mouseClick(button, Qt.MouseButton.LeftButton)
+    _until("Stop was displayed", lambda: button.text() == "Start")
+    stopped_s = time.perf_counter() - begin_s
+    _until("the engine had stopped", lambda: not panel.requests.busy and panel.form.start.enabled)
+    MOUSE.mouseClick(button, Qt.MouseButton.LeftButton)
+    _until("the stream was live again", lambda: panel.live)
+    _go_on(SETTLE_S)
+    return stopped_s
 
 
 def _give_the_canvas(panel: LivePanel, size_px: int) -> None:
@@ -174,7 +206,7 @@ def _until(what: str, condition: Callable[[], bool]) -> None:
             raise RuntimeError(f"before {what}: {problems.newest}")
         if time.perf_counter() > end_s:
             raise TimeoutError(f"{_PATIENCE_S:g} s passed before {what}")
-        _go_on(0.02)
+        _go_on(0.005)
 
 
 def _go_on(seconds: float) -> None:
