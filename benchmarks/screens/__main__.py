@@ -25,9 +25,9 @@ WALK_FRAMES: Final = 60
 """Frames of the recording of the walk: a quarter of a second."""
 DOCS: Final = Path(__file__).parents[2] / "docs" / "images"
 IN_DOCS: Final = {
-    "Compare": "compare", "Compare difference": "compare-difference", "Axial response": "axial-panel",
-    "Mosaic": "mosaic-panel", "Live": "live-panel", "Calibration offset": "calibration-offset",
-    "Calibration pair": "calibration-pair",
+    "Start": "window", "Compare": "compare", "Compare difference": "compare-difference",
+    "Axial response": "axial-panel", "Mosaic": "mosaic-panel", "Live": "live-panel",
+    "Calibration offset": "calibration-offset", "Calibration pair": "calibration-pair",
 }  # fmt: skip
 """Pictures of the documentation by title; drawn in the first size and theme."""
 

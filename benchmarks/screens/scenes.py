@@ -12,6 +12,7 @@ from qtpy.QtWidgets import QApplication
 
 from napari_elsplus import _sample_data, _window
 from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.io.settings import remember
 from napari_elsplus.widgets.analysis.axial import SIMULATED
 from napari_elsplus.widgets.analysis.compare import DIFFERENCE
 from napari_elsplus.widgets.analysis.quality import EDGE
@@ -43,6 +44,7 @@ class Scene:
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
+        remember("rig", heartbeat_timeout_s=TIMEOUT_S)  # windows drawn by software may be slow
         frames, _sample_data.FRAMES = _sample_data.FRAMES, FRAMES  # type: ignore[misc]
         self.viewer = napari.Viewer()
         self.viewer.window.resize(*size)
@@ -77,6 +79,7 @@ class Scene:
     def panels(self) -> Iterator[str]:
         """Bring one panel after the other to the front, at work; yields its title, and what it displays."""
         panel: dict[str, Any] = {title: tab.panel for title, tab in self.dock.by_title.items()}
+        yield "Start"
         compare = panel["Compare"]
         yield from self._front("Compare", compare.begin, lambda: compare.comparing)
         compare.view.value = DIFFERENCE

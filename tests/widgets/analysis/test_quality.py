@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from qtpy.QtWidgets import QApplication
 
+from napari_elsplus.widgets.analysis.quality import EDGE
 from pairs import write_pair
 
 PLUGIN = "napari-elsplus"
@@ -66,8 +67,9 @@ def test_the_edge_map_becomes_a_layer_and_a_plot(viewer, panel, qtbot, tmp_path)
         panel.average.native.click()
         assert not panel.average.enabled
         qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
-    assert [layer.name for layer in viewer.layers].count("quality edge") == 1
-    np.testing.assert_allclose(viewer.layers["quality edge"].translate, viewer.layers["scan LS"].translate[1:])
+    assert [layer.name for layer in viewer.layers].count(EDGE) == 1
+    assert viewer.layers[EDGE].name_overlay.visible
+    np.testing.assert_allclose(viewer.layers[EDGE].translate, viewer.layers["scan LS"].translate[1:])
     panel.plot.save(tmp_path / "edge.csv")
     assert len((tmp_path / "edge.csv").read_text().splitlines()) == 1 + len(panel.edge.profile)
     for theme in ("light", "dark"):

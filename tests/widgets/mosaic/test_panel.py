@@ -83,15 +83,20 @@ def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, 
 
     qtbot.waitUntil(ended, timeout=60_000)
     assert len(grown) > 1
-    assert mosaics(viewer) == OURS
+    assert mosaics(viewer) == OURS | {"mosaic titles"}
     images = {"mosaic LS", "mosaic ELSA", "mosaic ELS+"}
-    assert {layer.name for layer in viewer.layers[-7:-4]} == images
+    assert {layer.name for layer in viewer.layers[-8:-5]} == images
     assert [layer.name for layer in viewer.layers[-2:]] == ["mosaic track", "mosaic track marks"]
     assert not viewer.layers["mosaic coverage"].visible
     assert not any(layer.visible for layer in viewer.layers if layer.name.startswith("scan"))
     ls, elsa, els = (viewer.layers[f"mosaic {title}"] for title in ("LS", "ELSA", "ELS+"))
     assert np.all(np.diff([layer.extent.world[0, 1] for layer in (ls, elsa, els)]) > 0)
     assert els.extent.world[0, 1] > elsa.extent.world[1, 1] > ls.extent.world[1, 1]
+    titles = viewer.layers["mosaic titles"]
+    lefts = {layer.name: layer.extent.world[0, 1] for layer in (ls, elsa, els)}
+    assert {f"mosaic {title}" for title in titles.text.values} == set(lefts)
+    for title, corner in zip(titles.text.values, titles.data, strict=True):
+        assert titles.data_to_world(corner)[-1] == pytest.approx(lefts[f"mosaic {title}"], abs=2.3)
     um = 2.3 * 1
     assert els.scale == pytest.approx([um, um])
     assert [str(unit) for unit in els.units] == ["micrometer"] * 2

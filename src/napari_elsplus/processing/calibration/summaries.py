@@ -85,7 +85,7 @@ def summarize_galvo(galvo: GalvoMap, _draft: Draft, setup: Setup) -> StepSummary
     if frames < PAPER_VOLTAGES:
         warnings.append(f"{frames} voltages; the paper takes at least {PAPER_VOLTAGES}")
     per_row = with_uncertainty(1e3 * galvo.volts_per_row, 1e3 * galvo.volts_per_row_uncertainty)
-    return StepSummary(f"{per_row}\nmV per row", lines, warnings)
+    return StepSummary(f"{per_row} mV per row", lines, warnings)
 
 
 def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary:

@@ -64,6 +64,8 @@ REFRESH_MS: Final = 100
 """Delay of table and profiles after a change, milliseconds; chosen, 10 Hz while the slider moves."""
 BLINK_MS: Final = 600
 """Time for which each image is displayed, milliseconds; chosen, long enough to compare one detail."""
+ROUND: Final = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8)
+"""Limits of the difference view within a decade; chosen, no image is dimmed by more than a third."""
 FIGURES: Final = "Figures (*.pdf *.svg *.png)"
 PREPARING: Final = "Computing the first images; the first time after installation this takes some seconds."
 HINT: Final = "select a recording and press Compare; then draw a line on any of the images."
@@ -155,9 +157,8 @@ class ComparePanel(Panel):
             return
         index, inside = self._index(), self._comparison.inside
         if self.view.value == DIFFERENCE:
-            planes = [np.abs(np.asarray(layer.data[index])) for layer in self.display.images]
-            white = max(white_level(plane, inside) for plane in planes)  # one scale, to compare them
             for layer in self.display.images:
+                white = _round_up(white_level(np.abs(np.asarray(layer.data[index])), inside))
                 layer.contrast_limits = (-white, white)
             return
         levels = white_levels(self._comparison.at(index), inside, self.scaling.value)
@@ -336,6 +337,12 @@ class ComparePanel(Panel):
     def _ask_where_to_save_figure(self) -> None:
         if path := file_to_save(self, "Save the figure", "comparison.pdf", FIGURES):
             self.save_figure_to(path)
+
+
+def _round_up(level: float) -> float:
+    """Return the next number at which the ticks of a colour bar are labelled near both of its ends."""
+    decade = 10.0 ** np.floor(np.log10(level)) if level > 0 else 1.0
+    return float(decade * next((step for step in ROUND if decade * step >= level), 10))
 
 
 def _timer(parent: Panel, milliseconds: int, slot: Any, *, once: bool = False) -> QTimer:

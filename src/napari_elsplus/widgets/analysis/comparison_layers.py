@@ -137,7 +137,8 @@ class ComparisonLayers:
                 one.planes.dask(), cache=False, colormap=SIGNED if one.signed else "gray",
                 interpolation2d=SMOOTH, **options,
             )  # fmt: skip
-            image.colorbar.visible = one.signed and not self.images  # one scale for all; others are scaled anyway
+            image.colorbar.visible = one.signed  # its grey levels are compared, those of the others are scaled
+            image.colorbar.position = "top_right" if self.images else "top_left"  # on the side of its image
             self.images.append(image)
             self._viewer.layers.append(image)
         place = {key: options[key][1:] for key in ("scale", "units", "axis_labels")}

@@ -16,6 +16,7 @@ from napari_elsplus.processing.analysis.resolution import RESOLVED_CONTRAST
 from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.viewing.layers import SMOOTH
 from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.quality import (
     EdgeMap,
@@ -58,7 +59,8 @@ if TYPE_CHECKING:
     from napari_elsplus.viewing.stack import Stack
 
 BOXES: Final = "quality elements"
-EDGE: Final = "quality edge"
+EDGE: Final = "edge map: residual / central level"
+"""Name of its layer, displayed on the canvas: what the colour bar counts."""
 BOX_COLOUR: Final = "#f0e442"
 NOT_ALIGNMENT: Final = 0.1
 """Filtered alignment error above which the views do not show one scene (laser on); chosen, ten times the paper's."""
@@ -231,8 +233,8 @@ class QualityPanel(Panel):
         if EDGE in self.viewer.layers:
             self.viewer.layers.remove(EDGE)
         image = edge.image.astype(np.float32)
-        layer = Image(image, name=EDGE, contrast_limits=(0, 1.2), colormap="viridis", **place)
-        layer.colorbar.visible = True
+        layer = Image(image, name=EDGE, contrast_limits=(0, 1.2), colormap="viridis", interpolation2d=SMOOTH, **place)
+        layer.colorbar.visible = layer.name_overlay.visible = True
         self.viewer.layers.append(layer)
         self.show_numbers()
 

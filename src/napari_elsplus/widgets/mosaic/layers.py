@@ -8,15 +8,15 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from napari.layers import Image
+from napari.layers import Image, Points
 
 from napari_elsplus.processing.mosaicing.coverage import Coverage
-from napari_elsplus.viewing.layers import TITLES
+from napari_elsplus.viewing.layers import TITLE_RISE, TITLES, titles_layer
 from napari_elsplus.viewing.mosaic.growing import GrowingImage
 from napari_elsplus.viewing.mosaic.growing_maps import GrowingMaps
 from napari_elsplus.viewing.mosaic.track import TrackDrawing
 from napari_elsplus.widgets.mosaic.map_layers import draw_maps, maps_visible
-from napari_elsplus.widgets.mosaic.own_layers import COVERAGE, MARKS, QUALITY, TRACK, OwnLayers
+from napari_elsplus.widgets.mosaic.own_layers import COVERAGE, MARKS, NAMES, QUALITY, TRACK, OwnLayers
 from napari_elsplus.widgets.mosaic.track_layers import draw_track
 
 if TYPE_CHECKING:
@@ -80,6 +80,7 @@ class MosaicLayers:
         self._camera: tuple[Any, float] | None = None
         self._origin = (0.0, 0.0)
         kinds = {mode.value for mode in self._images} | {TRACK, MARKS, COVERAGE, QUALITY}
+        kinds |= {NAMES} if len(self._images) > 1 else set()
         self.own.begin(kinds, mosaics.scale.um_per_px)
 
     def remove(self) -> None:
@@ -162,6 +163,21 @@ class MosaicLayers:
             if reframed:
                 row, col = self._place(mode)
                 layer.translate = (row + image.frame.top * own.step, col + image.frame.left * own.step)
+        if reframed and len(self._images) > 1:
+            self._draw_titles()
+
+    def _draw_titles(self) -> None:
+        """Write the title of each mosaic above it."""
+        drawn, step = {mode: image.frame for mode, image in self._images.items() if image.levels}, self.own.step
+        places = {mode: np.array(self._place(mode)) / step for mode in drawn}
+        corners = [
+            (places[mode][0] + frame.top - TITLE_RISE * frame.shape[0], places[mode][1] + frame.left)
+            for mode, frame in drawn.items()
+        ]
+        data, attributes, _ = titles_layer("mosaic titles", [self._titles[mode] for mode in drawn], corners, {})
+        layer, made = self.own.obtain(NAMES, lambda: Points(data, **attributes))
+        if layer is not None and not made:
+            layer.data, layer.features = data, attributes["features"]
 
     def _made(self, mode: Mode, image: GrowingImage) -> Image:
         return Image(

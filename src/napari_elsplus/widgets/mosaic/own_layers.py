@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     import napari.viewer
     from napari.layers import Layer
 
-TRACK, MARKS, COVERAGE, QUALITY = "track", "track marks", "coverage", "quality"
-_ABOVE_IMAGES: Final = (COVERAGE, QUALITY, TRACK, MARKS)
+TRACK, MARKS, COVERAGE, QUALITY, NAMES = "track", "track marks", "coverage", "quality", "titles"
+_ABOVE_IMAGES: Final = (COVERAGE, QUALITY, NAMES, TRACK, MARKS)
 """Order above the images, from bottom to top."""
 
 
 class OwnLayers:
-    """Layers by kind: the name of a mode, or one of the four above.
+    """Layers by kind: the name of a mode, or one of the five above.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class OwnLayers:
         Parameters
         ----------
         kind : str
-            A mode, or one of the four above.
+            A mode, or one of the five above.
         make : callable
             Creates the layer.
         select : bool

@@ -143,6 +143,8 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         if before == self._drawn_as:
             self._update_data()
             return
+        for side in ("bottom", "left"):
+            self.showAxis(side, bool(self._curves))
         self._labels |= {side: text for side, text in (("bottom", bottom), ("left", left)) if text is not None}
         for side, text in self._labels.items():
             self.setLabel(
