@@ -162,6 +162,20 @@ def test_errors_that_mislead_many_links_in_a_row_are_no_turn() -> None:
     assert climbed <= 2
 
 
+def test_deforming_tissue_that_turns_to_and_fro_is_no_rotation_of_the_probe() -> None:
+    """Each finds an angle of three times its uncertainty, of either sign; the first few may be taken for a rotation."""
+    climbed = 0
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        selection, sigma = ModelSelection(), np.array([3e-4, 3e-4])
+        for _ in range(60):
+            step = np.zeros((3, 6))
+            step[:, 4:] = random.normal(0, 3 * sigma)
+            selection.weigh(Remainder(step, sigma, 1500.0))
+        climbed += selection.model is not MotionModel.TRANSLATION
+    assert climbed <= 10
+
+
 @pytest.mark.parametrize(
     ("path", "name"),
     [(Turning(Spiral(8000.0), 50.0), "fibres"), (Turning(Still(), -60.0), "nuclei")],
@@ -187,5 +201,5 @@ def test_a_few_full_views_tell_a_steady_turn_among_many_that_tell_nothing() -> N
     sigmas = np.where(np.arange(60) % 6 == 0, 3e-4, 2e-3)
     noise = sigmas * np.convolve(rng.normal(size=61), [0.8, 0.6], "valid")
     assert steady_turn(noise + 7e-4, sigmas) > 24 > 10 > steady_turn(noise, sigmas)
-    assert largest_sum(noise + 7e-4, sigmas) < 24
+    assert largest_sum(noise + 7e-4, sigmas, noise[:0], sigmas[:0]) < 24
     assert steady_turn(noise[:15] + 7e-4, sigmas[:15]) == 0.0

@@ -27,8 +27,9 @@ _MARGIN: Final = 2.0
 _MARGIN_OF_SCALE: Final = 6.0
 """The same for scale, which a probe in contact has no reason to change."""
 _REMEMBERED: Final = 64
-_LAST: Final = (2, _REMEMBERED)
-"""Registrations that are tested together: few reveal a sudden rotation, many a slow one."""
+_SUDDEN: Final = 6
+"""Registrations in which a sudden rotation shows; a slow one shows in all that are remembered. Chosen: in two the
+deformation of tissue passes for one, in eight unrelated errors do."""
 _SCATTER: Final = 2.0
 _PRIOR_LINKS: Final = 4
 """Variance of links about their mean, in units of what they say, and how many links that is worth at first."""
@@ -59,7 +60,8 @@ def selected_model(found: Sequence[Remainder]) -> MotionModel:
     if not found:
         return MotionModel.TRANSLATION
     steps = np.array([_steps_of(one) for one in found])
-    return _selected(steps, np.array([one.sigma for one in found]), sum(one.values for one in found))
+    sigmas = np.array([one.sigma for one in found])
+    return _selected(score_statistics(steps, sigmas, steps[:0], sigmas[:0]), sum(one.values for one in found))
 
 
 def _steps_of(one: Remainder) -> tuple[float, float, float]:
@@ -71,16 +73,21 @@ def _steps_of(one: Remainder) -> tuple[float, float, float]:
     )
 
 
-def _selected(steps: NDArray[np.float64], sigmas: NDArray[np.float64], values: float) -> MotionModel:
+def _selected(statistics: tuple[float, float], values: float) -> MotionModel:
     needed = _MARGIN * log(values)
-    turned, grown = score_statistics(steps, sigmas)
+    turned, grown = statistics
     if grown > _MARGIN_OF_SCALE * needed:
         return MotionModel.SIMILARITY
     return MotionModel.RIGID if turned > needed else MotionModel.TRANSLATION
 
 
 @lean_kernel
-def score_statistics(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> tuple[float, float]:
+def score_statistics(
+    steps: NDArray[np.float64],
+    sigmas: NDArray[np.float64],
+    steps_before: NDArray[np.float64],
+    sigmas_before: NDArray[np.float64],
+) -> tuple[float, float]:
     """Return the test statistics of rotation and of scale.
 
     Parameters
@@ -89,9 +96,13 @@ def score_statistics(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) ->
         (m, 3): rotation and scale by each score test, and rotation where scale is not modelled.
     sigmas : numpy.ndarray
         (m, 2): standard deviations of rotation and scale.
+    steps_before, sigmas_before : numpy.ndarray
+        (n, 3) and (n, 2) of registrations before these: by as much as they scatter, these may as well. Deforming tissue
+        turns and grows to and fro.
     """
-    turned = max(largest_sum(steps[:, 0], sigmas[:, 0]), steady_turn(steps[:, 2], sigmas[:, 0]))
-    return turned, largest_sum(steps[:, 1], sigmas[:, 1])
+    turned = largest_sum(steps[:, 0], sigmas[:, 0], steps_before[:, 0], sigmas_before[:, 0])
+    grown = largest_sum(steps[:, 1], sigmas[:, 1], steps_before[:, 1], sigmas_before[:, 1])
+    return max(turned, steady_turn(steps[:, 2], sigmas[:, 0])), grown
 
 
 @lean_kernel
@@ -135,8 +146,8 @@ def steady_turn(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> floa
 
 
 @lean_kernel
-def largest_sum(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> float:
-    """Return the largest square of the sum of the first registrations, over its variance.
+def scatter(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> float:
+    """Return the variance of registrations about their mean over the stated one, as that of a sum of them counts.
 
     Parameters
     ----------
@@ -152,13 +163,34 @@ def largest_sum(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> floa
         square += about * about
         neighbours += about * before
         before = about
-    scatter = (square + _SCATTER * _PRIOR_LINKS) / (links + _PRIOR_LINKS)
-    alike = min(max(neighbours / (links * scatter), 0.0), _MOST_ALIKE)
-    scatter *= (1 + alike) / (1 - alike)
+    found = (square + _SCATTER * _PRIOR_LINKS) / (links + _PRIOR_LINKS)
+    alike = min(max(neighbours / (links * found), 0.0), _MOST_ALIKE)
+    return found * (1 + alike) / (1 - alike)
+
+
+@lean_kernel
+def largest_sum(
+    steps: NDArray[np.float64],
+    sigmas: NDArray[np.float64],
+    steps_before: NDArray[np.float64],
+    sigmas_before: NDArray[np.float64],
+) -> float:
+    """Return the largest square of the sum of the first registrations, over its variance.
+
+    Parameters
+    ----------
+    steps, sigmas : numpy.ndarray
+        (m,) estimate of each registration, and its standard deviation.
+    steps_before, sigmas_before : numpy.ndarray
+        (n,) of registrations before these, by whose scatter these may err as well.
+    """
     total, variance, largest = 0.0, 0.0, 0.0
-    for k in range(links):
+    usual = scatter(steps, sigmas)
+    if len(steps_before):
+        usual = max(usual, scatter(steps_before, sigmas_before))
+    for k in range(len(steps)):
         total += steps[k]
-        variance += sigmas[k] * sigmas[k] * scatter
+        variance += sigmas[k] * sigmas[k] * usual
         largest = max(largest, total * total / variance)
     return largest
 
@@ -204,9 +236,10 @@ class ModelSelection:
             self._links -= 1
         n = self._links
         self._steps[n], self._sigmas[n], self._values[n] = _steps_of(found), found.sigma, found.values
-        for last in _LAST:
-            these = np.s_[max(0, n + 1 - last) : n + 1]
-            selected = _selected(self._steps[these], self._sigmas[these], float(self._values[these].sum()))
-            self.model = max(self.model, selected)
+        for first in (max(0, n + 1 - _SUDDEN), 0):
+            statistics = score_statistics(
+                self._steps[first : n + 1], self._sigmas[first : n + 1], self._steps[:first], self._sigmas[:first]
+            )
+            self.model = max(self.model, _selected(statistics, float(self._values[first : n + 1].sum())))
         self._links += keep
         return self.model
