@@ -95,22 +95,33 @@ def paper_figures(out: Path, quick: bool, force: bool) -> None:
 @click.option("--quick", is_flag=True, help="A few cases: a check that it runs.")
 @click.option("--rigs", type=click.IntRange(min=0), default=0, show_default=True, help="Rigs drawn at random, too.")
 @click.option("--only-rigs", is_flag=True, help="No cases, only the rigs.")
+@click.option("--resume", is_flag=True, help="Keep the rows that the CSV files have already.")
+@click.option("--docs", "folder", type=FILE, help="Folder of the documentation whose tables and chart are renewed.")
 @force_option
-def imperfect(out: Path, quick: bool, rigs: int, only_rigs: bool, force: bool) -> None:
+def imperfect_rigs(
+    out: Path, quick: bool, rigs: int, only_rigs: bool, resume: bool, folder: Path | None, force: bool
+) -> None:
     """Disturb the simulated rig by each imperfection, with and without its correction, and draw rigs at random."""
-    files = {name: out / f"imperfect{name}" for name in (".csv", ".png", "-rigs.csv")}
-    refuse_outputs(*files.values(), force=force)
+    tables, chart = [out / f"imperfect{name}" for name in (".csv", "-rigs.csv")], out / "imperfect.png"
+    if not resume:
+        refuse_outputs(*tables, chart, force=force)
+        for path in tables:
+            path.unlink(missing_ok=True)
     out.mkdir(parents=True, exist_ok=True)
+    blocks = {}
     with Console(stderr=True).status("imperfect") as status:
         if not only_rigs:
-            outcomes = study.run_cases(study.quick_cases() if quick else CASES, status.update)
-            study.write_outcomes(outcomes, files[".csv"], force=force)
-            save_figure(study.draw_outcomes(outcomes), files[".png"], force=force)
-            click.echo(study.markdown(outcomes))
+            outcomes = study.run_cases(study.quick_cases() if quick else CASES, tables[0], status.update)
+            save_figure(study.draw_outcomes(outcomes), chart, force=True)
+            blocks["imperfect"] = study.markdown(outcomes)
         if rigs:
-            surveyed = survey.survey(rigs, status.update)
-            survey.write_survey(surveyed, files["-rigs.csv"], force=force)
-            click.echo(survey.markdown(surveyed))
+            blocks["imperfect-rigs"] = survey.markdown(survey.survey(rigs, tables[1], status.update))
+    for block in blocks.values():
+        click.echo(block)
+    if folder is not None:
+        fill(folder / "simulation.md", blocks)
+        if not only_rigs:
+            save_figure(study.draw_outcomes(outcomes), folder / "images" / "bench-imperfect.png", force=True)
 
 
 @bench.command()

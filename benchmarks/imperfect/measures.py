@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 JUDGED: Final = 0.9
 """Part of the bundle's diameter in which images and maps are judged, as the paper judges alignment."""
-DEPTHS_UM: Final = np.r_[np.arange(0.0, 40, 8), np.arange(40, 200, 10), np.arange(200, 720, 40)]
-"""Depths of a scan, um; chosen: a quarter of a whole scan's."""
+_THERE_UM: Final = np.r_[np.arange(0.0, 40, 8), np.arange(40, 200, 10), np.arange(200, 720, 40)]
+DEPTHS_UM: Final = np.r_[_THERE_UM, _THERE_UM[::-1]]
+"""Depths of a scan there and back, um; chosen: each way a quarter of the depths of a whole scan."""
 
 _NEAR_UM: Final = 60.0
 """Distance from the middle of the bundle, um, within which a parabola describes any distortion; chosen."""

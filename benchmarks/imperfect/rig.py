@@ -114,14 +114,17 @@ class ImperfectRig:
         ElsPlusError
             If a step refuses its frames.
         """
-        step, draft, instrument = find_step("lag"), self.measured, self.instrument
-        assert draft.calibration.frame is not None
+        step, draft, setup = find_step("lag"), self.measured, self.setup
+        return step.accept(draft, step.estimate(StepInputs((), setup, scans=_Scans(self)), draft), setup)
+
+    @property
+    def setup(self) -> Setup:
+        """Settings of the devices, as a step gets them."""
+        frame, instrument = self.measured.calibration.frame, self.instrument
+        assert frame is not None
         optics = instrument.optics
         acquired = AcquiredWith(slit_rows=instrument.slit_rows, frame_rate_hz=optics.frame_rate_hz)
-        setup = Setup(
-            draft.calibration.frame, acquired, optics.line_period_s, optics.line_periods_per_frame, optics.um_per_px
-        )
-        return step.accept(draft, step.estimate(StepInputs((), setup, scans=_Scans(self)), draft), setup)
+        return Setup(frame, acquired, optics.line_period_s, optics.line_periods_per_frame, optics.um_per_px)
 
     @property
     def timing(self) -> ScanTiming:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Final
 from matplotlib.figure import Figure
 
 from benchmarks.imperfect.cases import CASES, corrects
-from napari_elsplus.errors import ElsPlusError
+from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.io import replacing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from benchmarks.imperfect.cases import Case
@@ -65,21 +65,30 @@ class Outcome:
         ]  # fmt: skip
 
 
-def run_cases(cases: Iterable[Case], report: Callable[[str], None] = lambda _: None) -> list[Outcome]:
-    """Measure cases one after the other.
+def run_cases(cases: Sequence[Case], path: Path, report: Callable[[str], None] = lambda _: None) -> list[Outcome]:
+    """Measure cases one after the other; those that a CSV file has already are not measured again.
 
     Parameters
     ----------
-    cases : iterable of Case
+    cases : sequence of Case
         Which.
+    path : pathlib.Path
+        The CSV file, a row for each case, which is written after each.
     report : callable
         Receives the name of the case that is being measured.
+
+    Raises
+    ------
+    InputError
+        If the file exists, and was not written by this function.
     """
-    outcomes = []
+    known = read_outcomes(path, cases) if path.exists() else {}
     for case in cases:
-        report(f"{case.name}: {case.quantity.name}")
-        outcomes.append(measure_case(case))
-    return outcomes
+        if _key(case) not in known:
+            report(f"{case.name}: {case.quantity.name}")
+            known[_key(case)] = measure_case(case)
+            write_outcomes([known[_key(each)] for each in cases if _key(each) in known], path, force=True)
+    return [known[_key(case)] for case in cases]
 
 
 def measure_case(case: Case) -> Outcome:
@@ -100,6 +109,38 @@ def _switched_off(case: Case) -> float:
         return case.quantity.measure(case.disturbed, case.corrections)
     except ElsPlusError:
         return nan
+
+
+def read_outcomes(path: Path, cases: Iterable[Case]) -> dict[tuple[str, str, str], Outcome]:
+    """Return the outcomes of cases that a CSV file of :func:`write_outcomes` has, by their keys.
+
+    Raises
+    ------
+    InputError
+        If it is another file.
+    """
+    by_name = {_key(case): case for case in cases}
+    with path.open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        if tuple(reader.fieldnames or ()) != COLUMNS:
+            raise InputError(f"{path} is no table of cases", "choose another folder")
+        rows = list(reader)
+    outcomes = {}
+    for row in rows:
+        key = row["imperfections"], row["preset"], row["quantity"]
+        if (case := by_name.get(key)) is not None:
+            clean, disturbed, switched_off = (_number(row[name]) for name in ("clean", "disturbed", "switched_off"))
+            outcomes[key] = Outcome(case, clean, disturbed, switched_off, row["refused"])
+    return outcomes
+
+
+def _key(case: Case) -> tuple[str, str, str]:
+    """Return what tells one case from the others: imperfections, preset, quantity."""
+    return case.imperfections, case.preset, case.quantity.name
+
+
+def _number(text: str) -> float:
+    return float(text) if text not in ("", "refused") else nan
 
 
 def quick_cases() -> list[Case]:

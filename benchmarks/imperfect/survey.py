@@ -12,8 +12,9 @@ import numpy as np
 from benchmarks.imperfect import measures
 from benchmarks.imperfect.measures import Error
 from benchmarks.imperfect.rig import ImperfectRig
-from napari_elsplus.errors import ElsPlusError
+from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.io import replacing
+from napari_elsplus.processing.calibration.steps import find_step
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -22,12 +23,17 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.analysis.axial_response import AxialResponse
 
 PRESET: Final = "240hz"
-FIRST_SEED: Final = 5000
+FIRST_SEED: Final = 5200
 """Rigs with smaller seeds were looked at while the software was written."""
 TOLERANCE: Final = 0.03
 """Largest deviation of a drop-off from the ideal rig's, as a share of it, that is good enough."""
 CALIBRATED: Final = ("slit offset / rows", "galvo map at the middle / rows", "gain of the right view")
 DISTANCES: Final = ("ELS+ 3 dB", "ELS+ 10 dB")
+NAMES: Final = (*CALIBRATED, *DISTANCES)
+COLUMNS: Final = (
+    "seed", *(f"{name}, {part}" for name in NAMES for part in ("error", "stated")),
+    *(f"{name}, relative" for name in DISTANCES), "warning", "refused",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +51,15 @@ class Surveyed:
         By name: drop-off over the ideal rig's, minus 1.
     refused : str
         What the software said, if it refused the rig.
-    warned : bool
-        The calibration said that something may be wrong.
+    warning : str
+        What the scan's step warned of, if it did: rows that miss the slit, and the frame rate at which they would not.
     """
 
     seed: int
     errors: dict[str, Error] = field(default_factory=dict)
     shares: dict[str, float] = field(default_factory=dict)
     refused: str = ""
-    warned: bool = False
+    warning: str = ""
 
     @property
     def wrong(self) -> bool:
@@ -67,14 +73,14 @@ class Surveyed:
             abs(self.shares[name]) > TOLERANCE and abs(self.errors[name].off) > 3 * self.errors[name].stated
             for name in self.shares
         )
-        return far and not self.warned
+        return far and not self.warning
 
 
 def survey_rig(seed: int) -> Surveyed:
     """Calibrate a rig by its seed as a user would, scan with that, and measure its axial response."""
     rig = ImperfectRig.drawn(PRESET, seed)
     try:
-        calibration = rig.scanned.calibration
+        draft, calibration = rig.scanned, rig.scanned.calibration
         response = measures.axial(rig, calibration, line_rows=rig.line_rows(calibration), seed=seed)
     except ElsPlusError as error:
         return Surveyed(seed, refused=str(error))
@@ -87,7 +93,9 @@ def survey_rig(seed: int) -> Surveyed:
     for name, ideal, drop in zip(DISTANCES, _distances(_ideal()), _distances(response), strict=True):
         errors[name] = Error(drop.off - ideal.off, float(np.hypot(drop.stated, ideal.stated)))
         shares[name] = drop.off / ideal.off - 1
-    return Surveyed(seed, errors, shares, warned=False)
+    assert draft.lag is not None
+    warnings = find_step("lag").summary(draft, draft.lag, rig.setup).warnings
+    return Surveyed(seed, errors, shares, warning="; ".join(warnings))
 
 
 @cache
@@ -100,28 +108,38 @@ def _distances(response: AxialResponse) -> tuple[Error, Error]:
     return tuple(Error(drop.um, drop.uncertainty_um) for drop in (response.els_3db, response.els_10db))  # type: ignore[return-value]
 
 
-def survey(rigs: int, report: Callable[[str], None] = lambda _: None) -> list[Surveyed]:
-    """Survey a number of rigs, one after the other.
+def survey(rigs: int, path: Path, report: Callable[[str], None] = lambda _: None) -> list[Surveyed]:
+    """Survey a number of rigs, one after the other; those that a CSV file has already are not measured again.
 
     Parameters
     ----------
     rigs : int
         How many, from the seed `FIRST_SEED` on.
+    path : pathlib.Path
+        The CSV file, a row for each rig, which is written after each.
     report : callable
         Receives what is being done.
+
+    Raises
+    ------
+    InputError
+        If the file exists, and was not written by this function.
     """
-    found = []
-    for number in range(rigs):
-        report(f"rig {number + 1} of {rigs}")
-        found.append(survey_rig(FIRST_SEED + number))
-    return found
+    known = {one.seed: one for one in read_survey(path)} if path.exists() else {}
+    seeds = range(FIRST_SEED, FIRST_SEED + rigs)
+    for number, seed in enumerate(seeds, 1):
+        if seed not in known:
+            report(f"rig {number} of {rigs}")
+            known[seed] = survey_rig(seed)
+            write_survey([known[each] for each in seeds if each in known], path, force=True)
+    return [known[seed] for seed in seeds]
 
 
 def markdown(surveyed: list[Surveyed]) -> str:
     """Return errors, coverage and refusals as Markdown."""
     measured = [one for one in surveyed if not one.refused]
     lines = ["| quantity | RMS error | largest | within 1 sigma | within 3 sigma |", "|---|---|---|---|---|"]
-    for name in (*CALIBRATED, *DISTANCES) if measured else ():
+    for name in NAMES if measured else ():
         off, stated = np.array([one.errors[name] for one in measured]).T
         inside = [f"{100 * np.mean(np.abs(off) <= sigmas * stated):.0f} %" for sigmas in (1, 3)]
         lines.append(
@@ -138,13 +156,16 @@ def markdown(surveyed: list[Surveyed]) -> str:
 
 def _counts(surveyed: Iterable[Surveyed]) -> str:
     rigs = list(surveyed)
-    refused, wrong, silent = (
-        sum(flags) for flags in zip(*((bool(r.refused), r.wrong, r.silently_wrong) for r in rigs), strict=True)
+    refused, wrong, warned, silent = (
+        sum(flags)
+        for flags in zip(
+            *((bool(r.refused), r.wrong, r.wrong and bool(r.warning), r.silently_wrong) for r in rigs), strict=True
+        )
     )
     return (
         f"{len(rigs)} rigs drawn at random (seeds {rigs[0].seed} to {rigs[-1].seed}): {refused} refused; of the others "
-        f"{wrong} with an ELS+ drop-off more than {100 * TOLERANCE:g} % from the ideal rig's, "
-        f"{silent} of them silently."
+        f"{wrong} with an ELS+ drop-off more than {100 * TOLERANCE:g} % from the ideal rig's, of which {warned} were "
+        f"warned of in the scan's step, and {silent} silently by more than three standard deviations."
     )
 
 
@@ -156,10 +177,33 @@ def write_survey(surveyed: list[Surveyed], path: Path, *, force: bool = False) -
     InputError
         If the file exists and `force` is not given.
     """
-    names = (*CALIBRATED, *DISTANCES)
     with replacing(path, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["seed", *(f"{name}, {part}" for name in names for part in ("error", "stated")), "refused"])
+        writer.writerow(COLUMNS)
         for one in surveyed:
-            errors = (one.errors.get(name, Error(np.nan, np.nan)) for name in names)
-            writer.writerow([one.seed, *(f"{value:.6g}" for error in errors for value in error), one.refused])
+            errors = (value for name in NAMES for value in one.errors.get(name, Error(np.nan, np.nan)))
+            shares = (one.shares.get(name, np.nan) for name in DISTANCES)
+            writer.writerow([one.seed, *(f"{value:.6g}" for value in (*errors, *shares)), one.warning, one.refused])
+
+
+def read_survey(path: Path) -> list[Surveyed]:
+    """Return the rigs of a CSV file of :func:`write_survey`.
+
+    Raises
+    ------
+    InputError
+        If it is another file.
+    """
+    with path.open(newline="", encoding="utf-8") as file:
+        reader = csv.reader(file)
+        if tuple(next(reader, ())) != COLUMNS:
+            raise InputError(f"{path} is no table of rigs", "choose another folder")
+        rows = list(reader)
+    surveyed = []
+    for seed, *cells, warning, refused in rows:
+        values = [float(cell) for cell in cells]
+        pairs = zip(values[: 2 * len(NAMES) : 2], values[1 : 2 * len(NAMES) : 2], strict=True)
+        errors = {} if refused else dict(zip(NAMES, (Error(*pair) for pair in pairs), strict=True))
+        shares = {} if refused else dict(zip(DISTANCES, values[2 * len(NAMES) :], strict=True))
+        surveyed.append(Surveyed(int(seed), errors, shares, refused, warning))
+    return surveyed

@@ -11,8 +11,8 @@ import pytest
 from benchmarks.imperfect import measures
 from benchmarks.imperfect.cases import CASES, Case, corrects, without
 from benchmarks.imperfect.rig import ImperfectRig
-from benchmarks.imperfect.study import measure_case, quick_cases
-from benchmarks.imperfect.survey import CALIBRATED, DISTANCES, Surveyed, markdown
+from benchmarks.imperfect.study import Outcome, measure_case, quick_cases, run_cases, write_outcomes
+from benchmarks.imperfect.survey import CALIBRATED, DISTANCES, Surveyed, markdown, read_survey, write_survey
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.simulation.model.imperfections import Imperfections
 from napari_elsplus.simulation.specimen.scenes import uniform
@@ -68,17 +68,29 @@ def test_a_correction_switched_off_leaves_a_calibration_that_images_can_be_made_
     assert (images[0] == images[1]).all()
 
 
-def test_a_survey_counts_refused_and_wrong_rigs() -> None:
+def test_a_survey_counts_refused_wrong_and_warned_rigs_and_is_resumed_from_its_file(tmp_path: Path) -> None:
     good = dict.fromkeys((*CALIBRATED, *DISTANCES), measures.Error(0.0, 1.0))
     bad = good | {"ELS+ 10 dB": measures.Error(12.0, 1.0)}
     rigs = [
         Surveyed(1, good, {"ELS+ 3 dB": 0.0, "ELS+ 10 dB": 0.0}),
         Surveyed(2, bad, {"ELS+ 3 dB": 0.0, "ELS+ 10 dB": 0.1}),
         Surveyed(3, refused="no line"),
+        Surveyed(4, bad, {"ELS+ 3 dB": 0.0, "ELS+ 10 dB": 0.1}, warning="rows miss the slit"),
     ]
     text = markdown(rigs)
-    assert "3 rigs drawn at random (seeds 1 to 3): 1 refused" in text
-    assert "1 with an ELS+ drop-off more than 3 % from the ideal rig's, 1 of them silently" in text
+    assert "4 rigs drawn at random (seeds 1 to 4): 1 refused; of the others 2 with an ELS+ drop-off" in text
+    assert "of which 1 were warned of in the scan's step, and 1 silently" in text
+    write_survey(rigs, tmp_path / "rigs.csv")
+    assert markdown(read_survey(tmp_path / "rigs.csv")) == text
+
+
+def test_cases_that_a_table_has_are_not_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = quick_cases()[0]
+    known = Outcome(case, 1.0, 2.0, 3.0, "")
+    write_outcomes([known], tmp_path / "imperfect.csv")
+    monkeypatch.setattr("benchmarks.imperfect.study.measure_case", lambda _: pytest.fail("measured again"))
+    again = run_cases([case], tmp_path / "imperfect.csv")
+    assert [one.cells() for one in again] == [known.cells()]
 
 
 def test_the_command_writes_table_and_chart(bench_program, tmp_path: Path, monkeypatch) -> None:

@@ -123,3 +123,41 @@ def test_a_square_larger_than_the_bundle_is_refused_and_the_scale_is_needed() ->
         axial_profiles(frames, Calibration.parse(record))
     with pytest.raises(CalibrationError, match="um_per_px"):
         axial_profiles(frames, Calibration.parse(record | {"optics": {"line_period_s": 1e-5}}))
+
+
+def there_and_back() -> np.ndarray:
+    depths = np.concatenate([np.arange(0, 40, 4), np.arange(40, 200, 10), np.arange(200, 720, 40)])
+    return np.r_[depths, depths[::-1]]
+
+
+def falling(depths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    ls, els = 100 / (1 + depths / 60), 100 / (1 + (depths / 30) ** 2)
+    return ls, ls - els
+
+
+def test_bleaching_is_made_up_for_in_a_scan_there_and_back() -> None:
+    depths, random = there_and_back(), np.random.default_rng(7310)
+    faded = 0.8 ** (np.arange(len(depths)) / (len(depths) - 1)) * random.normal(1, 0.002, len(depths))
+    ls, residual = falling(depths)
+    response = axial_response(depths, faded * ls, faded * residual)
+    one_way = axial_response(*(each[: len(depths) // 2] for each in (depths, faded * ls, faded * residual)))
+    assert response.loss is not None
+    assert one_way.loss is None
+    assert one_way.ls_10db.um < 500
+    assert response.loss.significant
+    assert response.loss.share == pytest.approx(0.2, abs=3 * response.loss.share_uncertainty)
+    assert response.ls_10db.um == pytest.approx(540, rel=0.01)
+    assert response.els_10db.um == pytest.approx(90, rel=0.01)
+
+
+def test_power_noise_from_frame_to_frame_is_in_the_stated_distances() -> None:
+    depths, random = there_and_back(), np.random.default_rng(7311)
+    off, stated = [], []
+    for _ in range(100):
+        power = random.normal(1, 0.03, len(depths))
+        response = axial_response(depths, *(power * each for each in falling(depths)))
+        off.append(response.els_3db.um - 30)
+        stated.append(response.els_3db.uncertainty_um)
+    inside = [float(np.mean(np.abs(off) < sigmas * np.array(stated))) for sigmas in (1, 3)]
+    assert 0.5 < inside[0] < 0.85
+    assert inside[1] > 0.95

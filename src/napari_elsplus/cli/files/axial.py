@@ -61,6 +61,11 @@ def _summary(response: AxialResponse) -> Iterator[str]:
     ):
         yield f"{name}: 3 dB at {_distance(three)}, 10 dB at {_distance(ten)}"
     yield f"signal kept in contact: {100 * response.signal_kept:.1f} +- {100 * response.signal_kept_uncertainty:.1f} %"
+    if response.loss is None:
+        yield "no depth was recorded again: bleaching is not seen; record the scan there and back"
+    elif response.loss.significant:
+        lost, sigma = 100 * response.loss.share, 100 * response.loss.share_uncertainty
+        yield f"warning: the light fell by {lost:.1f} +- {sigma:.1f} % in the course of the scan: corrected"
 
 
 def _distance(drop: DropOff) -> str:

@@ -13,6 +13,8 @@ import numpy as np
 from scipy.optimize import isotonic_regression
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
+from napari_elsplus.processing.analysis.bleaching import light_loss
+from napari_elsplus.processing.analysis.curve_noise import noise_of_curve
 from napari_elsplus.processing.analysis.rounding import pixel_noise_dn, rounding_bias_dn
 from napari_elsplus.processing.images.sectioning import Sectioner
 
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.analysis.bleaching import LightLoss
     from napari_elsplus.processing.images.sectioning import Frames
 
     Curve = NDArray[np.float64]
@@ -34,8 +37,6 @@ LEVEL_10DB: Final = 0.1
 """Level of the 10 dB drop-off, fraction of the signal in contact (the paper, Sec. 3.1)."""
 _MIN_DEPTHS: Final = 3
 """Smallest number of depths; derived: the noise is estimated from a point and its two neighbours."""
-_MAD_TO_SIGMA: Final = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation (derived)."""
 _MIN_SIGNAL_SIGMAS: Final = 3
 """Smallest signal in contact, standard deviations of its noise; chosen: the usual limit of detection."""
 
@@ -72,6 +73,9 @@ class AxialResponse:
         ELS+ over LS in contact.
     signal_kept_uncertainty : float
         Its standard deviation.
+    loss : LightLoss, optional
+        Light that was lost in the course of the scan, by bleaching; corrected where significant. None where too few
+        depths were recorded more than once.
     """
 
     depth_um: Curve
@@ -85,6 +89,7 @@ class AxialResponse:
     els_10db: DropOff
     signal_kept: float
     signal_kept_uncertainty: float
+    loss: LightLoss | None = None
 
     def content(self) -> dict[str, Any]:
         """Return all results, ready for JSON; a distance that the scan does not reach is None."""
@@ -106,6 +111,8 @@ class AxialResponse:
             "signal_kept": self.signal_kept,
             "signal_kept_uncertainty": self.signal_kept_uncertainty,
             "contact_um": self.contact_um,
+            "light_lost": None if self.loss is None else self.loss.share,
+            "light_lost_uncertainty": None if self.loss is None else self.loss.share_uncertainty,
             "depth_um": self.depth_um.tolist(),
             "profiles": {"ls": self.ls.tolist(), "residual": self.residual.tolist(), "els": self.els.tolist()},
         }
@@ -224,13 +231,15 @@ def axial_response(
 ) -> AxialResponse:
     """Estimate drop-off distances and kept signal from signals against depth.
 
-    Frames at the same depth are averaged. Contact is the maximum of LS under unimodal regression; beyond it,
-    drop-offs are taken from an isotonic regression, so that noise does not end a curve too early.
+    Frames at the same depth are averaged. They also show what the plate has lost of its light in between, by bleaching,
+    which is made up for where it is significant: record scans there and back. Contact is the maximum of LS under
+    unimodal regression; beyond it, drop-offs are taken from an isotonic regression, so that noise does not end a curve
+    too early.
 
     Parameters
     ----------
     depths_um : array_like
-        Depth of each frame (T,), in any order, not necessarily equidistant nor from zero.
+        Depth of each frame (T,) as recorded, in any order, not necessarily equidistant nor from zero.
     ls, residual : array_like
         Signals (T,) in grey levels, the background subtracted.
     systematic : SystematicUncertainty
@@ -256,7 +265,10 @@ def axial_response(
     >>> [round(drop.um) for drop in (response.ls_3db, response.ls_10db, response.els_3db, response.els_10db)]
     [60, 540, 30, 90]
     """
-    depth, ls_mean, residual_mean = _by_depth(depths_um, ls, residual)
+    depths, *signals = _checked(depths_um, ls, residual)
+    loss = light_loss(depths, signals[0])
+    gains = np.ones(len(depths)) if loss is None else loss.gains()
+    depth, ls_mean, residual_mean = _by_depth(depths, *(signal * gains for signal in signals))
     els_mean = ls_mean - residual_mean
     contact = _peak(ls_mean)
     beyond = slice(contact, None)
@@ -288,6 +300,7 @@ def axial_response(
             np.linalg.norm([els_fall.noise, kept * ls_fall.noise, systematic.gain * residual_mean[contact]])
             / ls_fall.contact
         ),
+        loss=loss,
     )
 
 
@@ -306,7 +319,7 @@ class _Fall:
         self._depth[0] = depth[0]
         self._start = float(depth[0])
         self.contact = float(self._signal[0])
-        self.noise = _noise(depth, signal)
+        self.noise, self._relative = noise_of_curve(depth, signal)
 
     def drop(self, level: float) -> DropOff:
         share = self._signal / self.contact
@@ -316,11 +329,14 @@ class _Fall:
         slope = (share[below] - share[below - 1]) / (self._depth[below] - self._depth[below - 1])
         at = self._depth[below - 1] + (level - share[below - 1]) / slope
         together = np.interp(at, self._all_depths, self._together_dn) - level * self._together_dn[0]
-        error_dn = np.linalg.norm([self.noise, level * self.noise, (1 - level) * self._zero_dn, together])
+        unsteady = level * self._relative * self.contact  # in contact, and again at the drop-off
+        error_dn = np.linalg.norm(
+            [self.noise, level * self.noise, (1 - level) * self._zero_dn, together, unsteady, unsteady]
+        )
         return DropOff(float(at - self._start), float(error_dn / self.contact / abs(slope)))
 
 
-def _by_depth(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[Curve, Curve, Curve]:
+def _checked(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[Curve, Curve, Curve]:
     depth, *signals = (np.asarray(values, np.float64) for values in (depths_um, ls, residual))
     if depth.ndim != 1 or any(signal.shape != depth.shape for signal in signals):
         raise InputError(
@@ -329,11 +345,15 @@ def _by_depth(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple
         )
     if not all(np.isfinite(values).all() for values in (depth, *signals)):
         raise InputError("a depth or signal is NaN or infinite", "leave that frame out")
+    if (different := len(np.unique(depth))) < _MIN_DEPTHS:
+        raise InputError(f"the scan has {different} different depths", f"give at least {_MIN_DEPTHS}")
+    return depth, signals[0], signals[1]
+
+
+def _by_depth(depth: Curve, ls: Curve, residual: Curve) -> tuple[Curve, Curve, Curve]:
     unique, place = np.unique(depth, return_inverse=True)
-    if len(unique) < _MIN_DEPTHS:
-        raise InputError(f"the scan has {len(unique)} different depths", f"give at least {_MIN_DEPTHS}")
     count = np.bincount(place)
-    ls_mean, residual_mean = (np.bincount(place, signal) / count for signal in signals)
+    ls_mean, residual_mean = (np.bincount(place, signal) / count for signal in (ls, residual))
     return unique, ls_mean, residual_mean
 
 
@@ -345,13 +365,3 @@ def _peak(signal: Curve) -> int:
         for k in range(len(signal))
     ]
     return int(np.argmin(misfit))
-
-
-def _noise(depth: Curve, signal: Curve) -> float:
-    """Estimate the noise on a smooth curve from each point's departure from the line through its neighbours."""
-    if len(depth) < _MIN_DEPTHS:
-        return 0.0
-    ahead = (depth[1:-1] - depth[:-2]) / (depth[2:] - depth[:-2])
-    departure = signal[1:-1] - (1 - ahead) * signal[:-2] - ahead * signal[2:]
-    departure /= np.sqrt(1 + ahead**2 + (1 - ahead) ** 2)
-    return float(_MAD_TO_SIGMA * np.median(np.abs(departure - np.median(departure))))

@@ -1,0 +1,55 @@
+"""Noise on a smooth curve that was measured once, without a model of the curve."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Curve = NDArray[np.float64]
+
+_MIN_POINTS: Final = 3
+"""Smallest number of points; derived: the noise is estimated from a point and its two neighbours."""
+_MAD_TO_SIGMA: Final = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation (derived)."""
+_BRIGHT: Final = 0.2
+"""Of the signal in contact, above which points show the noise that is proportional to the signal; chosen."""
+_MIN_BRIGHT: Final = 5
+"""Smallest number of such points; chosen: the median of fewer is no standard deviation."""
+
+
+def noise_of_curve(depth: Curve, signal: Curve) -> tuple[float, float]:
+    """Estimate the noise on a smooth curve from each point's departure from the line through its neighbours.
+
+    Parameters
+    ----------
+    depth, signal : numpy.ndarray
+        (depths,) abscissa in increasing order, and signal.
+
+    Returns
+    -------
+    tuple of float
+        Standard deviation that all points have, in their unit, and that in excess of it, relative to the signal, of the
+        bright points: power that differs from frame to frame.
+    """
+    if len(depth) < _MIN_POINTS:
+        return 0.0, 0.0
+    ahead = (depth[1:-1] - depth[:-2]) / (depth[2:] - depth[:-2])
+    departure = signal[1:-1] - (1 - ahead) * signal[:-2] - ahead * signal[2:]
+    departure /= np.sqrt(1 + ahead**2 + (1 - ahead) ** 2)
+    noise = _robust_sigma(departure)
+    bright = signal[1:-1] > _BRIGHT * signal.max()
+    if np.count_nonzero(bright) < _MIN_BRIGHT:
+        return noise, 0.0
+    level = signal[1:-1][bright]
+    # The curvature of the curve itself cancels in differences; of departures that share points, these vary 10/3 times.
+    steps = np.diff(departure[bright] / level)
+    excess = _robust_sigma(steps) ** 2 / (10 / 3) - float(np.median(np.square(noise / level)))
+    return noise, float(np.sqrt(max(excess, 0.0)))
+
+
+def _robust_sigma(values: Curve) -> float:
+    return float(_MAD_TO_SIGMA * np.median(np.abs(values - np.median(values))))
