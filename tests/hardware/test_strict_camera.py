@@ -351,7 +351,7 @@ def standard(cameras):
     from napari_elsplus.hardware.u3v.genapi import GenicamFeatures
 
     def make(**changes):
-        bench = cameras(make=StandardRegisters, **changes)
+        bench = cameras(**{"make": StandardRegisters, **changes})
         bench.open = lambda **wiring: U3vCamera(
             choose_camera("", bench.bus),
             lambda control: GenicamFeatures(control, line_rate_hz=1e5, **wiring),
@@ -396,6 +396,32 @@ def test_what_was_left_on_at_another_make_is_reset(standard, left) -> None:
     setattr(bench.plug.camera.sensor.settings, left, 2 if left == "binning" else True)
     with bench.open() as camera:
         stream(camera, 3, Region(0, 0, 960, 1280), 50)
+
+
+class WithoutUserSets(StandardRegisters):
+    """A camera whose default settings cannot be loaded at once: no feature has the standard's name for it."""
+
+    def describe(self) -> bytes:
+        return super().describe().replace(b"UserSet", b"VendorSet")
+
+
+@pytest.mark.parametrize("left", ["gamma", "trigger", "chunks", "binning"])
+def test_without_user_sets_it_is_switched_off_as_well(standard, left) -> None:
+    bench = standard(real_time=False, make=WithoutUserSets)
+    setattr(bench.plug.camera.sensor.settings, left, 2 if left == "binning" else True)
+    with bench.open() as camera:
+        stream(camera, 3, Region(0, 0, 960, 1280), 50)
+        assert getattr(bench.plug.camera.sensor.settings, left) == (1 if left == "binning" else False)
+
+
+def test_a_long_exposure_before_does_not_limit_the_rate_of_another_make(standard) -> None:
+    bench = standard(real_time=False)
+    with bench.open() as camera:
+        for slit_rows, rate_hz in ((5000, 15), (3, 80), (5000, 15)):  # 50 ms at most, of 66 or 12.5 ms
+            camera.configure(Region(0, 0, 960, 1280), slit_rows=slit_rows, frame_rate_hz=rate_hz)
+        camera.start()
+        take(camera, 2)
+        assert bench.bench.shots[-1].exposure_s == pytest.approx(0.05, rel=1e-5)
 
 
 def test_another_make_whose_program_was_killed_is_opened_again(standard) -> None:

@@ -41,11 +41,10 @@ def keep_pace() -> bool:
     Linux interrupts for 50 ms a thread that kept a processor busy for 950 ms at this priority.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
-    if sys.platform != "linux":
-        return False
-    with suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_MIN_REAL_TIME_PRIORITY))
-        return True
+    if sys.platform == "linux":
+        with suppress(PermissionError):
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_MIN_REAL_TIME_PRIORITY))
+            return True
     return False
 
 
@@ -55,12 +54,12 @@ def ordinary_priority() -> Iterator[None]:
 
     Compiling kernels at real-time priority would starve the processes that guard the galvo.
     """
-    if sys.platform != "linux":
+    if sys.platform == "linux":
+        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        try:
+            yield
+        finally:
+            os.sched_setscheduler(0, policy, parameters)
+    else:
         yield
-        return
-    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    try:
-        yield
-    finally:
-        os.sched_setscheduler(0, policy, parameters)

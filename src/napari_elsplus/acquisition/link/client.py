@@ -10,7 +10,7 @@ import sys
 from concurrent.futures import Future
 from contextlib import suppress
 from itertools import count
-from multiprocessing.connection import Client, Connection
+from multiprocessing.connection import Client
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -24,6 +24,7 @@ from napari_elsplus.hardware.detached import DETACHED
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from napari_elsplus.acquisition.link.messages import Channel
     from napari_elsplus.instrument.calibration import Calibration
 
 ENGINE: Final = (sys.executable, "-m", "napari_elsplus.acquisition.link.server")
@@ -149,7 +150,7 @@ class EngineClient(Commands):
 
     # inside
 
-    def _connect(self) -> Connection:
+    def _connect(self) -> Channel:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         key = secrets.token_bytes(32)

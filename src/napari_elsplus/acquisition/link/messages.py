@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 if TYPE_CHECKING:
+    import sys
     from collections.abc import Mapping
+    from multiprocessing.connection import Connection
 
     from napari_elsplus.instrument.calibration import Calibration
+
+    if sys.platform == "win32":
+        from multiprocessing.connection import PipeConnection
+
+        Channel: TypeAlias = Connection[Any, Any] | PipeConnection[Any, Any]
+    else:
+        Channel: TypeAlias = Connection[Any, Any]
 
 HEARTBEAT_S: Final = 0.5
 """Interval of heartbeats; chosen: a tenth of the default timeout."""

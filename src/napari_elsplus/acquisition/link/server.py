@@ -14,7 +14,7 @@ import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from multiprocessing.connection import Connection, Listener
+from multiprocessing.connection import Listener
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Final
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType
 
+    from napari_elsplus.acquisition.link.messages import Channel
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
 
@@ -45,13 +46,13 @@ class Server:
 
     Parameters
     ----------
-    connection : Connection
+    connection : multiprocessing.connection.Connection
         To the client.
     open_rig : callable
         Opens a rig by its name.
     """
 
-    def __init__(self, connection: Connection, open_rig: Callable[[str], Rig]) -> None:
+    def __init__(self, connection: Channel, open_rig: Callable[[str], Rig]) -> None:
         self._connection, self._session = connection, Session(open_rig)
         self._sending = Lock()
         self._ended = Event()

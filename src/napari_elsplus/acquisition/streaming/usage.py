@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ class Usage:
     cpu_s : float
         Processor time of all its threads since it began.
     memory_mb : float
-        Memory in use, shared rings included, mapped files not; on macOS the largest value so far; NaN on Windows.
+        Memory in use, shared rings included, mapped files not; these only on Linux, which counts them apart.
     """
 
     cpu_s: float
@@ -41,12 +40,7 @@ def _memory_mb() -> float:
     if _STATUS.exists():
         fields = dict(line.split(":", 1) for line in _STATUS.read_text(encoding="ascii").splitlines() if ":" in line)
         return sum(int(fields[name].split()[0]) for name in ("RssAnon", "RssShmem")) / 1024
-    if sys.platform == "win32":
-        return float("nan")
-    import resource
-
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most / (1 << 20) if sys.platform == "darwin" else most / 1024
+    return float(psutil.Process().memory_info().rss) / (1 << 20)
 
 
 def thread_times_s() -> dict[str, float]:

@@ -5,6 +5,7 @@ Run as ``python -m napari_elsplus.diagnosis.rehearsal.engine``.
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from contextlib import suppress
@@ -22,11 +23,11 @@ from napari_elsplus.simulation.specimen.scenes import fibres
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from multiprocessing.connection import Connection
 
     import numpy as np
     from numpy.typing import NDArray
 
+    from napari_elsplus.acquisition.link.messages import Channel
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.hardware.virtual.camera.device import Shot
 
@@ -112,9 +113,10 @@ class Switches:
 
     def fill_disk(self) -> float:
         """Let files grow no further: the system refuses every write beyond their size."""
-        import resource  # not on Windows
+        if sys.platform != "win32":  # which leaves this fault out
+            import resource
 
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+            resource.setrlimit(resource.RLIMIT_FSIZE, (1, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
         return time.perf_counter()
 
 
@@ -138,7 +140,7 @@ def open_rehearsed(name: str) -> Rig:
     return rig
 
 
-def _serve(connection: Connection[Any, Any], switches: Switches) -> None:
+def _serve(connection: Channel, switches: Switches) -> None:
     with connection, suppress(EOFError, OSError):
         while True:
             name, arguments, options = connection.recv()

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-from multiprocessing.connection import Client, Connection
-from typing import Any, Final, NamedTuple
+from multiprocessing.connection import Client
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from napari_elsplus.acquisition.link.messages import Channel
 
 ADDRESS: Final = "ELSPLUS_REHEARSAL"
 """Environment variable with port and key of the rehearsal's listener, as JSON."""
@@ -23,7 +26,7 @@ class Exposures(NamedTuple):
     """When the last row of the first frame was read."""
 
 
-def report_to_rehearsal(role: str, **facts: Any) -> Connection[Any, Any]:
+def report_to_rehearsal(role: str, **facts: Any) -> Channel:
     """Connect a process to the rehearsal that started it.
 
     Parameters
@@ -34,6 +37,6 @@ def report_to_rehearsal(role: str, **facts: Any) -> Connection[Any, Any]:
         What the rehearsal needs of it.
     """
     place = json.loads(os.environ[ADDRESS])
-    connection: Connection[Any, Any] = Client(("127.0.0.1", place["port"]), authkey=bytes.fromhex(place["key"]))
+    connection = Client(("127.0.0.1", place["port"]), authkey=bytes.fromhex(place["key"]))
     connection.send((role, {"pid": os.getpid(), **facts}))
     return connection

@@ -12,7 +12,7 @@ import sys
 import time
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from multiprocessing.connection import Connection, Listener
+from multiprocessing.connection import Listener
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, Self, cast
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from napari_elsplus.acquisition.engine.status import Status
+    from napari_elsplus.acquisition.link.messages import Channel
     from napari_elsplus.diagnosis.rehearsal.messages import Exposures
     from napari_elsplus.instrument.calibration import Calibration
 
@@ -345,15 +346,15 @@ class Stage:
             raise error
         return answer
 
-    def _accept(self) -> tuple[str, dict[str, Any], Connection[Any, Any]]:
+    def _accept(self) -> tuple[str, dict[str, Any], Channel]:
         """Accept a connection; processes that never come end the wait."""
         return _accept_in_time(self._listener)
 
 
-def _accept_in_time(listener: Listener) -> tuple[str, dict[str, Any], Connection[Any, Any]]:
+def _accept_in_time(listener: Listener) -> tuple[str, dict[str, Any], Channel]:
     from threading import Thread
 
-    found: list[Connection[Any, Any]] = []
+    found: list[Channel] = []
 
     def accept() -> None:
         with suppress(OSError):

@@ -18,7 +18,8 @@ from napari_elsplus.diagnosis.rehearsal.messages import report_to_rehearsal
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
-    from multiprocessing.connection import Connection
+
+    from napari_elsplus.acquisition.link.messages import Channel
 
 ENGINE: Final = (sys.executable, "-m", "napari_elsplus.diagnosis.rehearsal.engine")
 """Starts the engine's process, with fault switches on the simulated devices."""
@@ -78,7 +79,7 @@ class Window:
         self._client.close()
 
 
-def run(connection: Connection[Any, Any]) -> None:
+def run(connection: Channel) -> None:
     """Execute requests until the connection ends."""
     window = Window(EngineClient(ENGINE))
     try:

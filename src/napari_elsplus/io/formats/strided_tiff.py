@@ -7,6 +7,7 @@ After a crash the pages are complete up to some page, which bisection finds.
 from __future__ import annotations
 
 import mmap
+import sys
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -79,7 +80,7 @@ class StridedTiff(FrameSource):
     def _release_pages(self) -> None:
         """Release mapped pages at intervals, so that scrolling through a long recording does not fill the memory."""
         self._bytes_returned += self._frame_bytes
-        if self._bytes_returned > MAX_MAPPED_BYTES and hasattr(self._map, "madvise"):
+        if sys.platform != "win32" and self._bytes_returned > MAX_MAPPED_BYTES:
             self._map.madvise(mmap.MADV_DONTNEED)  # views stay valid: the system reads them again
             self._bytes_returned = 0
 

@@ -126,17 +126,16 @@ def _script_without_guardian(stage: Stage, limit_s: float) -> None:
 )
 def _window_frozen(stage: Stage, limit_s: float) -> None:
     """Stop the window's process, without ending it."""
-    if sys.platform == "win32":
-        return
-    stage.scan()
-    stage.status()
-    os.kill(stage.window_process.pid, signal.SIGSTOP)
-    stage.fault_s = time.perf_counter()
-    try:
-        stage.expect_parked(limit_s)
-        stage.note_exposures()
-    finally:
-        os.kill(stage.window_process.pid, signal.SIGCONT)
-    stage.expect_reported("heartbeat", "window")
-    stage.finish()
-    stage.expect_recording()
+    if sys.platform != "win32":
+        stage.scan()
+        stage.status()
+        os.kill(stage.window_process.pid, signal.SIGSTOP)
+        stage.fault_s = time.perf_counter()
+        try:
+            stage.expect_parked(limit_s)
+            stage.note_exposures()
+        finally:
+            os.kill(stage.window_process.pid, signal.SIGCONT)
+        stage.expect_reported("heartbeat", "window")
+        stage.finish()
+        stage.expect_recording()
