@@ -19,14 +19,13 @@ from typing import TYPE_CHECKING, Final
 import click
 import numpy as np
 
+from napari_elsplus.diagnosis.first_light_card import dry_run, parked_waveform, parking
 from napari_elsplus.diagnosis.first_light_scan import lit_rig, mirror_step, strobe_phase
 from napari_elsplus.errors import ElsPlusError, InputError
-from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.drivers import features_of
 from napari_elsplus.hardware.limits import allowed_rate_hz, preset_region
-from napari_elsplus.hardware.rig_files import U3V_KINDS, CameraTable
+from napari_elsplus.hardware.rig_files import U3V_KINDS, CameraTable, RigSettings, read_rig
 from napari_elsplus.hardware.rigs import open_rig
-from napari_elsplus.hardware.scan.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
 from napari_elsplus.hardware.u3v import flea3
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.control import Control, RegisterError
@@ -219,9 +218,7 @@ def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
     """
     frames = _configure(rig, preset_name, seconds)
     period_s = rig.camera.line_periods_per_frame * rig.camera.line_period_s
-    samples = int((period_s - REARM_S) * SAMPLE_RATE_HZ)
-    samples = min(samples, rig.limits.card_samples)
-    rig.scanner.scan(Waveform(np.full(samples, rig.scanner.park_v), 1, SAMPLE_RATE_HZ, period_s))
+    rig.scanner.scan(parked_waveform(rig.limits, rig.scanner.park_v, period_s))
     buffer = np.empty(rig.camera.frame_shape, np.uint8)
     rig.camera.start()
     leads = []
@@ -238,42 +235,6 @@ def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
         if first == last
         else f"{first - last} strobe(s) unheard: try a longer frame, the other edge (falling), another counter"
     )
-
-
-def parking(rig: Rig) -> Iterator[str]:
-    """Park, read the output back, and report what a reset of the card does to it. The laser has to be off.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open rig, its galvo on a National Instruments card.
-
-    Yields
-    ------
-    str
-        One finding each.
-
-    Raises
-    ------
-    InputError
-        If its scanner is another driver.
-    DeviceError
-        If the card fails, or does not confirm.
-    """
-    scanner = rig.scanner
-    if not isinstance(scanner, DaqScanner):
-        raise InputError(f"the scanner of {rig.name} is no National Instruments card", "park it by its own driver")
-    scanner.park()
-    measured_v = scanner.park_state.read_back_v
-    confirmed = "the card cannot measure its output: use a multimeter"
-    yield f"parked at {scanner.park_v:.3f} V; {confirmed if measured_v is None else f'read back {measured_v:.3f} V'}"
-    reset = scanner.try_reset()
-    where = "an unknown voltage" if reset.volts is None else f"{reset.volts:.3f} V"
-    yield (
-        f"a reset took {reset.reset_s * 1e3:.0f} ms and left the output at {where}; "
-        f"parked after {reset.parked_s * 1e3:.0f} ms"
-    )
-    yield f"laser line: {scanner.card.laser_line or 'none; a shutter or laser enable on a digital line is recommended'}"
 
 
 def _configure(rig: Rig, preset_name: str, seconds: float) -> int:
@@ -360,6 +321,16 @@ def _step(name: str, file: Path | None, mode: str) -> None:
     """Report the galvo's response to a step; light is on, the target evenly fluorescent."""
     with lit_rig(name, file, mode) as (rig, calibration):
         _print(mirror_step(rig, calibration, mode))
+
+
+@first_light.command("card")
+@click.option("--rig", "name", required=True, help="Name of a rig with a file.")
+def _card(name: str) -> None:
+    """Run the scan's tasks without a camera; also for a card that NI's driver simulates."""
+    settings = read_rig(name)
+    if not isinstance(settings, RigSettings):
+        raise InputError(f"the rig {name} is simulated", "name one with a card")
+    _print(dry_run(settings.card_settings(), settings.limits()))
 
 
 @first_light.command("parking")

@@ -102,6 +102,18 @@ def test_with_any_other_configuration_the_output_does_something_else(card, chang
         assert np.abs(cycles(card) - CYCLE).max() > 0.05
 
 
+def test_the_other_counters_pulses_start_ramps_as_well(card) -> None:
+    with ExitStack() as held:
+        pulses = held.enter_context(nidaqmx.Task())
+        pulses.co_channels.add_co_pulse_chan_freq("Dev1/ctr1", freq=1 / PERIOD_S)
+        pulses.timing.cfg_implicit_timing(AcquisitionType.CONTINUOUS)
+        pulses.start()
+        begin_s = card.clock.now_s()
+        scan(held, trigger="/Dev1/Ctr1InternalOutput", edge=Edge.RISING)
+        times = begin_s + 1.0 * PERIOD_S + (np.arange(400) + 0.5) / RATE_HZ  # idle low: it rises, and falls half later
+        np.testing.assert_allclose(volts_at(card.programs(), times).reshape(2, 200), np.tile(CYCLE, (2, 1)), atol=1e-9)
+
+
 def test_the_other_edge_is_the_end_of_the_exposure(card) -> None:
     with ExitStack() as held:
         scan(held, edge=Edge.RISING)

@@ -208,7 +208,7 @@ class VirtualCard:
             busy = any(t.running and t.channel == task.channel for t in self._tasks.values() if t is not task)
             if busy or self._fault == -50103:
                 raise CardError(-50103)
-            task.running = True
+            task.running, task.since_s = True, self.clock.now_s()
             if task.channel == OUTPUT and task.mode == ON_DEMAND:
                 self._put_out(task)
             elif task.kind in ("output", "counter"):
@@ -332,7 +332,7 @@ class VirtualCard:
         """Return the edges that start a counter: of its terminal, the wired polarity, the first only or all."""
         if not clock.trigger:
             return StrobeTrain(since_s, FOREVER_S)
-        train = self._strobe if clock.trigger == f"/{self.device}/{STROBE}" else None
+        train = self._strobe if clock.trigger == f"/{self.device}/{STROBE}" else self._pulses(clock.trigger)
         if train is None:
             return None
         if clock.edge != FALLING:
@@ -341,6 +341,15 @@ class VirtualCard:
             first_s = train.start_s + train.first_after(since_s) * train.period_s
             train = replace(train, end_s=min(train.end_s, first_s + train.period_s / 2))
         return train
+
+    def _pulses(self, terminal: str) -> StrobeTrain | None:
+        """Return the pulses of the counter whose output is a terminal: high first, for half of their period."""
+        for task in self._tasks.values():
+            named = f"/{self.device}/{task.channel.capitalize()}InternalOutput" == terminal
+            if named and task.running and task.mode == CONTINUOUS:
+                half_s = 0.5 / task.pulse_hz
+                return StrobeTrain(task.since_s + half_s, 2 * half_s, width_s=half_s)
+        return None
 
     def _samples_out(self, task: VirtualTask) -> int:
         """Count the samples that a task put out; raise what has stopped it."""

@@ -84,6 +84,8 @@ class VirtualTask:
     on_board_only: bool = False
     volts: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     running: bool = False
+    since_s: float = 0.0
+    """When it was started, on the bench's clock."""
 
     def add(self, kind: str, channel: str) -> None:
         """Add a channel.

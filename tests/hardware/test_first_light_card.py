@@ -1,0 +1,33 @@
+"""The check of the card alone, on the virtual card."""
+
+from __future__ import annotations
+
+from click.testing import CliRunner
+
+from napari_elsplus.diagnosis import first_light, first_light_card
+from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.optics import PRESETS
+
+
+def test_without_a_camera_the_cards_other_counter_starts_every_ramp(cards, monkeypatch) -> None:
+    monkeypatch.setattr(first_light_card, "DRY_RUN_S", 0.3)
+    bench = cards()
+    said = list(first_light_card.dry_run(bench.settings, bench.limits))
+    assert said[0] == "parked at -0.700 V; read back -0.700 V"
+    assert [line.split(":")[0] for line in said[1::2]] == list(PRESETS)
+    assert [line.split(",")[0] for line in said[2::2]] == ["one ramp for every pulse"] * len(PRESETS)
+    driven = {volts for program in bench.card.programs() for volts in (*program.samples, program.resting_v)}
+    assert driven == {0.0, -0.7}  # where it was switched on, and parked
+
+
+def test_a_card_that_does_not_count_what_it_repeats_is_told(cards, monkeypatch) -> None:
+    monkeypatch.setattr(first_light_card, "DRY_RUN_S", 0.05)
+    bench = cards()
+    monkeypatch.setattr(bench.card, "samples_done", lambda handle: 0)
+    said = list(first_light_card.dry_run(bench.settings, bench.limits))
+    assert all(line.startswith("the count of samples stands") for line in said[2::2])
+
+
+def test_a_card_check_needs_a_rig_with_a_card() -> None:
+    done = CliRunner().invoke(first_light.first_light, ["card", "--rig", "simulated"])
+    assert isinstance(done.exception, InputError)
