@@ -18,7 +18,12 @@ from napari_elsplus.processing.tracking.motion.prediction import AT_REST, MIN_SH
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
-from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
+from napari_elsplus.processing.tracking.registration.pair_registration import (
+    MIN_ODDS_NATS,
+    PairRegistration,
+    PreparedFrame,
+    Registrar,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -241,7 +246,7 @@ class Tracker:
             turned = self._suddenly_turned(earlier, here, motion, link)
             if turned is not None:
                 return turned
-        found = self.registrar.search(earlier.view, here.view, motion, _reach(motion))
+        found = self.registrar.search(earlier.view, here.view, motion, _reach(motion), MIN_ODDS_NATS)
         if found is None or not self._accepted(found):
             return None
         turned = None if found.correlation > SURE_CORRELATION else self._suddenly_turned(earlier, here, motion, found)

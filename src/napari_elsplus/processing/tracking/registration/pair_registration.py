@@ -25,7 +25,7 @@ from napari_elsplus.processing.tracking.registration.odds import (
     weakest_direction,
 )
 from napari_elsplus.processing.tracking.registration.pyramid_descent import LEVELS, descend, fill_coarser
-from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP, ShiftSearch, prior
+from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP, CoarseImage, ShiftSearch, prior
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class PreparedFrame:
     levels: tuple[NDArray[np.float32], ...]
     high_passed: NDArray[np.float32]
     smooth: NDArray[np.float32]
-    spectra: NDArray[np.complex64] | None = field(default=None, repr=False)
+    coarse: CoarseImage | None = field(default=None, repr=False)
     is_high_passed: bool = False
 
     @property
@@ -175,7 +175,7 @@ class Registrar:
         view : PreparedFrame
             Of which the image was filled.
         """
-        view.spectra, view.is_high_passed = None, False
+        view.coarse, view.is_high_passed = None, False
         fill_coarser(view.levels, 1)
         fill_coarser(view.levels, 2)
         self._high_pass(view, 1, view.levels[1])
@@ -237,7 +237,12 @@ class Registrar:
         return PairRegistration(Warp(*warp.tolist()), information, correlation, overlap, odds)
 
     def search(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, reach_px: float
+        self,
+        earlier: PreparedFrame,
+        later: PreparedFrame,
+        motion: MotionPrior,
+        reach_px: float,
+        min_odds_nats: float = -inf,
     ) -> PairRegistration | None:
         """Register two frames over all shifts; None where no shift is supported at all.
 
@@ -249,11 +254,13 @@ class Registrar:
             Prior of the motion between them.
         reach_px : float
             Scale of the heavy-tailed prior of the shift.
+        min_odds_nats : float
+            Odds that are needed: None also where competing shifts alone leave less, before any is refined.
         """
         found: list[tuple[float, Warp]] = []
         expected, scratch = np.array(motion.warp), np.empty((4, 4))
         (first, last), middle = self._spans[1], self._middles[1]
-        for b, d in self._everywhere.peaks(self._spectra(earlier), self._spectra(later), motion.warp, reach_px):
+        for b, d in self._everywhere.peaks(self._coarse(earlier), self._coarse(later), motion.warp, reach_px):
             warp = np.array(motion.at(b, d))
             correlation, _, _ = descend(
                 earlier.levels, later.levels, self._lit, self._middles, 1, 1, expected, motion.terms, warp, scratch,
@@ -268,9 +275,12 @@ class Registrar:
         if not found:
             return None
         highest, best = max(found)
-        link = self._refined(earlier, later, motion, best, 1)
         others = [nats for nats, warp in found if hypot(warp.b - best.b, warp.d - best.d) > COMPETING_PX]
-        against = exp(-min(max(link.odds, -700.0), 700.0)) + sum(exp(max(nats - highest, -700.0)) for nats in others)
+        competing = sum(exp(max(nats - highest, -700.0)) for nats in others)
+        if competing > 0 and -log(competing) < min_odds_nats:
+            return None
+        link = self._refined(earlier, later, motion, best, 1)
+        against = exp(-min(max(link.odds, -700.0), 700.0)) + competing
         return link._replace(odds=-log(max(against, 1e-300)))
 
     def remainder(
@@ -382,10 +392,10 @@ class Registrar:
         warp = Warp(start.a * stretch, start.b, start.s * stretch + shear, start.d)
         return link._replace(warp=warp, turn=turn, zoom=zoom, turn_sigma=sigma)
 
-    def _spectra(self, view: PreparedFrame) -> NDArray[np.complex64]:
-        if view.spectra is None:
-            view.spectra = self._everywhere.spectra(view.levels[-1])
-        return view.spectra
+    def _coarse(self, view: PreparedFrame) -> CoarseImage:
+        if view.coarse is None:
+            view.coarse = self._everywhere.prepare(view.levels[-1])
+        return view.coarse
 
 
 def _blurred(image: NDArray[np.float32]) -> NDArray[np.float32]:
