@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.simulation.specimen.trajectories import Recorded
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import Pipeline
@@ -108,6 +110,27 @@ def test_a_long_blackout_splits_the_track_and_a_known_place_joins_it_again() -> 
     assert {row.segment for row in pipeline.rows} == {0}
     place = np.array([(row.row_px, row.col_px) for row in pipeline.rows])[23:]
     assert np.abs(place - (truth.positions - truth.positions[0])[23:]).max() < 0.3
+
+
+def test_a_lost_frame_is_searched_for_in_one_earlier_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That is what a frame costs while the probe jumps, or is off the tissue."""
+    elsewhere = np.random.default_rng(3).uniform(300, 1700, (14, 2))
+    truth = record(texture(2000, 5), np.concatenate([smooth_path(6, 2.0, 2000, 1), elsewhere]))
+    searches = [0]
+    search = Registrar.search
+
+    def counted(*arguments: Any) -> Any:
+        searches[-1] += 1
+        return search(*arguments)
+
+    monkeypatch.setattr(Registrar, "search", counted)
+    pipeline, pairs = Pipeline(truth.calibration, truth.frames.shape[1:]), RawPairs(truth.frames, Mode.ELS)
+    for index in range(len(pairs)):
+        pipeline.track(pairs(index)[0], index)
+        searches.append(0)
+    assert {row.state for row in pipeline.rows[12:]} == {"lost"}
+    assert max(searches[6:]) == 2
+    assert max(searches[12:]) == 1
 
 
 @pytest.mark.parametrize("level", [0, 4, 255])
