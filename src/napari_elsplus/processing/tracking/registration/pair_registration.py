@@ -237,13 +237,9 @@ class Registrar:
         return PairRegistration(Warp(*warp.tolist()), information, correlation, overlap, odds)
 
     def search(
-        self,
-        earlier: PreparedFrame,
-        later: PreparedFrame,
-        motion: MotionPrior,
-        reach_px: float,
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, reach_px: float,
         min_odds_nats: float = -inf,
-    ) -> PairRegistration | None:
+    ) -> PairRegistration | None:  # fmt: skip
         """Register two frames over all shifts; None where no shift is supported at all.
 
         Parameters
