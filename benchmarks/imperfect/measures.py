@@ -44,11 +44,17 @@ class Sectioning(NamedTuple):
 
 
 def sectioning(
-    rig: ImperfectRig, calibration: Calibration, scene: Scene, *, seed: int = 0, line_rows: Rows | None = None
+    rig: ImperfectRig,
+    calibration: Calibration,
+    scene: Scene,
+    *,
+    seed: int = 0,
+    line_rows: Rows | None = None,
+    row_reference: bool = True,
 ) -> Sectioning:
     """Correlate LS and ELS+ of one frame with the focal plane alone, as the same view shows it without noise."""
     renderer = rig.renderer(scene, seed=seed)
-    section = Sectioner(calibration, rig.instrument.frame_shape)
+    section = Sectioner(calibration, rig.instrument.frame_shape, row_reference=row_reference)
     bare = Sectioner(calibration.model_copy(update={"background": None}), rig.instrument.frame_shape)
     wanted = bare.ls(renderer.in_focus().render(0)).copy()
     raw = renderer.render(0, line_rows=line_rows)

@@ -85,6 +85,8 @@ class SectionedImages:
         Suppression of the core pattern.
     flat_field : bool
         Divide by the calibration's flat field.
+    row_reference : bool
+        Take the camera's row noise off frames whose dark pixels, beside the bundle, show it.
 
     Raises
     ------
@@ -106,12 +108,13 @@ class SectionedImages:
         *,
         cores: CoreFilter | str = CoreFilter.NONE,
         flat_field: bool = False,
+        row_reference: bool = True,
     ) -> None:
         self.mode, self.calibration = Mode(mode), calibration
         self._raw = raw
         self._count = len(RawPairs(raw, self.mode))
         rows, cols = raw[0].shape
-        self.sectioner = Sectioner(calibration, (rows, cols))
+        self.sectioner = Sectioner(calibration, (rows, cols), row_reference=row_reference)
         self._finish = finishing(calibration, self.sectioner, cores=cores, flat_field=flat_field)
 
     @property
@@ -258,6 +261,7 @@ def section(
     *,
     cores: CoreFilter | str = CoreFilter.NONE,
     flat_field: bool = False,
+    row_reference: bool = True,
 ) -> SectionedImages:
     """Return the LS, residual, ELS+ or ELSA images of raw frames, lazily.
 
@@ -274,6 +278,8 @@ def section(
         ``"none"``, ``"median"``, ``"gaussian"`` or ``"interpolate"``: suppression of the core pattern.
     flat_field : bool
         Divide by the calibration's flat field.
+    row_reference : bool
+        Take the camera's row noise off frames whose dark pixels, beside the bundle, show it.
 
     Returns
     -------
@@ -286,6 +292,6 @@ def section(
     InputError, CalibrationError
         As :class:`SectionedImages`.
     """
-    images = SectionedImages(raw, calibration, mode, cores=cores, flat_field=flat_field)
+    images = SectionedImages(raw, calibration, mode, cores=cores, flat_field=flat_field, row_reference=row_reference)
     require_agreement(raw, calibration)
     return images

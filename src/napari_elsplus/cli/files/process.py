@@ -57,15 +57,30 @@ def _core_filters() -> list[str]:
     help="Suppression of the core pattern.",
 )
 @click.option("--flat-field", is_flag=True, help="Divide by the calibration's flat field.")
+@click.option(
+    "--row-reference/--no-row-reference",
+    default=True,
+    show_default=True,
+    help="Take the camera's row noise off frames whose dark pixels, beside the bundle, show it.",
+)
 @output_option
 @force_option
-def command(raw: Path, calibration: Path, mode: str, cores: str, flat_field: bool, output: Path, force: bool) -> None:
+def command(
+    raw: Path,
+    calibration: Path,
+    mode: str,
+    cores: str,
+    flat_field: bool,
+    row_reference: bool,
+    output: Path,
+    force: bool,
+) -> None:
     """Section the raw frames of RAW: float32 grey levels, signed, written as OME-TIFF (T, n, n)."""
     from napari_elsplus.workflows.sectioning import section
 
     refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
-        images = section(recording, record, mode, cores=cores, flat_field=flat_field)
+        images = section(recording, record, mode, cores=cores, flat_field=flat_field, row_reference=row_reference)
         images.save(output, force=force, progress=progress)
     click.echo(f"{output}: {len(images)} {mode} images of {images.side} x {images.side} px")

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from napari_elsplus.instrument.calibration import Calibration
+
     Image = NDArray[np.float32]
     Mask = NDArray[np.float32]
 
@@ -74,6 +76,26 @@ def dark_columns(frame: Image) -> Mask:
     return np.broadcast_to((~lit).astype(np.float32), frame.shape)
 
 
+STRAY_LIGHT_ROWS: Final = 61
+"""Rows of the running median that images keep of their dark pixels; chosen: stray light varies over more."""
+
+
+def reference_of_rows(calibration: Calibration, frame_shape: tuple[int, int]) -> RowReference:
+    """Return the reference for row noise of the frames of a calibrated region.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        With its bundle section.
+    frame_shape : tuple of int
+        Rows and columns of the raw frames.
+    """
+    bundle = calibration.bundle
+    assert bundle is not None
+    discs = [(centre, bundle.diameter_px) for centre in (bundle.confocal_centre, bundle.residual_centre)]
+    return RowReference(dark_pixels(frame_shape, discs), calibration.background, STRAY_LIGHT_ROWS)
+
+
 class RowReference:
     """The row noise of frames of one region, as their dark pixels show it.
 
@@ -83,6 +105,8 @@ class RowReference:
         1 in dark pixels, 0 elsewhere, (rows, cols) float32.
     background : numpy.ndarray, optional
         Mean frame of the dark tube, (rows, cols), which will be taken off: what it contains is left in the frames.
+    smooth_rows : int, optional
+        Width of a running median of the rows that is left in the frames, as stray light; by default all but the median.
 
     Notes
     -----
@@ -100,15 +124,16 @@ class RowReference:
     True
     """
 
-    def __init__(self, dark: Mask, background: Image | None = None) -> None:
-        self._dark, self._background = dark, background
+    def __init__(self, dark: Mask, background: Image | None = None, smooth_rows: int | None = None) -> None:
+        self._dark, self._background, self._smooth_rows = dark, background, smooth_rows
         self._every = max(1, dark.shape[0] // SAMPLED_ROWS)
         some = None if background is None else background[:: self._every]
-        self._some = _Columns(dark[:: self._every], some, max(1, dark.shape[1] // SAMPLED_COLUMNS))
+        smooth = None if smooth_rows is None else max(3, smooth_rows // self._every)
+        self._some = _Columns(dark[:: self._every], some, max(1, dark.shape[1] // SAMPLED_COLUMNS), smooth)
 
     @cached_property
     def _all(self) -> _Columns:
-        return _Columns(self._dark, self._background, 1)
+        return _Columns(self._dark, self._background, 1, self._smooth_rows)
 
     def without_row_noise(self, frame: NDArray[np.generic]) -> NDArray[np.generic]:
         """Return a frame (rows, cols) less its row noise, float32; the frame itself where it has none."""
@@ -121,7 +146,8 @@ class RowReference:
 class _Columns:
     """Even and odd ones of every few columns, and their dark pixels."""
 
-    def __init__(self, dark: Mask, background: Image | None, step: int) -> None:
+    def __init__(self, dark: Mask, background: Image | None, step: int, smooth_rows: int | None) -> None:
+        self._smooth_rows = smooth_rows
         self._parts = slice(0, None, 2 * step), slice(1, None, 2 * step)
         self._dark = [np.ascontiguousarray(dark[:, part]) for part in self._parts]
         counts = [mask.sum(axis=1) for mask in self._dark]
@@ -137,12 +163,20 @@ class _Columns:
             for part, mask, count in zip(parts, self._dark, self._counts, strict=True)
         ]
 
+    def _level(self, means: NDArray[np.float32]) -> Any:
+        """Return what of the means of rows is no noise."""
+        if self._smooth_rows is None:
+            return np.median(means[self._known])
+        level = np.zeros_like(means)
+        level[self._known] = ndimage.median_filter(means[self._known], self._smooth_rows, mode="nearest")
+        return level
+
     def row_noise(self, frame: NDArray[np.generic]) -> NDArray[np.float32] | None:
         """Return the row noise of a frame, grey levels (rows,); None where it does not stand out of the pixels'."""
         if np.count_nonzero(self._known) < MIN_ROWS:
             return None
         halves = (mean - of_dark for mean, of_dark in zip(self._means(frame), self._background, strict=True))
-        even, odd = (np.asarray(half - np.median(half[self._known]), np.float64) for half in halves)
+        even, odd = (np.asarray(half - self._level(half), np.float64) for half in halves)
         mean = (even + odd) / 2
         covariance = float(np.mean((even * odd)[self._known]))
         variance = float(np.mean(np.square(mean[self._known])))

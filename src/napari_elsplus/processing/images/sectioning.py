@@ -19,6 +19,7 @@ from napari_elsplus.processing.images.fused import FusedSections
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.resampling import Resampler
 from napari_elsplus.processing.images.residual_gain import inverse_gain_map
+from napari_elsplus.processing.images.row_reference import reference_of_rows
 from napari_elsplus.processing.images.warping import WarpedResampler, polynomial_terms, within_frame
 
 if TYPE_CHECKING:
@@ -109,6 +110,8 @@ class Sectioner:
         Rows and columns of the raw frames.
     on_camera_grid : bool
         Do not resample the confocal view: the grid is the camera's, which takes a third less time.
+    row_reference : bool
+        Take the camera's row noise off frames whose dark pixels show it.
 
     Attributes
     ----------
@@ -129,13 +132,16 @@ class Sectioner:
     ------
     CalibrationError
         If the bundle section is absent, or was measured on frames of another shape.
-
-    References
-    ----------
-    Thrapp and Hughes, Methods, "Image Processing".
     """
 
-    def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], *, on_camera_grid: bool = False) -> None:
+    def __init__(
+        self,
+        calibration: Calibration,
+        frame_shape: tuple[int, int],
+        *,
+        on_camera_grid: bool = False,
+        row_reference: bool = False,
+    ) -> None:
         calibration.require("bundle")
         assert calibration.bundle is not None
         _check_fits(calibration, frame_shape)
@@ -166,6 +172,7 @@ class Sectioner:
             self.subtracted = self.seen & _line_within_bundle(calibration, self.side)
         residual_brightness[self.inside & ~self.subtracted] = np.nan
         self._hot_pixels = HotPixels(calibration.background)
+        self._rows = reference_of_rows(calibration, frame_shape) if row_reference else None
         background = None if calibration.background is None else self._hot_pixels.mended(calibration.background)
         confocal_resampler = Resampler(grid_to_confocal[:2], self.side)
         residual_resampler = self._residual_resampler(calibration, grid_to_residual[:2])
@@ -242,8 +249,8 @@ class Sectioner:
             (n, n) float32, filled: the two views, and the confocal minus the residual view.
         """
         same = raw_residual is raw
-        raw = self._hot_pixels.mended(raw)
-        raw_residual = raw if same else self._hot_pixels.mended(raw_residual)
+        raw = self._mended(raw)
+        raw_residual = raw if same else self._mended(raw_residual)
         if self._fused is not None:
             self._fused(raw, raw_residual, ls, residual, els)
             return
@@ -255,6 +262,11 @@ class Sectioner:
             residual = self._residual.extract(raw_residual, self._scratch if residual is None else residual)
         if els is not None:
             np.subtract(ls, residual, out=els)  # type: ignore[arg-type]
+
+    def _mended(self, raw: NDArray[np.generic]) -> NDArray[np.generic]:
+        """Return a raw frame without its hot pixels and row noise; the frame itself if it has none."""
+        mended = self._hot_pixels.mended(raw)
+        return mended if self._rows is None else self._rows.without_row_noise(mended)
 
     def image(
         self, frames: Frames, index: int, mode: Mode, out: NDArray[np.float32] | None = None
