@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 SEEDS: Final = (31, 32)
 """Seeds of the scenes, over which a number is averaged; none of them was used to settle a threshold."""
 TRACKED_FRAMES: Final = 120
-ROW_REFERENCE: Final = "row_reference"
-"""The correction of row noise when images are made."""
+ROWS: Final = "rows"
+"""The corrections of rows when images are made: the camera's noise, and the laser's power."""
 
 
 class Aim(NamedTuple):
@@ -140,14 +140,14 @@ def without(calibration: Calibration, off: tuple[str, ...]) -> Calibration:
 
 def corrects(calibration: Calibration, corrections: tuple[str, ...]) -> bool:
     """Return True if a calibration contains one of the corrections; that of the rows is made without it."""
-    return ROW_REFERENCE in corrections or any(getattr(calibration, name, None) is not None for name in corrections)
+    return ROWS in corrections or any(getattr(calibration, name, None) is not None for name in corrections)
 
 
 def _haze(rig: ImperfectRig, off: tuple[str, ...]) -> float:
-    calibration, referenced = corrected(rig, off), ROW_REFERENCE not in off
+    calibration, referenced = corrected(rig, off), ROWS not in off
     scenes = [(measures.hazy_nuclei(seed), seed) for seed in SEEDS]
     found = [
-        measures.sectioning(rig, calibration, scene, seed=seed, row_reference=referenced) for scene, seed in scenes
+        measures.sectioning(rig, calibration, scene, seed=seed, row_corrections=referenced) for scene, seed in scenes
     ]
     return float(np.mean([one.els for one in found]))
 
@@ -279,9 +279,9 @@ CASES: Final = (
     *_offset_cases("row noise of 0.5 grey levels", "row-noise=0.5", "240hz"),
     *_offset_cases("row noise of 2 grey levels", "row-noise=2", "240hz", quick=True),
     *_offset_cases("row noise of 2 grey levels, 120 Hz", "row-noise=2", "120hz"),
-    Case("row noise of 2 grey levels", "row-noise=2", HAZE, of_clean(0.95), corrections=(ROW_REFERENCE,)),
-    Case("laser power noise of 5 % from row to row", "power-noise=5", HAZE, at_least(0.66)),
-    Case("laser power ripple of 5 % at 2.3 kHz", "power-ripple=5", HAZE, at_least(0.66)),
+    Case("row noise of 2 grey levels", "row-noise=2", HAZE, of_clean(0.95), corrections=(ROWS,)),
+    Case("laser power noise of 5 % from row to row", "power-noise=5", HAZE, at_least(0.66), corrections=(ROWS,)),
+    Case("laser power ripple of 5 % at 2.3 kHz", "power-ripple=5", HAZE, at_least(0.66), corrections=(ROWS,)),
     Case("laser power ripple of 5 % at 100 Hz", "power-ripple=5,ripple-frequency=100", HAZE, of_clean(0.98)),
     *_offset_cases("laser power noise of 5 % from row to row", "power-noise=5", "240hz"),
     *_offset_cases("laser power ripple of 5 % at 2.3 kHz", "power-ripple=5", "240hz"),

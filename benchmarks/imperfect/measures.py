@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.images.sectioning import Sectioner, disc
+from napari_elsplus.processing.images.row_power import RowPower
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.images.warping import polynomial_terms
 from napari_elsplus.simulation.calibration_scenes import background, line_volts
 from napari_elsplus.simulation.rendering.views import views
@@ -50,15 +51,19 @@ def sectioning(
     *,
     seed: int = 0,
     line_rows: Rows | None = None,
-    row_reference: bool = True,
+    row_corrections: bool = True,
 ) -> Sectioning:
     """Correlate LS and ELS+ of one frame with the focal plane alone, as the same view shows it without noise."""
     renderer = rig.renderer(scene, seed=seed)
-    section = Sectioner(calibration, rig.instrument.frame_shape, row_reference=row_reference)
+    section = Sectioner(calibration, rig.instrument.frame_shape, row_reference=row_corrections)
     bare = Sectioner(calibration.model_copy(update={"background": None}), rig.instrument.frame_shape)
     wanted = bare.ls(renderer.in_focus().render(0)).copy()
     raw = renderer.render(0, line_rows=line_rows)
-    found = [image(raw).copy() for image in (section.ls, section.els)]
+    if row_corrections:
+        power = RowPower(section, calibration)
+        found = [power.image(raw, mode) for mode in (Mode.LS, Mode.ELS)]
+    else:
+        found = [image(raw).copy() for image in (section.ls, section.els)]
     judged = disc(section.side, JUDGED * section.diameter_px)
     return Sectioning(*(_correlation(image[judged], wanted[judged]) for image in found))
 

@@ -11,6 +11,7 @@ from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import write_stack
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.row_power import RowPower
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.workflows.progress import without_display
 
@@ -87,6 +88,8 @@ class SectionedImages:
         Divide by the calibration's flat field.
     row_reference : bool
         Take the camera's row noise off frames whose dark pixels, beside the bundle, show it.
+    row_power : bool
+        Divide rows by the laser's power where it differs from row to row, as both views show it; needs a flat field.
 
     Raises
     ------
@@ -109,12 +112,14 @@ class SectionedImages:
         cores: CoreFilter | str = CoreFilter.NONE,
         flat_field: bool = False,
         row_reference: bool = True,
+        row_power: bool = False,
     ) -> None:
         self.mode, self.calibration = Mode(mode), calibration
         self._raw = raw
         self._count = len(RawPairs(raw, self.mode))
         rows, cols = raw[0].shape
         self.sectioner = Sectioner(calibration, (rows, cols), row_reference=row_reference)
+        self._power = RowPower(self.sectioner, calibration) if row_power else None
         self._finish = finishing(calibration, self.sectioner, cores=cores, flat_field=flat_field)
 
     @property
@@ -149,7 +154,10 @@ class SectionedImages:
             return stack
         if not -self._count <= index < self._count:
             raise IndexError(f"image {index} of {self._count}")
-        return self._finish(self.sectioner.image(self._raw, index % self._count, self.mode))
+        index %= self._count
+        if self._power is not None:
+            return self._finish(self._power.image(self._raw[index], self.mode))
+        return self._finish(self.sectioner.image(self._raw, index, self.mode))
 
     def __iter__(self) -> Iterator[NDArray[np.float32]]:
         return (self[index] for index in range(self._count))
@@ -262,6 +270,7 @@ def section(
     cores: CoreFilter | str = CoreFilter.NONE,
     flat_field: bool = False,
     row_reference: bool = True,
+    row_power: bool = False,
 ) -> SectionedImages:
     """Return the LS, residual, ELS+ or ELSA images of raw frames, lazily.
 
@@ -280,6 +289,8 @@ def section(
         Divide by the calibration's flat field.
     row_reference : bool
         Take the camera's row noise off frames whose dark pixels, beside the bundle, show it.
+    row_power : bool
+        Divide rows by the laser's power where it differs from row to row, as both views show it; needs a flat field.
 
     Returns
     -------
@@ -292,6 +303,14 @@ def section(
     InputError, CalibrationError
         As :class:`SectionedImages`.
     """
-    images = SectionedImages(raw, calibration, mode, cores=cores, flat_field=flat_field, row_reference=row_reference)
+    images = SectionedImages(
+        raw,
+        calibration,
+        mode,
+        cores=cores,
+        flat_field=flat_field,
+        row_reference=row_reference,
+        row_power=row_power,
+    )
     require_agreement(raw, calibration)
     return images

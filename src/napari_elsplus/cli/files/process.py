@@ -63,6 +63,11 @@ def _core_filters() -> list[str]:
     show_default=True,
     help="Take the camera's row noise off frames whose dark pixels, beside the bundle, show it.",
 )
+@click.option(
+    "--row-power",
+    is_flag=True,
+    help="Divide rows by the laser's power where it differs from row to row, as both views show it.",
+)
 @output_option
 @force_option
 def command(
@@ -72,6 +77,7 @@ def command(
     cores: str,
     flat_field: bool,
     row_reference: bool,
+    row_power: bool,
     output: Path,
     force: bool,
 ) -> None:
@@ -81,6 +87,14 @@ def command(
     refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
-        images = section(recording, record, mode, cores=cores, flat_field=flat_field, row_reference=row_reference)
+        images = section(
+            recording,
+            record,
+            mode,
+            cores=cores,
+            flat_field=flat_field,
+            row_reference=row_reference,
+            row_power=row_power,
+        )
         images.save(output, force=force, progress=progress)
     click.echo(f"{output}: {len(images)} {mode} images of {images.side} x {images.side} px")
