@@ -46,7 +46,7 @@ def test_what_does_not_hold_any_more_is_said_with_its_reason():
 def test_the_active_calibration_is_named_with_what_was_not_measured():
     known = Calibration.parse({"created": "2026-01-31T12:00:00Z", "galvo": GALVO})
     text = status_text(Status(live=True), known, 30.0, busy=False, calibration_file=Path("bench.json"))
-    assert "active calibration: bench.json, measured 2026-01-31 12:00:00 UTC" in text
+    assert "active calibration: bench.json, measured 2026-01-31 12:00 UTC" in text
     assert "background not measured" in text
     assert "flat field not measured" in text
     assert "active calibration: none" in status_text(Status(live=True), None, 30.0, busy=False)

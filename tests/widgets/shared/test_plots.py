@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from qtpy.QtGui import QPainter, QPicture
 
 from napari_elsplus.widgets.shared.plots import Band, Curve, ThemedPlot
 
@@ -50,3 +51,32 @@ def test_whatever_else_changes_is_drawn_anew(plot, change):
         plot.draw([curve], marks=marks, bands=bands)
     assert len(drawn(plot)) == 1
     assert drawn(plot) != before
+
+
+def tick_labels(plot, side):
+    """Places of an axis' tick labels in the plot, as it would draw them."""
+    axis, picture = plot.getAxis(side), QPicture()
+    painter = QPainter(picture)
+    painter.setFont(axis.style["tickFont"])
+    _, _, texts = axis.generateDrawSpecs(painter)
+    painter.end()
+    return [axis.mapRectToScene(rect) for rect, _, _ in texts]
+
+
+@pytest.mark.parametrize(
+    "names", [["a", "b"], ["signal kept (%)", "3 dB (\N{MICRO SIGN}m)", "10 dB (\N{MICRO SIGN}m)"], ["a" * 30] * 4]
+)
+def test_at_its_least_height_neither_legend_nor_tick_labels_are_cut(plot, qtbot, names):
+    plot.draw([Curve(name, 1e4 * X - 5e3, -1e4 * X, "blue") for name in names])
+    plot.resize(400, plot.minimumSizeHint().height())
+    plot.show()
+    qtbot.waitExposed(plot)
+    qtbot.wait(50)
+    curves, legend, whole = (one.sceneBoundingRect() for one in (plot.getViewBox(), plot._legend, plot.plotItem))
+    assert curves.height() > 50
+    assert legend.top() >= curves.bottom()
+    assert legend.bottom() <= whole.bottom()
+    for side in ("bottom", "left"):
+        labels = tick_labels(plot, side)
+        assert len(labels) > 1
+        assert all(plot.sceneRect().contains(label) for label in labels), side

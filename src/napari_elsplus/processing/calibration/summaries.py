@@ -135,7 +135,8 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
     headline = f"{alignment.model}, {alignment.uncertainty_px:.3f} px"
     if known.quality is not None:
         raw, filtered = 100 * known.quality.alignment_error, 100 * known.quality.alignment_error_filtered
-        headline = f"alignment error {raw:.2f} %\n{filtered:.2f} % after the {known.quality.core_filter} filter"
+        cores = (known.quality.core_filter or "core").replace("gaussian", "Gaussian")
+        headline = f"alignment error {raw:.2f} %\n{filtered:.2f} % after the {cores} filter"
         lines.append(measure_alignment_errors(pair.image, in_lamp_light(known, pair)).text)
         lines.append(PAPER_TEXT)
     return StepSummary(headline, lines, warnings, [f"BIC of the models of view alignment: {evidence}"])

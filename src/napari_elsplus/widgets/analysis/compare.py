@@ -234,7 +234,6 @@ class ComparePanel(Panel):
         self.numbers = QLabel()
         self.numbers.setWordWrap(True)
         self.plot = ThemedPlot("position along the line / px", "grey levels", self.viewer.theme)
-        self.plot.setMinimumHeight(180)
         layout = panel_layout(self)
         layout.addLayout(form_layout(self.recording, self.cores, self.scaling, self.view, self.line_width))
         layout.addLayout(button_row(self.start, self.rescale))

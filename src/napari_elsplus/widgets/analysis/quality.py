@@ -201,7 +201,6 @@ class QualityPanel(Panel):
         self.numbers.setWordWrap(True)
         self.numbers.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)  # it follows the dock
         self.plot = ThemedPlot("row from the centre / µm", "residual / central level", self.viewer.theme)
-        self.plot.setMinimumHeight(160)
         layout = panel_layout(self)
         layout.addLayout(form_layout(self.recording, self.cores))
         layout.addLayout(button_row(self.align, self.mark, self.average))

@@ -341,7 +341,6 @@ class Form:
         layout.addWidget(work)
         layout.addWidget(self.headline)
         for plot in self.plots:
-            plot.setMinimumHeight(120)
             layout.addWidget(plot, PLOT_STRETCH)
         layout.addStretch(1)
         layout.addWidget(self.numbers)

@@ -50,7 +50,7 @@ def calibration_name(calibration: Calibration | None, file: Path | None) -> str:
     """
     if calibration is None:
         return "none" if file is None else f"{file.name}, of recordings without their own"
-    measured = calibration.created.replace("T", " ").removesuffix("Z")
+    measured = calibration.created.replace("T", " ")[: len("2026-01-31 12:00")]
     return f"{file.name if file is not None else 'not saved'}, measured {measured} UTC"
 
 

@@ -43,8 +43,11 @@ EXPORT_WIDTH_PX: Final = 1600
 """Width of an exported picture, pixels: 300 dpi over 135 mm, a page's text width."""
 MARGINS_PX: Final = (2, 8, 12, 2)
 """Left, top, right, bottom: half a tick label reaches over the end of its axis."""
-_SHORT_NAME: Final = 8
-"""Characters; legends of names no longer than this fit three columns into a dock of 280 px."""
+MIN_CURVES_PX: Final = 140
+"""Least height of curves with their axes, pixels; chosen: five tick labels fit."""
+LEGEND_ROW_PX: Final = 16
+_COLUMNS: Final = ((8, 3), (18, 2))
+"""Most characters of a name, and columns of the legend that fit into a dock of 400 px then; else one."""
 
 
 def theme_colour(theme: str, colour: str) -> str:
@@ -81,6 +84,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         self._marks: list[tuple[float, str, str]] = []
         self._bands: list[Band] = []
         self._drawn_as: object = None
+        self._legend_px = 0
         self._lines: list[Any] = []
         self._regions: list[Any] = []
         self.hideButtons()
@@ -93,6 +97,10 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
     def sizeHint(self) -> QSize:
         """Return a size that fits into a dock."""
         return QSize(280, 220)
+
+    def minimumSizeHint(self) -> QSize:
+        """Return a size in which curves, axes and legend do not cover each other."""
+        return QSize(0, MIN_CURVES_PX + self._legend_px)
 
     @property
     def curves(self) -> tuple[Curve, ...]:
@@ -159,8 +167,12 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
                 pg.LinearRegionItem((band.start, band.stop), brush=brush, pen=pg.mkPen(None), movable=False)
             )
             self.addItem(self._regions[-1])
-        short = all(len(curve.name) <= _SHORT_NAME for curve in self._curves)
-        self._legend.setColumnCount(3 if short else 1)
+        names = [curve.name for curve in self._curves if curve.listed]
+        longest = max(map(len, names), default=0)
+        columns = next((count for most, count in _COLUMNS if longest <= most), 1)
+        self._legend.setColumnCount(columns)
+        self._legend_px = LEGEND_ROW_PX * -(-len(names) // columns)
+        self.updateGeometry()
         for curve in self._curves:
             ink = self.colour(curve.colour)
             pen = pg.mkPen(ink, width=2, style=DASHES[curve.dash])
