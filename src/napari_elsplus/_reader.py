@@ -76,10 +76,11 @@ def _with_common_axes(layers: list[Layer]) -> list[tuple[Any, ...]]:
     if viewer is None:
         return [tuple(layer) for layer in layers]
     _show_depth(viewer)
-    reference, new = reference_axes(viewer.layers), []
+    reference, new, warned = reference_axes(viewer.layers), [], False
     for data, words, kind in layers:
         placed, adopted = adopt_axes(words, reference)
-        if adopted:
+        if adopted and not warned:
+            warned = True
             show_warning(
                 f"{words['name']} has no calibration: it is displayed with the pixel size and frame rate of the other "
                 "layers, and not measured in micrometres or seconds"

@@ -32,6 +32,7 @@ from napari_elsplus.simulation.specimen.trajectories import Still
 from napari_elsplus.widgets.calibration.bundle_layers import IMAGE, OUTLINES
 from napari_elsplus.widgets.calibration.history import HistoryDialog
 from napari_elsplus.widgets.calibration.panel import CalibrationPanel
+from pairs import write_pair
 from processes import exists
 
 PLUGIN = "napari-elsplus"
@@ -444,6 +445,21 @@ def test_steps_are_measured_from_layers(viewer, panel, qtbot, open_recording, sa
     by_layer = panel.candidate.found.rows
     from_file(qtbot, panel, "offset", open_recording / "line.tif")
     assert by_layer == panel.candidate.found.rows
+
+
+def test_the_bundle_is_displayed_alone_in_the_units_of_the_other_layers(viewer, panel, qtbot, open_recording, tmp_path):
+    """Its pixels beside micrometres cost the viewer its scale bar."""
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    before = [layer for layer in viewer.layers if layer.visible]
+    from_file(qtbot, panel, "pair", open_recording / "transmission.tif")
+    assert [layer.name for layer in viewer.layers if layer.visible] == ["calibration: bundle", "calibration: outlines"]
+    assert {str(unit) for layer in viewer.layers for unit in layer.units[-2:]} == {"micrometer"}
+    shown = viewer.layers["calibration: bundle"]
+    panel.form.bundle_um.setValue(620)
+    assert viewer.layers["calibration: bundle"] == shown, "a number changes its scale alone"
+    assert shown.scale[0] == pytest.approx(620 / panel.candidate.found.confocal.diameter_px)
+    panel.form.discard.click()
+    assert [layer for layer in viewer.layers if layer.visible] == before
 
 
 def test_the_report_has_a_page_for_each_measured_step(panel, qtbot, open_recording, tmp_path):

@@ -274,7 +274,8 @@ class Calibration(Section):
         CalibrationError
             If it is no calibration, has a newer version, or contains NaN or impossible numbers.
         """
-        if not isinstance(content, dict) or content.get("format", FORMAT) != FORMAT:
+        foreign = isinstance(content, dict) and bool(content) and not content.keys() & cls.model_fields.keys()
+        if not isinstance(content, dict) or foreign or content.get("format", FORMAT) != FORMAT:
             raise CalibrationError(f"this is no {FORMAT} record", "name the .json file that `calibrate` wrote")
         version = content.get("version", VERSION)
         if isinstance(version, int) and version > VERSION:

@@ -28,6 +28,23 @@ def reference_axes(layers: Sequence[Any]) -> tuple[tuple[float, ...], tuple[str,
     return None
 
 
+def plane_axes(um_per_px: float | None, layers: Sequence[Any]) -> dict[str, Any]:
+    """Return scale and units of an image: micrometres, else those of calibrated layers beside it, else pixels.
+
+    Parameters
+    ----------
+    um_per_px : float or None
+        Its scale; None if unknown.
+    layers : sequence of napari layers
+        Those of a viewer, which has a scale bar only if all units agree.
+    """
+    reference = None if um_per_px else reference_axes(layers)
+    if reference is None:
+        return {"scale": (um_per_px or 1.0,) * 2, "units": ("um" if um_per_px else PIXEL,) * 2}
+    steps, units = reference
+    return {"scale": steps[-2:], "units": units[-2:]}
+
+
 def adopt_axes(
     words: dict[str, Any], reference: tuple[tuple[float, ...], tuple[str, ...]] | None
 ) -> tuple[dict[str, Any], bool]:

@@ -13,6 +13,7 @@ from qtpy.QtWidgets import QApplication
 from napari_elsplus.processing.analysis.line_profiles import line_profiles
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.widgets.analysis.compare import BLINK, DIFFERENCE, ComparePanel
+from napari_elsplus.widgets.shared.problems import problems
 from pairs import calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"
@@ -141,6 +142,14 @@ def test_a_filter_that_needs_a_flat_field_is_one_notification_and_no_half_made_l
     assert severity == "error"
     assert "flat field" in message
     assert not panel.comparing
+    panel.cores.value = "none"
+    press(panel, qtbot)
+    assert problems.newest == ""
+    panel.cores.value = "interpolate"
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
+    assert panel.comparing
+    assert "flat field" in problems.newest, "until an action of the user succeeds"
+    problems.dismiss()
 
 
 def test_a_comparison_that_is_cancelled_changes_nothing(viewer, panel, qtbot):

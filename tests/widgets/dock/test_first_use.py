@@ -7,6 +7,7 @@ import pytest
 from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QLabel, QPushButton
 
 from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.widgets.shared.problems import problems
 from pairs import write_pair
 
 PLUGIN = "napari-elsplus"
@@ -75,4 +76,14 @@ def test_a_recording_dropped_on_the_calibration_measures_the_step_and_a_calibrat
     write_pair(tmp_path)
     drop(own, tmp_path / "scan.calibration.json")
     assert own.draft.calibration.offset.rows == -4.0
+    (tmp_path / "notes.txt").write_text("no recording")
+    (tmp_path / "other.json").write_text('{"a": 1}')
+    for title, file, words in (
+        ("Compare", "notes.txt", "neither a recording nor a calibration"),
+        ("Live", "other.json", "neither a recording nor a calibration"),
+        ("Calibration", "other.json", "no napari-elsplus/calibration record"),
+    ):
+        drop(panel(dock, title), tmp_path / file)
+        assert words in problems.newest
+    problems.dismiss()
     assert np.isfinite(own.draft.um_per_px)

@@ -23,7 +23,7 @@ from napari_elsplus.acquisition.engine.live_images import display_layout
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.streaming.ring import Ring
-from napari_elsplus.errors import DeviceError
+from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration, recall
@@ -32,6 +32,7 @@ from napari_elsplus.widgets.live.form import CONTINUOUS, DEFAULT_LIMIT_S, LiveFo
 from napari_elsplus.widgets.live.layers import LiveLayers
 from napari_elsplus.widgets.shared.calibration_state import AMBER
 from napari_elsplus.widgets.shared.connection import join
+from napari_elsplus.widgets.shared.problems import problems
 from processes import exists
 
 PLUGIN = "napari-elsplus"
@@ -143,6 +144,10 @@ def test_what_is_shown_follows_the_boxes(viewer, panel, qtbot):
     qtbot.waitUntil(lambda: "elsa" in panel.layers.images, timeout=30_000)
     assert {layer.name for layer in images(viewer) if layer.visible} == {"live ELS+", "live ELSA"}
     assert list(viewer.layers["live titles"].text.values) == ["ELS+", "ELSA"]
+    for box in panel.form.kinds.values():
+        box.value = False
+    qtbot.waitUntil(lambda: "tick an image" in panel.form.status.text(), timeout=30_000)
+    panel.form.kinds["els"].value = panel.form.kinds["elsa"].value = True
     panel.form.side_by_side.value = False
     qtbot.waitUntil(lambda: {layer.translate[1] for layer in images(viewer) if layer.visible} == {0.0}, timeout=30_000)
     assert recall("live")["kinds"] == ["els", "elsa"]
@@ -189,7 +194,7 @@ def test_the_key_of_one_frame_is_not_that_of_the_command_palette(viewer, panel, 
     qtbot.waitUntil(lambda: ended(panel), timeout=30_000)
 
 
-def test_the_rig_panel_connects_sets_up_parks_and_remembers(viewer, qtbot, tmp_path, small_engine):
+def test_the_rig_panel_connects_sets_up_parks_and_remembers(viewer, qtbot, tmp_path, small_engine, monkeypatch):
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
     assert panel.rig.value == "simulated"
     assert not panel.parking.enabled
@@ -198,6 +203,16 @@ def test_the_rig_panel_connects_sets_up_parks_and_remembers(viewer, qtbot, tmp_p
     panel.slit_rows.value = 5
     qtbot.waitUntil(lambda: not panel.requests.busy, timeout=30_000)
     assert "slit 6.7" in panel.optics.text()
+    refused: Future[None] = Future()
+    refused.set_exception(InputError("frame rate of 240 Hz", "the camera allows 1 to 120 Hz"))
+    with monkeypatch.context() as patch:  # the form displays the settings that hold, and they are remembered
+        patch.setattr(panel.connection.client, "configure", lambda _: refused)
+        panel.preset.value = "120hz"
+        qtbot.waitUntil(lambda: not panel.requests.busy, timeout=30_000)
+    assert "the camera allows" in problems.newest
+    assert (panel.preset.value, panel.slit_rows.value, recall("rig")["preset"]) == ("240hz", 5, "240hz")
+    assert "slit 6.7" in panel.optics.text()
+    problems.dismiss()
     panel.parking.native.click()
     log = tmp_path / "mirror.log"
     qtbot.waitUntil(lambda: log.exists() and log.read_text().split()[-1:] == ["park"], timeout=30_000)

@@ -175,7 +175,7 @@ class ComparePanel(Panel):
         self.numbers.setText(_table(image_statistics(images, self._comparison.inside), self.plot))
         if self.display.line is None:
             return
-        with notify_errors(self):
+        with notify_errors(self, resolves=False):
             found = line_profiles(images, *self.display.line, self._comparison.um_per_px, self.line_width.value)
             unit = "\N{MICRO SIGN}m" if found.unit == "um" else "px"
             curves = [

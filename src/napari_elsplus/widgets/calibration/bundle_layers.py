@@ -6,17 +6,21 @@ from typing import TYPE_CHECKING
 
 from napari_elsplus.processing.calibration.measurements import BundlePair
 from napari_elsplus.processing.calibration.steps import PAIR
+from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.outlines import outline_layer
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import napari.viewer
+    from napari.layers import Layer
 
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.widgets.calibration.session import ShownResult
 
 IMAGE, OUTLINES = "calibration: bundle", "calibration: outlines"
-PAIR_KEY = "pair"
-"""Of the displayed result in the image's metadata."""
+PAIR_KEY, COVERED_KEY = "pair", "covered"
+"""Of the displayed result, and of the layers that it hides, in the image's metadata."""
 
 
 def show_bundle(viewer: napari.viewer.Viewer, shown: ShownResult | None, draft: Draft) -> None:
@@ -34,16 +38,27 @@ def show_bundle(viewer: napari.viewer.Viewer, shown: ShownResult | None, draft: 
     pair = shown.found if shown is not None and isinstance(shown.found, BundlePair) else None
     present = [viewer.layers[name] for name in (IMAGE, OUTLINES) if name in viewer.layers]
     same = pair is not None and len(present) == len((IMAGE, OUTLINES)) and present[0].metadata.get(PAIR_KEY) is pair
-    for layer in [] if same else present:
-        viewer.layers.remove(layer)
+    if not same:
+        _remove(viewer, present)
     if shown is None or pair is None:
         return
     accepted = draft if draft.pair is pair else PAIR.accept(draft, pair, shown.setup)
     data, attributes, _ = outline_layer(accepted.calibration, OUTLINES)
-    placed = {key: attributes[key] for key in ("scale", "units") if key in attributes}
+    placed = plane_axes(accepted.calibration.um_per_px, viewer.layers)
     if same:
         for layer in present:
             layer.scale, layer.units = placed["scale"], placed["units"]
         return
-    viewer.add_image(pair.image, name=IMAGE, metadata={PAIR_KEY: pair}, **placed)
-    viewer.add_shapes(data, **attributes)
+    covered = [layer for layer in viewer.layers if layer.visible]
+    for layer in covered:
+        layer.visible = False
+    viewer.add_image(pair.image, name=IMAGE, metadata={PAIR_KEY: pair, COVERED_KEY: covered}, **placed)
+    viewer.add_shapes(data, **{**attributes, **placed})
+
+
+def _remove(viewer: napari.viewer.Viewer, layers: Sequence[Layer]) -> None:
+    """Remove our layers, and show those again that the image hid."""
+    for layer in layers:
+        for covered in layer.metadata.get(COVERED_KEY, ()):
+            covered.visible = True
+        viewer.layers.remove(layer)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from html import escape
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -91,7 +92,7 @@ def rig_line(rig: str | None, status: Status | None) -> str:
     if status.progress is not None:
         doing = f"calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
     elif status.live:
-        doing = f"live, camera {status.camera_hz:.0f} Hz"
+        doing = f"live, camera {status.camera_hz:.0f} Hz" if isfinite(status.camera_hz) else "live"
     else:
         doing = "connected, not streaming"
     recording = status.recording

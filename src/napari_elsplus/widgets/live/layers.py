@@ -12,6 +12,7 @@ from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.instrument.calibration import utc_now
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, TITLES, titles_layer
 from napari_elsplus.widgets.shared.choosing import LIVE
 
@@ -80,7 +81,8 @@ class LiveLayers:
             Name of the rig, for the metadata.
         """
         shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
-        um = None if calibration is None else calibration.um_per_px
+        others = [layer for layer in self._viewer.layers if layer not in self._layers.values()]
+        axes = plane_axes(None if calibration is None else calibration.um_per_px, others)
         first = not self.images
         corners: dict[str, tuple[float, float]] = {}
         left_px = 0
@@ -94,11 +96,7 @@ class LiveLayers:
             if layer is not None and layer.data.shape != shape:
                 self._viewer.layers.remove(layer)
                 layer = None
-            place: dict[str, Any] = {
-                "scale": (um or 1.0,) * 2,
-                "units": ("um" if um else "pixel",) * 2,
-                "translate": (0.0, left_px * (um or 1.0)),
-            }
+            place: dict[str, Any] = {**axes, "translate": (0.0, left_px * axes["scale"][1])}
             facts: dict[str, Any] = {
                 "kind": f"{LIVE} {kind}", "stack": None, "path": None, "calibration": calibration,
                 "calibration_path": calibration_file, "file": {}, "software": f"napari-elsplus {__version__}",
@@ -113,7 +111,7 @@ class LiveLayers:
             corners[KINDS[kind]] = -TITLE_RISE * shape[0], left_px
             left_px += shape[1] + GAP_PX if side_by_side else 0
         self._last_sequence = -1
-        self._arrange_titles(corners if side_by_side else {}, um)
+        self._arrange_titles(corners if side_by_side else {}, axes)
         if first and self.images:
             ours = {self._titles, *self.images.values()}
             for other in self._viewer.layers:  # would be displayed through the live image
@@ -167,9 +165,8 @@ class LiveLayers:
         white = white_level(image, np.ones(image.shape, bool))
         layer.contrast_limits = (0.0, max(float(white), 1.0))
 
-    def _arrange_titles(self, corners: dict[str, tuple[float, float]], um: float | None) -> None:
-        """Write each image's kind above it, at its corner (row, col) in pixels of `um` micrometres."""
-        place = {"scale": (um or 1.0,) * 2, "units": ("um" if um else "pixel",) * 2}
+    def _arrange_titles(self, corners: dict[str, tuple[float, float]], place: dict[str, Any]) -> None:
+        """Write each image's kind above it, at its corner (row, col) in pixels of a scale and units."""
         data, attributes, _ = titles_layer(f"{LIVE} titles", list(corners), list(corners.values()), place)
         if self._titles is not None and self._titles in self._viewer.layers:
             self._titles.data, self._titles.features = data, attributes["features"]

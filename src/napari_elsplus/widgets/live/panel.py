@@ -19,7 +19,7 @@ from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.live.status import status_text
 from napari_elsplus.widgets.shared.calibration_state import lag_advice
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.panel import copy_as_script
+from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint
 from napari_elsplus.widgets.shared.problems import notify_errors, problems
 from napari_elsplus.widgets.shared.window.canvas_monitor import CanvasMonitor
 from napari_elsplus.widgets.shared.window.layer_list import LayerListModels
@@ -158,7 +158,9 @@ class LivePanel(EnginePanel):
         self.form.opening.visible = recorded
         self.form.lag.enabled = not busy and not recording
         self.form.bar.show_state(status, busy=busy)
-        self.form.status.setText(status_text(status, calibration, self._display_hz, busy=busy, calibration_file=file))
+        text = status_text(status, calibration, self._display_hz, busy=busy, calibration_file=file)
+        none = "" if self.form.chosen or not live else next_hint("tick an image to display.") + "<br>"
+        self.form.status.setText(none + text)
         self._show_new_faults(status)
 
     def rescale_contrast(self) -> None:

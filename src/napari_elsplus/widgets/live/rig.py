@@ -69,6 +69,7 @@ class RigPanel(EnginePanel):
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
         self._disconnecting = False
+        self._accepted: Settings | None = None
         self._build()
         self._timer = QTimer(self)
         self._timer.setInterval(STATUS_MS)
@@ -90,14 +91,22 @@ class RigPanel(EnginePanel):
             return
         rig, settings = self.rig.value, self.settings
         self._remember()
-        self.requests.run(lambda: self.connection.connect(rig, settings), self._connected)
+        self.requests.run(
+            lambda: self.connection.connect(rig, settings), lambda client: self._connected(client, settings)
+        )
 
     def apply(self) -> None:
-        """Apply the form's settings to the rig; a running stream restarts with a matching ramp."""
-        self._remember()
-        client = self.connection.client
-        if client is not None:
-            self.requests.follow(client.configure(self.settings))
+        """Apply the form's settings to the rig; a running stream restarts with a matching ramp.
+
+        Settings that the rig refuses leave the form, which displays those that hold.
+        """
+        client, settings = self.connection.client, self.settings
+        if client is None:
+            self._remember()
+        else:
+            self.requests.follow(
+                client.configure(settings), lambda _: self._accept(settings), failed=self._show_accepted
+            )
         self.refresh()
 
     def park(self) -> None:
@@ -243,8 +252,26 @@ class RigPanel(EnginePanel):
         for choice in (self.preset, self.slit_rows, self.rate_hz, self.gain_db):
             choice.changed.connect(self.apply)
 
-    def _connected(self, client: EngineClient) -> None:
+    def _connected(self, client: EngineClient, settings: Settings) -> None:
+        self._accepted = settings
         self.activate_calibration(client)
+
+    def _accept(self, settings: Settings) -> None:
+        self._accepted = settings
+        self._remember()
+
+    def _show_accepted(self) -> None:
+        """Display the settings that the rig accepted last, where they are known."""
+        accepted = self._accepted
+        if accepted is None:
+            return
+        values = (
+            (self.preset, accepted.preset), (self.slit_rows, accepted.slit_rows),
+            (self.rate_hz, accepted.frame_rate_hz or 0), (self.gain_db, accepted.gain_db),
+        )  # fmt: skip
+        for field, value in values:
+            with field.changed.blocked():
+                field.value = value
 
     def _remember(self) -> None:
         settings = self.settings

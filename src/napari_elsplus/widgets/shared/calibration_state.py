@@ -69,6 +69,8 @@ def calibration_lines(calibration: Calibration | None, file: Path | None) -> lis
         return lines
     if advice := lag_advice(calibration):
         lines.append(amber(advice))
+    if calibration.um_per_px is None:
+        lines.append(amber("micrometres unknown: enter the bundle's diameter in Calibration"))
     if calibration.background is None:
         lines.append(amber("background not measured: none is subtracted"))
     if calibration.flat is None:

@@ -11,8 +11,10 @@ from napari.utils.notifications import show_info
 from qtpy.QtCore import QEvent
 from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
+from napari_elsplus.errors import InputError
+from napari_elsplus.io.formats.registry import supported_recordings
 from napari_elsplus.widgets.shared.files import note_folder
-from napari_elsplus.widgets.shared.problems import problems
+from napari_elsplus.widgets.shared.problems import notify_errors, problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -73,7 +75,13 @@ class Panel(QWidget, metaclass=_OnePerViewer):
 
     def open_dropped(self, path: Path) -> None:
         """Open the file or folder at a dropped `path`: as layers, unless a panel overrides this."""
-        self.viewer.open(str(path), plugin=PLUGIN)
+        with notify_errors(self):
+            try:
+                self.viewer.open(str(path), plugin=PLUGIN)
+            except ValueError as error:  # napari's, where no reader of ours takes it
+                raise InputError(
+                    f"{path.name} is neither a recording nor a calibration", f"recordings are {supported_recordings()}"
+                ) from error
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
         """Accept files; see :meth:`QWidget.dragEnterEvent`."""

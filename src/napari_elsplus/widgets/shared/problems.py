@@ -63,17 +63,20 @@ problems = Problems()
 
 
 @contextmanager
-def notify_errors(panel: QWidget | None = None) -> Iterator[None]:
+def notify_errors(panel: QWidget | None = None, *, resolves: bool = True) -> Iterator[None]:
     """Return a context that shows an expected error as one notification, with its remedy.
 
     Parameters
     ----------
     panel : QWidget, optional
         The panel whose action this is: the status line keeps the error until an action of the panel succeeds.
+    resolves : bool
+        Success resolves the panel's error; not where this is no action of the user.
     """
     try:
         yield
     except (ElsPlusError, OSError) as error:
         problems.report(error_message(error), panel)
     else:
-        problems.resolve(panel)
+        if resolves:
+            problems.resolve(panel)
