@@ -17,6 +17,7 @@ from napari_elsplus.cli import elsplus
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_track, write_calibration
 from napari_elsplus.workflows.batch import run, stages
+from napari_elsplus.workflows.batch.job import BatchItem, BatchJob
 from napari_elsplus.workflows.batch.run import batch
 from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.sectioning import section
@@ -118,12 +119,28 @@ def test_a_batch_is_resumed_without_doing_anything_twice(
     with pytest.raises(KeyboardInterrupt):
         batch(recordings, out, mosaic=True)
     assert executed == ["a section", "a mosaic", "c section"]
-    left = out / "c" / ".deadbeef.els.ome.tif"
+    left = out / "c" / ".deadbeef.mosaic.ome.tif"
     left.write_bytes(b"what a killed worker left")
     result = batch(recordings, out, mosaic=True)
     assert executed == ["a section", "a mosaic", "c section", "c mosaic"]
     assert [row["name"] for row in result.failed] == ["b"]
     assert not left.exists()
+
+
+@pytest.mark.parametrize(("stage", "own"), [("section", "els.ome.tif"), ("mosaic", "track.csv")])
+def test_a_stage_leaves_what_another_worker_is_writing(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, own: str
+) -> None:
+    monkeypatch.setattr(stages, "_STAGES", {stage: lambda *_: {}})
+    job, item = BatchJob(str(tmp_path), "els", mosaic=True, calibration=None), BatchItem("a", str(recordings / "a.tif"))
+    (tmp_path / "a").mkdir()
+    writing = {name: tmp_path / "a" / f".deadbeef.{name}" for name in ("els.ome.tif", "mosaic.ome.tif", "track.csv")}
+    for file in writing.values():
+        file.touch()
+    stages.run_stage(stage, item, job)
+    assert not writing[own].exists()
+    kept = {"els.ome.tif"} if stage == "mosaic" else {"mosaic.ome.tif", "track.csv"}
+    assert {name for name, file in writing.items() if file.exists()} == kept
 
 
 @pytest.mark.usefixtures("inline")

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 RECORDS: Final = ".batch"
 """Folder of a batch's records, in its output folder."""
+MOSAIC_NAME: Final = "mosaic.ome.tif"
+TRACK_NAME: Final = "track.csv"
 MAX_LIST_BYTES: Final = 16 << 20
 """Chosen: a list of a hundred thousand paths has some 10 MB; a larger file is another one, named by mistake."""
 Values = dict[str, Any]
@@ -58,6 +60,10 @@ class BatchJob:
     def images_name(self) -> str:
         """Name of the file of sectioned images."""
         return f"{Mode(self.mode).value}.ome.tif"
+
+    def files(self, stage: str) -> tuple[str, ...]:
+        """Return the names of the files that a stage writes."""
+        return (self.images_name,) if stage == "section" else (MOSAIC_NAME, TRACK_NAME)
 
     def describe(self) -> str:
         """Return the job in words, for a message."""

@@ -12,7 +12,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io import read_calibration, replacing
 from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, Values, find_items, open_output
+from napari_elsplus.workflows.batch.job import MOSAIC_NAME, BatchItem, BatchJob, Values, find_items, open_output
 from napari_elsplus.workflows.batch.stages import ERROR, run_stage
 from napari_elsplus.workflows.pictures.batch_sheet import draw_batch_sheet
 from napari_elsplus.workflows.pictures.files import save_figure
@@ -175,7 +175,7 @@ def _write_table(path: Path, rows: list[Values]) -> None:
 
 
 def _picture(job: BatchJob, row: Values) -> Path:
-    return Path(job.output, row["name"], "mosaic.ome.tif" if job.mosaic else job.images_name)
+    return Path(job.output, row["name"], MOSAIC_NAME if job.mosaic else job.images_name)
 
 
 def _notes(rows: list[Values]) -> tuple[str, ...]:

@@ -12,11 +12,12 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError, ElsPlusError, error_message
 from napari_elsplus.io import Recording, open_recording, read_calibration
 from napari_elsplus.io.calibrations import format_calibration
+from napari_elsplus.workflows.batch.job import MOSAIC_NAME, TRACK_NAME
 from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.sectioning import section
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -48,7 +49,7 @@ def run_stage(stage: str, item: BatchItem, job: BatchJob) -> Values:
     try:
         found = item.recall(job, stage)
         if found is None:
-            _remove_unfinished(item.folder(job))
+            _remove_unfinished(item.folder(job), job.files(stage))
             with open_recording(item.recording) as recording:
                 found = _STAGES[stage](item, job, recording)
             item.remember(job, stage, found)
@@ -69,7 +70,7 @@ def _mosaic(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
     calibration, source = _calibration(job, recording)
     result = mosaic(recording, calibration, job.mode, threads=1)
     folder = _made(item.folder(job))
-    result.save(folder / "mosaic.ome.tif", folder / "track.csv", force=True)
+    result.save(folder / MOSAIC_NAME, folder / TRACK_NAME, force=True)
     um = np.nan if result.um_per_px is None else result.um_per_px
     return {
         "calibration": source,
@@ -119,7 +120,8 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def _remove_unfinished(folder: Path) -> None:
-    """Remove what a killed worker has left: files that were never renamed."""
-    for file in folder.glob(".????????.*"):
-        file.unlink(missing_ok=True)
+def _remove_unfinished(folder: Path, names: Iterable[str]) -> None:
+    """Remove what a killed worker has left of files of these names; others may be being written by another worker."""
+    for name in names:
+        for file in folder.glob(f".????????.{name}"):
+            file.unlink(missing_ok=True)
