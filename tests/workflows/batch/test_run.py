@@ -17,7 +17,7 @@ from napari_elsplus.cli import elsplus
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_track, write_calibration
 from napari_elsplus.workflows.batch import run, stages
-from napari_elsplus.workflows.batch.job import BatchItem, BatchJob
+from napari_elsplus.workflows.batch.job import RECORDS, BatchItem, BatchJob, open_output
 from napari_elsplus.workflows.batch.run import batch
 from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.sectioning import section
@@ -132,15 +132,24 @@ def test_a_stage_leaves_what_another_worker_is_writing(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, own: str
 ) -> None:
     monkeypatch.setattr(stages, "_STAGES", {stage: lambda *_: {}})
-    job, item = BatchJob(str(tmp_path), "els", mosaic=True, calibration=None), BatchItem("a", str(recordings / "a.tif"))
-    (tmp_path / "a").mkdir()
-    writing = {name: tmp_path / "a" / f".deadbeef.{name}" for name in ("els.ome.tif", "mosaic.ome.tif", "track.csv")}
+    job, item = (
+        BatchJob(str(tmp_path / "out"), "els", mosaic=True, calibration=None),
+        BatchItem("a", str(recordings / "a.tif")),
+    )
+    open_output(job)
+    out = tmp_path / "out"
+    (out / "a").mkdir()
+    for other in ("section", "mosaic"):
+        item.record(job, other).with_name(f".deadbeef.{item.record(job, other).name}").touch()
+    writing = {name: out / "a" / f".deadbeef.{name}" for name in ("els.ome.tif", "mosaic.ome.tif", "track.csv")}
     for file in writing.values():
         file.touch()
     stages.run_stage(stage, item, job)
     assert not writing[own].exists()
     kept = {"els.ome.tif"} if stage == "mosaic" else {"mosaic.ome.tif", "track.csv"}
     assert {name for name, file in writing.items() if file.exists()} == kept
+    (record,) = (out / RECORDS).glob(".deadbeef.*")
+    assert stage not in record.name
 
 
 @pytest.mark.usefixtures("inline")

@@ -93,7 +93,7 @@ class BatchItem:
     def recall(self, job: BatchJob, stage: str) -> Values | None:
         """Return what a stage of a job has found, if an earlier run finished it for the same file; else None."""
         try:
-            record = json.loads(self._record(job, stage).read_text(encoding="utf-8"))
+            record = json.loads(self.record(job, stage).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
         values: Values = record["values"]
@@ -101,10 +101,11 @@ class BatchItem:
 
     def remember(self, job: BatchJob, stage: str, values: Values) -> None:
         """Write that a stage of a job is finished, with the values that it found."""
-        with replacing(self._record(job, stage), force=True) as unfinished:
+        with replacing(self.record(job, stage), force=True) as unfinished:
             unfinished.write_text(json.dumps({"input": self._fingerprint(), "values": values}), encoding="utf-8")
 
-    def _record(self, job: BatchJob, stage: str) -> Path:
+    def record(self, job: BatchJob, stage: str) -> Path:
+        """Return the path of the record that a stage of a job is finished."""
         return Path(job.output, RECORDS, f"{self.name}.{stage}.json")
 
     def _fingerprint(self) -> list[int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from glob import escape
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -17,7 +18,7 @@ from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.sectioning import section
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -49,7 +50,7 @@ def run_stage(stage: str, item: BatchItem, job: BatchJob) -> Values:
     try:
         found = item.recall(job, stage)
         if found is None:
-            _remove_unfinished(item.folder(job), job.files(stage))
+            _remove_unfinished(item.record(job, stage), *(item.folder(job) / name for name in job.files(stage)))
             with open_recording(item.recording) as recording:
                 found = _STAGES[stage](item, job, recording)
             item.remember(job, stage, found)
@@ -120,8 +121,8 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def _remove_unfinished(folder: Path, names: Iterable[str]) -> None:
-    """Remove what a killed worker has left of files of these names; others may be being written by another worker."""
-    for name in names:
-        for file in folder.glob(f".????????.{name}"):
-            file.unlink(missing_ok=True)
+def _remove_unfinished(*files: Path) -> None:
+    """Remove what a killed worker has left of these files; others may be being written by another worker."""
+    for file in files:
+        for unfinished in file.parent.glob(f".????????.{escape(file.name)}"):
+            unfinished.unlink(missing_ok=True)
