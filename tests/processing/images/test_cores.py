@@ -8,9 +8,10 @@ import tifffile
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
+from skimage.feature import peak_local_max
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.images.cores import CoreFilter, core_pitch_px, find_cores
+from napari_elsplus.processing.images.cores import CoreFilter, _peaks, core_pitch_px, find_cores
 from napari_elsplus.processing.images.sectioning import disc
 
 SIDE = 201
@@ -119,3 +120,10 @@ def test_a_bundle_of_more_cores_than_opencv_maps_at_once_is_read() -> None:
     filtered = CoreFilter.INTERPOLATE.prepared(flat, inside)(flat * scene)
     middle = disc(side, 600)
     assert np.abs(filtered / scene - 1)[middle].mean() < 0.02
+
+
+@pytest.mark.parametrize("reach", [2, 3, 5])
+def test_peaks_are_those_of_scikit_image(reach: int) -> None:
+    image = np.random.default_rng(reach).integers(0, 300, (120, 140)).astype(np.float32)  # with equal neighbours
+    expected = peak_local_max(image, min_distance=reach, threshold_abs=150.0)
+    np.testing.assert_array_equal(_peaks(image, reach, 150.0), expected)
