@@ -1,0 +1,86 @@
+"""Bad input to mosaics by cores, recommendations and batches is one line that says what to do, and exit code 2."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import tifffile
+
+from napari_elsplus.io import write_calibration
+from napari_elsplus.processing.images.sectioning import Sectioner
+from napari_elsplus.simulation.calibration_scenes import line_volts, standing_line
+from napari_elsplus.simulation.model.bundle import Bundle
+from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import scene
+from napari_elsplus.simulation.truth import true_calibration
+from napari_elsplus.workflows.batch import run
+from napari_elsplus.workflows.calibration import calibrate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from commands import Run
+
+INSTRUMENT = replace(Instrument.of("240hz"), bundle=Bundle(diameter_um=200.0))
+
+
+@pytest.fixture(scope="module")
+def stacks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Images of a bundle whose probe does not move, six of them and two of them."""
+    folder = tmp_path_factory.mktemp("stacks")
+    renderer = Renderer(INSTRUMENT, scene("fibres", 3))
+    sectioner = Sectioner(true_calibration(INSTRUMENT), INSTRUMENT.frame_shape)
+    images = np.stack([sectioner.ls(renderer.render(k)) for k in range(6)])
+    tifffile.imwrite(folder / "still.tif", images)
+    tifffile.imwrite(folder / "two.tif", images[:2])
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("stack", "problem"),
+    [("still.tif", "needs 1.2 px of motion: move the probe"), ("two.tif", "insertion by cores needs 3, 1.2 px apart")],
+)
+def test_too_few_or_unmoving_frames(
+    elsplus: Callable[..., Run], stacks: Path, tmp_path: Path, stack: str, problem: str
+) -> None:
+    ended = elsplus("mosaic", stacks / stack, "--finished", "--insertion", "cores", "-o", tmp_path / "out.tif")
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert problem in ended.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("plate", "problem"),
+    [
+        ("no json", "is no JSON file: name the one that `axial` wrote"),
+        (json.dumps([1, 2]), "has no depths: name the JSON that `axial` wrote"),
+        (json.dumps({"profiles": {"ls": [1.0, 0.5]}}), "no depths or no LS profile"),
+        (json.dumps({"depth_um": [0, 9], "profiles": {"ls": [1.0, 0.5]}}), "at 2 depths up to 300 um: 5 are needed"),
+        (json.dumps({"depth_um": [0, 9, 20], "profiles": {"ls": [1.0]}}), "at 0 depths up to 300 um: 5 are needed"),
+    ],
+)
+def test_a_plate_without_depths(elsplus: Callable[..., Run], tmp_path: Path, plate: str, problem: str) -> None:
+    instrument = Instrument.of("240hz")
+    line = calibrate(line=list(standing_line(instrument, line_volts(instrument))))
+    known = true_calibration(instrument).model_copy(update={"offset": line.calibration.offset})
+    write_calibration(tmp_path / "cal.json", known)
+    (tmp_path / "plate.json").write_text(plate)
+    ended = elsplus("recommend", "--depth-um", 60, "-c", tmp_path / "cal.json", "--plate", tmp_path / "plate.json")
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert problem in ended.err
+
+
+def test_a_scheduler_that_is_not_there(
+    elsplus: Callable[..., Run], stacks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "SCHEDULER_TIMEOUT_S", 0.2)
+    ended = elsplus("batch", stacks, "-o", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9")
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert "no scheduler answers at tcp://127.0.0.1:9" in ended.err
+    assert not (tmp_path / "out").exists()
