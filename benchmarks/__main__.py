@@ -10,12 +10,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.documents import calibration_accuracy, figures, mosaicing, paper, physics
+from benchmarks.documents import calibration_accuracy, figures, mosaicing, paper, physics, recommendation, subtraction
 from benchmarks.documents.architecture import draw_architecture, read_rooms
 from benchmarks.documents.benchmark import draw_benchmark
 from benchmarks.documents.cores import draw_bundle_frames
 from benchmarks.documents.finished import draw_finished
 from benchmarks.documents.pages import fill
+from benchmarks.documents.photographs import draw_photographs
 from benchmarks.harness.methods import Chart
 from benchmarks.harness.peers import PACKAGES, environment, install
 from benchmarks.harness.registry import MODULES, benchmark
@@ -24,6 +25,7 @@ from benchmarks.harness.table import breakdowns, header, lines, markdown, write_
 from benchmarks.harness.verdict import verdict
 from benchmarks.imperfect import study, survey
 from benchmarks.imperfect.cases import CASES
+from benchmarks.programs.batch import batch
 from benchmarks.programs.mutations import mutations
 from benchmarks.programs.start import start
 from benchmarks.studies import line_fit
@@ -40,7 +42,16 @@ if TYPE_CHECKING:
 
 
 PAGES = ("performance.md", "stability.md", "paper.md")
-PAGE_PROGRAMS = ("calibration", "mosaicing", "physics", "line-fit", "architecture", "figures")
+PAGE_PROGRAMS = (
+    "calibration",
+    "mosaicing",
+    "recommendation",
+    "physics",
+    "subtraction",
+    "line-fit",
+    "architecture",
+    "figures",
+)
 """Programs of single pages; ``mosaicing-TABLE`` makes one table."""
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PACKAGE = DOCS.parent / "src" / "napari_elsplus"
@@ -160,6 +171,16 @@ def bundle_frames_command(flat: Path, out: Path, force: bool) -> None:
         click.echo(f"{name}: displacements right to {error_px:.2f} px")
 
 
+@bench.command(name="photographs")
+@click.argument("folder", type=FILE)
+@click.option("--out", type=FILE, required=True, help="The picture, .png or .svg.")
+@force_option
+def photographs_command(folder: Path, out: Path, force: bool) -> None:
+    """Draw PyFibreBundle's photographs of targets by each way to show one frame, side by side."""
+    refuse_outputs(out, force=force)
+    save_figure(draw_photographs(folder), out, force=force)
+
+
 @bench.command()
 @click.option("--docs", "folder", type=FILE, default=DOCS, show_default="this checkout's", help="Folder of the pages.")
 @click.option("--quick", is_flag=True, help="Small cases: a check that it runs, not what the pages should say.")
@@ -184,6 +205,7 @@ def docs(folder: Path, quick: bool, only: tuple[str, ...], photographs: Path | N
                 click.echo(f"{name}: {_page(name, folder, quick, photographs)}")
 
 
+bench.add_command(batch)
 bench.add_command(mutations)
 bench.add_command(start)
 
@@ -211,8 +233,14 @@ def _page(name: str, folder: Path, quick: bool, photographs: Path | None) -> str
             return line_fit.report(quick=quick)
         case "calibration":
             calibration_accuracy.make(folder, photographs, quick=quick)
+        case "recommendation":
+            recommendation.make(folder, quick=quick)
+            return "calibration.md"
         case "physics":
             physics.make(folder, quick=quick)
+        case "subtraction":
+            subtraction.make(folder, quick=quick)
+            return "physics.md"
         case _:
             mosaicing.make(folder, tuple(name.split("-")[1:]), quick=quick)
     return f"{name.partition('-')[0]}.md"

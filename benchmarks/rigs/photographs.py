@@ -87,11 +87,22 @@ def _look(folder: Path, name: str, flat_name: str | None) -> Photograph:
     return Photograph(name, found, flat, honeycomb, flattened)
 
 
-def _located(folder: Path, name: str) -> tuple[Image, Disc]:
+def photograph(folder: Path, name: str) -> Image:
+    """Return a photograph of a folder, (rows, cols) float32.
+
+    Raises
+    ------
+    InputError
+        If the folder lacks it.
+    """
     path = folder / f"{name}.tif"
     if not path.exists():
         raise InputError(f"{folder} has no {path.name}", "give the folder of PyFibreBundle's photographs")
-    image = np.asarray(tifffile.imread(path), np.float32)
+    return np.asarray(tifffile.imread(path), np.float32)
+
+
+def _located(folder: Path, name: str) -> tuple[Image, Disc]:
+    image = photograph(folder, name)
     return image, locate_bundle(image)
 
 

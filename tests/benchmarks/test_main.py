@@ -58,7 +58,7 @@ def test_a_page_that_is_not_there_is_bad_input(bench_program, tmp_path: Path) ->
     run = bench_program("docs", "--docs", tmp_path, "--quick", "--only", "line", "--only", "weather")
     assert (run.code, run.err.count("\n")) == (2, 1)
     assert all(name in run.err for name in (*MODULES, *PAGE_PROGRAMS))
-    for name in ("calibration", "physics", "mosaicing", "mosaicing-acceptance"):
+    for name in ("calibration", "recommendation", "physics", "subtraction", "mosaicing", "mosaicing-acceptance"):
         run = bench_program("docs", "--docs", tmp_path, "--quick", "--only", name)
         assert (run.code, run.err.count("\n")) == (2, 1), name
         assert "there is no" in run.err

@@ -4,37 +4,26 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from benchmarks.documents.recommendation import SEED, SETTINGS
+from benchmarks.studies.recommendation import Setting, calibrated, compare_prediction, random_settings
 from napari_elsplus.cli import main
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import write_calibration
-from napari_elsplus.simulation.calibration_scenes import line_volts, standing_line
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response
 from napari_elsplus.simulation.model.clipped_response import clipped_drop_offs
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.workflows.axial import measure_axial_response
-from napari_elsplus.workflows.calibration import calibrate
 from napari_elsplus.workflows.recommendation.line_estimate import calibrated_line
-from napari_elsplus.workflows.recommendation.recommend import predict_line, prediction_sigmas, recommend
-from napari_elsplus.workflows.simulated import simulate_axial_scan
+from napari_elsplus.workflows.recommendation.recommend import predict_line, recommend
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-@cache
-def calibrated(state: str, seed: int = 5) -> Calibration:
-    """Calibration of a rig whose line was measured on frames of it standing still."""
-    instrument = replace(Instrument.of("120hz"), line=LINE_MODELS[state])
-    found = calibrate(line=list(standing_line(instrument, line_volts(instrument), seed=seed)))
-    return true_calibration(instrument).model_copy(update={"offset": found.calibration.offset})
 
 
 @pytest.mark.parametrize("state", ["a", "b"])
@@ -45,15 +34,7 @@ def test_core_and_halo_of_the_standing_line_are_those_of_the_simulated_one(state
     assert estimate.line.halo_share == pytest.approx(true.halo_share, abs=0.01)
 
 
-def settings(count: int, seed: int) -> list[tuple[str, float, float]]:
-    random = np.random.default_rng(seed)
-    return [
-        (str(random.choice(["a", "b"])), float(random.uniform(12, 80)), float(random.integers(1, 7)))
-        for _ in range(count)
-    ]
-
-
-@pytest.mark.parametrize(("state", "offset_um", "slit_rows"), settings(20, 900))
+@pytest.mark.parametrize(("state", "offset_um", "slit_rows"), random_settings(20, 900))
 def test_predicted_drop_offs_agree_with_the_instrument(state: str, offset_um: float, slit_rows: float) -> None:
     instrument = replace(
         Instrument.of("120hz", offset_um=offset_um, line=LINE_MODELS[state]), slit_rows=slit_rows
@@ -65,24 +46,15 @@ def test_predicted_drop_offs_agree_with_the_instrument(state: str, offset_um: fl
 
 
 @pytest.mark.parametrize(
-    ("state", "offset_um", "slit_rows"),
-    [case if k == 0 else pytest.param(*case, marks=pytest.mark.slow) for k, case in enumerate(settings(20, 901))],
-)
-def test_measured_drop_offs_lie_within_the_stated_uncertainty(state: str, offset_um: float, slit_rows: float) -> None:
-    um = Instrument.of("120hz").optics.um_per_px
-    estimate = calibrated_line(calibrated(state))
-    found = predict_line(estimate.line, offset_um, slit_rows * um, 100.0)
-    near = np.linspace(0.75, 1.3, 5)
-    depths = np.unique(np.r_[0.0, 3.0, 6.0, found.drop_3db_um * near, found.drop_10db_um * near].round(1))
-    scan = simulate_axial_scan(slit_um=slit_rows * um, offset_um=offset_um, state=state, depth_um=depths, seed=6)
-    seen = measure_axial_response(scan, scan.calibration, depths)
-    sigmas = prediction_sigmas(list(estimate.draws(32)), found, offset_um, slit_rows * um, 100.0)
-    for drop, name in ((seen.els_3db, "drop_3db_um"), (seen.els_10db, "drop_10db_um")):
-        predicted = getattr(found, name)
-        assert predicted == pytest.approx(drop.um, rel=0.05)
-        assert abs(predicted - drop.um) < 2 * np.hypot(sigmas[name], drop.uncertainty_um)
-    kept = abs(found.signal_kept - seen.signal_kept)
-    assert kept < 2 * np.hypot(sigmas["signal_kept"], seen.signal_kept_uncertainty)
+    "setting",
+    [setting if k == 0 else pytest.param(setting, marks=pytest.mark.slow)
+     for k, setting in enumerate(random_settings(SETTINGS, SEED))],
+)  # fmt: skip
+def test_measured_drop_offs_lie_within_the_stated_uncertainty(setting: Setting) -> None:
+    compared = compare_prediction(setting)
+    for name in ("drop_3db_um", "drop_10db_um"):
+        assert abs(compared[name].error) < 0.05
+    assert max(one.sigmas for one in compared.values()) < 2
 
 
 def test_a_measured_plate_replaces_the_modelled_spread_and_gap() -> None:
