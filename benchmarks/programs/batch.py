@@ -20,6 +20,7 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
+from statistics import median
 from typing import Final, NamedTuple
 
 import click
@@ -149,7 +150,7 @@ def differences(batch: Path, single: Path) -> list[str]:
 @click.command(name="batch")
 @click.option("--out", type=FILE, required=True, help="Folder for batch.csv.")
 @click.option("--recordings", type=click.IntRange(2), default=40, show_default=True, help="Recordings of the batch.")
-@click.option("--frames", type=click.IntRange(4), default=60, show_default=True, help="Frames of each.")
+@click.option("--frames", type=click.IntRange(4), default=240, show_default=True, help="Frames of each.")
 @click.option("--kills", type=click.IntRange(0), default=2, show_default=True, help="How often it is killed.")
 @click.option("--rounds", type=click.IntRange(0), default=2, show_default=True, help="Runs of each number of workers.")
 @force_option
@@ -200,10 +201,11 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, forc
     )
     if rounds:
         whole = {workers: [run for name, by, run in rows if name == "whole" and by == workers] for workers in (1, 2)}
-        wall = [one.wall_s / two.wall_s for one, two in zip(whole[1], whole[2], strict=True)]
-        cpu = [one.worker_cpu_s[0] / two.worker_cpu_s[0] for one, two in zip(whole[1], whole[2], strict=True)]
+        pairs = list(zip(whole[1], whole[2], strict=True))
+        by_clock = median(one.wall_s / two.wall_s for one, two in pairs)
+        by_processor = median(one.worker_cpu_s[0] / two.worker_cpu_s[0] for one, two in pairs)
         click.echo(
-            f"two workers against one: {np.median(wall):.2f} times by the clock, {np.median(cpu):.2f} times by "
+            f"two workers against one: {by_clock:.2f} times by the clock, {by_processor:.2f} times by "
             f"processor time; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
         )
     if twice or differing or left or len(ended) != stages:
