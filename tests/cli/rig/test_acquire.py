@@ -49,6 +49,8 @@ def test_a_run_is_recorded_tracked_and_reported(calibration_file: Path, tmp_path
     assert set(report["latency_ms"]) == {"p50", "p99", "max"}
     assert report["faults"] == []
     assert {"camera", "processing", "recorder"} <= set(report["cpu_us_per_frame"])
+    simulated = {name for name in report["cpu_us_per_frame"] if name.startswith("simulated ")}
+    assert simulated >= {"simulated camera", "simulated card", "simulated card's server"}
     assert 10 < sum(report["cpu_us_per_frame"].values()) < 1e6
     assert 0 < report["started_s"] < 600
     assert report["camera_hz"] == pytest.approx(60, rel=0.1)

@@ -20,6 +20,7 @@ from napari_elsplus.hardware.virtual.camera.endpoints import (
 from napari_elsplus.hardware.virtual.camera.iidc import Flea3Registers
 from napari_elsplus.hardware.virtual.camera.memory import Memory
 from napari_elsplus.hardware.virtual.camera.sensor import CHUNK_BYTES, FRAME_INFO_BYTES, Sensor, SensorModel
+from napari_elsplus.hardware.virtual.named_thread import NamedThread
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain
 
 if TYPE_CHECKING:
@@ -141,6 +142,7 @@ class VirtualCamera:
         self.stream_endpoint = StreamEndpoint(self._next_block, self.faults, bench.clock)
         self._frame = 0
         self._pixels = np.zeros(0, np.uint8)
+        self._simulation = NamedThread("simulated camera")
 
     @property
     def serial(self) -> str:
@@ -249,7 +251,7 @@ class VirtualCamera:
         if len(self._pixels) != rows * cols:
             self._pixels = np.zeros(rows * cols, np.uint8)
         pixels = self._pixels.reshape(rows, cols)
-        self.bench.expose(shot, pixels)
+        self._simulation.run(lambda: self.bench.expose(shot, pixels))
         if settings.gamma:
             pixels = np.asarray(255 * (pixels / 255) ** GAMMA, np.uint8)
         if settings.frame_info:

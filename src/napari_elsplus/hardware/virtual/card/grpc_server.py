@@ -37,7 +37,7 @@ class DaemonPool(futures.Executor):
         self._work: queue.SimpleQueue[tuple[futures.Future[Any], Callable[[], Any]] | None] = queue.SimpleQueue()
         self._threads = threads
         for _ in range(threads):
-            threading.Thread(target=self._serve, name="virtual card", daemon=True).start()
+            threading.Thread(target=self._serve, name="simulated card", daemon=True).start()
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> futures.Future[Any]:
         """Queue a call; see :meth:`concurrent.futures.Executor.submit`."""
@@ -209,7 +209,10 @@ class CardServer:
         handlers = {name: self._handler(*answer) for name, answer in answers(card).items()}
         self._server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
         self.address = f"127.0.0.1:{self._server.add_insecure_port('127.0.0.1:0')}"
+        before = set(threading.enumerate())
         self._server.start()
+        for thread in set(threading.enumerate()) - before:
+            thread.name = "simulated card's server"  # started by gRPC, which does not name it
 
     def close(self) -> None:
         """Stop serving."""

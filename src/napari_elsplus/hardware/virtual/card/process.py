@@ -109,7 +109,7 @@ def start_card() -> RemoteCard:
     if not line:
         raise DeviceError("the virtual card did not start", "see the messages above")
     card = RemoteCard(json.loads(line))
-    threading.Thread(target=process.wait, name="virtual card's end", daemon=True).start()  # no zombie is left
+    threading.Thread(target=process.wait, name="simulated card's end", daemon=True).start()  # no zombie is left
     return card
 
 

@@ -1,0 +1,54 @@
+"""A thread for the simulator's work, so that its processor time is not counted with that of the drivers."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import weakref
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class NamedThread:
+    """A thread that runs one call at a time while the caller waits; starts with the first call, ends with its owner.
+
+    Parameters
+    ----------
+    name : str
+        Name of the thread, by which processor time is reported.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._calls: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[Exception | None] = queue.SimpleQueue()
+        self._started = False
+
+    def run(self, call: Callable[[], None]) -> None:
+        """Run a `call` in the thread, and raise what it raised."""
+        if not self._started:
+            self._started = True
+            weakref.finalize(self, self._calls.put, None)
+            threading.Thread(target=_serve, args=(self._calls, self._results), name=self._name, daemon=True).start()
+        self._calls.put(call)
+        error = self._results.get()
+        try:
+            if error is not None:
+                raise error
+        finally:
+            del error  # its traceback holds this frame, and so the owner
+
+
+def _serve(calls: queue.SimpleQueue[Callable[[], None] | None], results: queue.SimpleQueue[Exception | None]) -> None:
+    while (call := calls.get()) is not None:
+        try:
+            call()
+        except Exception as error:  # noqa: BLE001 - raised for the caller
+            result: Exception | None = error
+        else:
+            result = None
+        del call  # it may hold the owner
+        results.put(result)
+        del result
