@@ -55,6 +55,7 @@ ORDER = (
     "hardware.priority",
     "hardware.guardian",
     "hardware.virtual.timeline",
+    "hardware.virtual.named_thread",
     "hardware.virtual.galvo",
     "hardware.virtual.remembered_frames",
     "hardware.virtual.frame_source",
