@@ -11,7 +11,7 @@ from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.images.warping import polynomial_terms
 from napari_elsplus.simulation.calibration_scenes import background, line_volts
 from napari_elsplus.simulation.rendering.views import views
-from napari_elsplus.simulation.specimen.scenes import Plane, Scene, nuclei
+from napari_elsplus.simulation.specimen.scenes import Plane, Scene, nuclei, uniform
 from napari_elsplus.simulation.specimen.textures import Mottle, Nuclei
 from napari_elsplus.simulation.specimen.trajectories import trajectory
 from napari_elsplus.workflows.axial import measure_axial_response
@@ -28,6 +28,8 @@ _THERE_UM: Final = np.r_[np.arange(0.0, 40, 8), np.arange(40, 200, 10), np.arang
 DEPTHS_UM: Final = np.r_[_THERE_UM, _THERE_UM[::-1]]
 """Depths of a scan there and back, um; chosen: each way a quarter of the depths of a whole scan."""
 
+_FLAT_FRAMES: Final = 10
+"""Frames of an even target for a flat field; chosen: the step takes 50, of which the noise of 10 is twice that."""
 _NEAR_UM: Final = 60.0
 """Distance from the middle of the bundle, um, within which a parabola describes any distortion; chosen."""
 
@@ -71,6 +73,24 @@ def sectioning(
 def _correlation(one: np.ndarray, two: np.ndarray) -> float:
     both = np.isfinite(one) & np.isfinite(two)
     return float(np.corrcoef(one[both], two[both])[0, 1])
+
+
+def flat_fielded(
+    rig: ImperfectRig, straight: ImperfectRig, calibration: Calibration, scene: Scene, line_rows: Rows, *, seed: int = 0
+) -> float:
+    """Correlate flat-fielded ELS+ of one scanned frame with the focal plane of the rig without imperfections.
+
+    Both are divided by the mean of scans of an even target, as the calibration's step of the flat field takes them.
+    """
+    section = Sectioner(calibration, rig.instrument.frame_shape)
+    bare = Sectioner(calibration.model_copy(update={"background": None}), rig.instrument.frame_shape)
+    even, ideal = rig.renderer(uniform(), seed=seed + 1), straight.renderer(uniform(), seed=seed + 1)
+    flat = np.mean([section.ls(even.render(k, line_rows=line_rows)).copy() for k in range(_FLAT_FRAMES)], axis=0)
+    wanted_flat = np.mean([section.ls(ideal.render(k)).copy() for k in range(_FLAT_FRAMES)], axis=0)
+    wanted = bare.ls(straight.renderer(scene, seed=seed).in_focus().render(0)).copy()
+    found = section.els(rig.renderer(scene, seed=seed).render(0, line_rows=line_rows)).copy()
+    judged = disc(section.side, JUDGED * section.diameter_px)
+    return _correlation(found[judged] / flat[judged], wanted[judged] / wanted_flat[judged])
 
 
 class Misalignment(NamedTuple):

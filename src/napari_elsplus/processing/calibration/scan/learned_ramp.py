@@ -130,14 +130,15 @@ class RampLearner:
     def __init__(self, scans: Scans, calibration: Calibration, shape: tuple[int, int], slit_rows: float) -> None:
         assert calibration.bundle is not None
         self._scans, self._calibration = scans, calibration
-        self.profile = RowProfile(calibration.bundle, shape)
+        bow_rows = 0.0 if calibration.galvo is None else calibration.galvo.bow_rows or 0.0
+        self.profile = RowProfile(calibration.bundle, shape, bow_rows)
         self.limit_rows = TOLERATED_SLIT_SHARE * slit_rows
         self.frames = 0
 
     def confocal_errors(self, shifts_rows: Floats, profiles: Floats) -> RowErrors:
         """Return the row errors of the confocal view alone, from its profiles at shifts in rows, shape (n, 2, rows)."""
         lit = self.profile.lit[0]
-        confocal = find_row_errors(shifts_rows, profiles[:, 0], lit)
+        confocal = find_row_errors(shifts_rows, profiles[:, 0], lit) + self.profile.bowed_rows
         return join_views(confocal, np.full_like(confocal, np.nan), lit)
 
     def learn(self, lag_s: float, progress: Progress = iter) -> LearnedRamp:
@@ -205,7 +206,7 @@ class RampLearner:
             near = centre + steps
             stack = np.array([profiles[number][view] for number in near])
             shifts = np.asarray(SHIFT_STEP_ROWS * near, np.float64)
-            found.append(find_row_errors(shifts, stack, self.profile.lit[view]))
+            found.append(find_row_errors(shifts, stack, self.profile.lit[view]) + self.profile.bowed_rows)
         return join_views(found[0], found[1] - self.profile.offset_rows, np.asarray(self.profile.lit.any(axis=0)))
 
 

@@ -71,6 +71,8 @@ def measure_scan(
         ramp = _learned(learner, float(leads_s[int(np.argmax(signal))]), refusal, progress)
         found = ScanLag(ramp.response.lag_s, ramp.response.lag_uncertainty_s, leads_s, signal)
     else:
+        # The signal is that of the middles of the chords.
+        found = replace(found, lag_s=found.lag_s - learner.profile.bowed_rows * period_s)
         errors = replace(errors, rows=errors.rows + (found.lag_s - centre_s) / period_s)
         if not errors.count_off(learner.limit_rows):
             return replace(found, row_errors=errors)
