@@ -39,11 +39,11 @@ class BenchClock:
         return time.perf_counter() if self.real_time else self._now_s
 
     def wait_until(self, time_s: float) -> None:
-        """Sleep until a time `time_s`, or advance the clock to it."""
-        if self.real_time:
-            time.sleep(max(0.0, time_s - time.perf_counter()))
-        else:
+        """Sleep until a time `time_s`, or advance the clock to it; return at once where it is past."""
+        if not self.real_time:
             self._now_s = max(self._now_s, time_s)
+        elif (left_s := time_s - time.perf_counter()) > 0:
+            time.sleep(left_s)
 
 
 @dataclass(frozen=True, slots=True)
