@@ -51,7 +51,7 @@ def test_no_text_of_any_panel_is_clipped(dock, qtbot, size, theme):
     viewer.window.resize(*size)
     window = dock.window()
     qtbot.waitUntil(lambda: window.width() == size[0], timeout=10_000)
-    clipped = []
+    clipped, places = [], set()
     for kind in PANELS:
         dock.show_tab(kind.title)
         panel = dock.by_title[kind.title].panel
@@ -64,7 +64,11 @@ def test_no_text_of_any_panel_is_clipped(dock, qtbot, size, theme):
                 panel.source.value = choice
             qtbot.wait(50)
             clipped += [f"{kind.title} {choice}: {text}" for text in clipped_texts(dock)]
+            if kind.title == "Calibration":
+                buttons = panel.form.measure, panel.form.accept, panel.form.next_step
+                places.add(tuple((button.x(), button.y()) for button in buttons))
     assert clipped == []
+    assert len(places) == 1, "buttons keep their places from step to step"
 
 
 SCANS = (MANUAL, SIMULATED)

@@ -187,7 +187,7 @@ def follow_offset(
 
 
 def _held_text(left_s: float, limit_s: float) -> str:
-    return f"line held; it parks in {left_s:.0f} s for {REST_S:g} s (hold limit {limit_s:g} s), then goes on"
+    return f"line held; parks in {left_s:.0f} s for {REST_S:g} s (hold limit {limit_s:g} s)"
 
 
 def calibrate_rig(

@@ -64,7 +64,7 @@ REFRESH_MS: Final = 100
 """Delay of table and profiles after a change, milliseconds; chosen, 10 Hz while the slider moves."""
 BLINK_MS: Final = 600
 """Time for which each image is displayed, milliseconds; chosen, long enough to compare one detail."""
-ROUND: Final = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8)
+ROUND: Final = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 7)
 """Limits of the difference view within a decade; chosen, no image is dimmed by more than a third."""
 FIGURES: Final = "Figures (*.pdf *.svg *.png)"
 PREPARING: Final = "Computing the first images; the first time after installation this takes some seconds."
