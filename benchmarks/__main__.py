@@ -25,6 +25,7 @@ from benchmarks.harness.table import breakdowns, header, lines, markdown, write_
 from benchmarks.harness.verdict import verdict
 from benchmarks.imperfect import study, survey
 from benchmarks.imperfect.cases import CASES
+from benchmarks.programs.acquire import acquire
 from benchmarks.programs.batch import batch
 from benchmarks.programs.mutations import mutations
 from benchmarks.programs.start import start
@@ -206,6 +207,7 @@ def docs(folder: Path, quick: bool, only: tuple[str, ...], photographs: Path | N
 
 
 bench.add_command(batch)
+bench.add_command(acquire)
 bench.add_command(mutations)
 bench.add_command(start)
 
