@@ -11,6 +11,7 @@ from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.mosaicing.deformation import estimate_deformation
 from napari_elsplus.processing.mosaicing.line_light import estimate_line_light
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.finished.field import FinishedField
@@ -97,7 +98,8 @@ class Pipeline:
         self._insertion = Insertion(insertion)
         self._new_store = new_store
         self._weights = np.ones((self.grid.side,) * 2, np.float32)
-        if registered.tapers_rim:
+        self._tapers_rim = registered.tapers_rim
+        if self._tapers_rim:
             subtracts = Mode(mode) in (Mode.ELS, Mode.ELSA) and calibration.offset is not None
             away = calibration.offset.rows / self.grid.binning if subtracts and calibration.offset else 0.0
             self._weights = rim_weights(self.grid, away)
@@ -272,7 +274,7 @@ class Pipeline:
         raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
         progress: Callable[[Sequence[int]], Iterable[int]] = iter,
     ) -> None:
-        """Refine all positions (:meth:`refine`) and insert all frames into fresh mosaics at them.
+        """Refine all positions (:meth:`refine`), insert all frames into fresh mosaics, and undo deformation.
 
         Parameters
         ----------
@@ -284,9 +286,18 @@ class Pipeline:
         self.refine(raw_pair)
         self.mosaics = {}
         light = self._uneven_light(raw_pair)
-        for index in progress([k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]):
-            image = self.image(*raw_pair(index))
-            self.insert(image if light is None else image / light, self.poses[index])
+
+        def image(index: int) -> NDArray[np.float32]:
+            made = self.image(*raw_pair(index))
+            return made if light is None else made / light
+
+        tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
+        for index in progress(tracked):
+            self.insert(image(index), self.poses[index])
+        if self._tapers_rim and (found := estimate_deformation(image, self.poses, self.mosaics, self._weights)):
+            self.mosaics = {}
+            for index in tracked:
+                self.insert(found.undone(index, image(index)), self.poses[index])
 
     def complete(self) -> None:
         """Complete the mosaics after the last frame; nothing is left to do where frames are inserted as images."""

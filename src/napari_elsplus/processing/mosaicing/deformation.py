@@ -1,0 +1,197 @@
+"""Deformation of tissue between frames: smooth fields that map frames onto the mosaic, where frames ask for them.
+
+A probe drags soft tissue along, which then has another shape in each frame. The mean of all frames at their poses has
+the mean shape; a frame's field, a polynomial of third degree in rows and columns, is fitted to it by Gauss-Newton steps
+under a Gaussian prior. The Bayesian information criterion decides whether fields are modelled at all, by the median
+of a few frames: rigid scenes are left as they are.
+
+References
+----------
+Szeliski and Coughlan, Int. J. Comput. Vis. 22, 199 (1997), doi:10.1023/A:1007996332012; Schwarz, Ann. Stat. 6, 461
+(1978), doi:10.1214/aos/1176344136.
+"""
+
+from __future__ import annotations
+
+from math import ceil, log
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+from numpy.polynomial import legendre
+
+from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
+from napari_elsplus.processing.tracking.front_end.grid import FIELD
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared
+from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.mosaicing.tiles import TiledCanvas
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.motion.pose import Pose
+
+    Floats = NDArray[np.float64]
+
+DEGREE: Final = 3
+"""Of the polynomials; chosen: a wave as long as the field is followed."""
+COEFFICIENT_SIGMA_PX: Final = 1.0
+"""Prior standard deviation of each coefficient, pixels of the grid; chosen: a strain of 3 % makes 1 to 3."""
+MAX_TESTED: Final = 8
+"""Frames that decide whether fields are modelled, spread over the track; chosen."""
+ROUNDS: Final = 2
+"""Of fitting fields and averaging the frames freed of them; chosen: a third changes a mosaic's correlation by 0.001."""
+_SAMPLES_ACROSS: Final = 120
+"""Pixels of the field that are compared, along a diameter; chosen: half of those of the grid."""
+_HIGH_PASS_DIAMETERS: Final = 1 / 30
+"""Standard deviation of the Gaussian that is subtracted, as that of the registration: haze does not move."""
+_MARGIN: Final = 0.96
+"""Part of the field that is compared, within which slopes exist."""
+
+
+class Deformation:
+    """Fields of frames: fitted to a mosaic, and undone.
+
+    Parameters
+    ----------
+    grid : Grid
+        The frames' grid.
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self._grid = grid
+        self._step = max(1, round(FIELD * grid.diameter / _SAMPLES_ACROSS))
+        self._high_pass_px = _HIGH_PASS_DIAMETERS * grid.diameter
+        y, x = np.meshgrid(*(np.arange(grid.side) - middle for middle in grid.centre), indexing="ij")
+        self._points = np.stack([y, x])
+        radius = 0.5 * FIELD * grid.diameter
+        inside = np.hypot(y, x)[:: self._step, :: self._step] < _MARGIN * radius
+        self._samples = self._points[:, :: self._step, :: self._step][:, inside]
+        self._basis = legendre_terms(np.clip(self._points / radius, -1.1, 1.1))
+        self._sampled_basis = self._basis[:, :: self._step, :: self._step][:, inside]
+        values = float(self._step**2 * self._samples.shape[1] / CORRELATED_PX)
+        self._values, self._penalty = values, len(self._basis) * log(values)
+        self._fields: dict[int, Floats] = {}
+
+    def fit(self, index: int, image: NDArray[np.float32], pose: Pose, mosaic: Mosaic) -> float:
+        """Fit a frame's field by one step from where it is; return what that gains by the information criterion, nats.
+
+        Parameters
+        ----------
+        index : int
+            Of the frame.
+        image : numpy.ndarray
+            (side, side) float32.
+        pose : Pose
+            Of the frame in the mosaic.
+        mosaic : Mosaic
+            With the frame's surroundings drawn.
+        """
+        field = self._fields.setdefault(index, np.zeros((2, len(self._basis))))
+        matrix = turned_by(pose.angle, pose.scale) @ unsheared(pose.velocity, self._grid.shutter.line_periods_per_frame)
+        extent = mosaic.extent_of(pose).grown(2)
+        shown, weight = mosaic.read(extent)
+        shown = self._high_passed(shown, (weight > 0).astype(np.float32))
+        at = matrix @ self._samples + np.array([[pose.row - extent.top], [pose.col - extent.left]])
+        expected = _sampled(shown, at)
+        slopes: Floats = np.array([_sampled(np.asarray(slope, np.float32), at) for slope in np.gradient(shown)])
+        moved = self._samples + field @ self._sampled_basis + np.reshape(self._grid.centre, (2, 1))
+        seen = _sampled(self._high_passed(image, (image != 0).astype(np.float32)), moved)
+        energy = float(expected @ expected)
+        if not energy > 0:
+            return 0.0
+        gain = float(seen @ expected) / energy
+        miss = seen - gain * expected
+        design = (gain * (matrix.T @ slopes)[:, None] * self._sampled_basis).reshape(field.size, -1)
+        noise = float(miss @ miss) / self._values
+        normal = design @ design.T / noise + np.eye(field.size) / COEFFICIENT_SIGMA_PX**2
+        step = np.linalg.solve(normal, design @ miss / noise + field.ravel() / COEFFICIENT_SIGMA_PX**2)
+        left = miss - step @ design
+        self._fields[index] = field - step.reshape(field.shape)
+        return 0.5 * self._values * log(float(miss @ miss) / float(left @ left)) - self._penalty
+
+    def undone(self, index: int, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the image of a frame as it would be without its field.
+
+        Parameters
+        ----------
+        index : int
+            Of the frame.
+        image : numpy.ndarray
+            (side, side) float32.
+        """
+        if index not in self._fields:
+            return image
+        moved = (
+            self._points + np.tensordot(self._fields[index], self._basis, 1) + np.reshape(self._grid.centre, (2, 1, 1))
+        )
+        rows, cols = moved.astype(np.float32)
+        return np.asarray(cv2.remap(image, cols, rows, cv2.INTER_CUBIC), np.float32)
+
+    def _high_passed(self, image: NDArray[np.float32], lit: NDArray[np.float32]) -> NDArray[np.float32]:
+        smooth, share = (cv2.GaussianBlur(values, (0, 0), self._high_pass_px) for values in (image * lit, lit))
+        high_passed: NDArray[np.float32] = (image - smooth / np.maximum(share, 1e-3)) * lit
+        return high_passed
+
+
+def estimate_deformation(
+    image: Callable[[int], NDArray[np.float32]],
+    poses: Sequence[Pose],
+    mosaics: Mapping[int, TiledCanvas],
+    weights: NDArray[np.float32],
+) -> Deformation | None:
+    """Estimate the deformation of the tissue in all tracked frames; None where the scene is rigid.
+
+    Parameters
+    ----------
+    image : callable
+        Returns the image (side, side) of a frame by its index, valid until the next call.
+    poses : sequence of Pose
+        Final poses of all frames.
+    mosaics : mapping of int to TiledCanvas
+        Mosaics of the frames as they are, by segment; those into which images were not inserted are left out.
+    weights : numpy.ndarray
+        (side, side) weight of each pixel of a frame in the mean.
+    """
+    drawn = {segment: mosaic for segment, mosaic in mosaics.items() if isinstance(mosaic, Mosaic)}
+    tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED and pose.segment in drawn]
+    if not tracked:
+        return None
+    grid = drawn[poses[tracked[0]].segment].grid
+    deformation = Deformation(grid)
+    tested = tracked[:: ceil(len(tracked) / MAX_TESTED)]
+    # of the frames of a jerk some are distorted by uneven motion: half of all must ask for a field
+    if np.median([deformation.fit(k, image(k), poses[k], drawn[poses[k].segment]) for k in tested]) <= 0:
+        return None
+    deformation = Deformation(grid)
+    for _ in range(ROUNDS):
+        means = {segment: Mosaic(grid, Insertion.FEATHERED, weights=weights) for segment in drawn}
+        for k in tracked:
+            pose, undone = poses[k], deformation.undone(k, image(k))
+            means[pose.segment].insert(undone, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
+        for k in tracked:
+            deformation.fit(k, image(k), poses[k], means[poses[k].segment])
+    return deformation
+
+
+def legendre_terms(points: Floats) -> Floats:
+    """Return the products of Legendre polynomials of rows and columns up to :data:`DEGREE`, (terms, ...).
+
+    Parameters
+    ----------
+    points : numpy.ndarray
+        (2, ...) rows and columns, from -1 to 1 across the field.
+    """
+    down, across = (np.moveaxis(legendre.legvander(axis, DEGREE), -1, 0) for axis in points)
+    return np.array([down[i] * across[j] for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
+
+
+def _sampled(image: NDArray[np.float32], at: Floats) -> Floats:
+    """Return an image at points (2, n) between its pixels."""
+    rows, cols = at.astype(np.float32)
+    sampled: Floats = cv2.remap(image, cols[None], rows[None], cv2.INTER_LINEAR)[0].astype(np.float64)
+    return sampled

@@ -1,0 +1,73 @@
+"""Fields of deforming tissue are found and undone, and rigid scenes are left as they are."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from napari_elsplus.processing.mosaicing.deformation import Deformation, estimate_deformation
+from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
+from napari_elsplus.processing.tracking.front_end.grid import Grid
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
+
+SIDE, FRAMES = 128, 24
+GRID = Grid(SIDE, 1, (0, 0), ((SIDE - 1) / 2,) * 2, 124.0, RollingShutter(300.0))
+STRAIN, WAVE_PX = 0.03, 200.0
+VELOCITY = Velocity(12.0, -6.0)
+
+
+def scanned(strain: float, seed: int = 0) -> tuple[np.ndarray, list[np.ndarray], list[Pose]]:
+    """Return a scene, and frames and poses of a moving probe over it while it is stretched to and fro."""
+    random = np.random.default_rng(seed)
+    scene = cv2.GaussianBlur(random.normal(size=(320, 320)).astype(np.float32), (0, 0), 2.0)
+    scene = 100 + 50 * scene / scene.std()
+    y, x = np.meshgrid(*(np.arange(SIDE) - middle for middle in GRID.centre), indexing="ij")
+    rows = GRID.shutter.line_periods_per_frame
+    images, poses = [], []
+    for k in range(FRAMES):
+        turn = 2 * np.pi * k / FRAMES
+        row, col = 160 + 40 * np.sin(turn), 160 + 40 * np.cos(2 * turn)
+        r, c = row + y * (1 + VELOCITY.row / rows), col + x + y * VELOCITY.col / rows
+        push = strain * WAVE_PX / (2 * np.pi) * np.sin(2 * np.pi * c / WAVE_PX + seed) * np.sin(2 * turn)
+        seen = cv2.remap(scene, (c - push).astype(np.float32), (r - push).astype(np.float32), cv2.INTER_CUBIC)
+        seen += random.normal(0, 3, seen.shape).astype(np.float32)
+        images.append(seen * (np.hypot(y, x) < 62))
+        poses.append(Pose(0, row, col, VELOCITY, 1.0, 0.01, TrackingState.TRACKED))
+    return scene, images, poses
+
+
+def mosaic_of(images: list[np.ndarray], poses: list[Pose]) -> Mosaic:
+    mosaic = Mosaic(GRID, Insertion.DEAD_LEAF)
+    for image, pose in zip(images, poses, strict=True):
+        mosaic.insert(image, pose.row, pose.col, pose.velocity)
+    return mosaic
+
+
+def correlation(mosaic: Mosaic, scene: np.ndarray) -> float:
+    assert mosaic.extent is not None
+    image, weight = mosaic.read()
+    there = scene[mosaic.extent.top : mosaic.extent.bottom, mosaic.extent.left : mosaic.extent.right]
+    return float(np.corrcoef(image[weight > 0], there[weight > 0])[0, 1])
+
+
+def test_tissue_that_deforms_by_3_percent_is_drawn_in_its_mean_shape() -> None:
+    for seed in range(3):
+        scene, images, poses = scanned(STRAIN, seed)
+        before = mosaic_of(images, poses)
+        found = estimate_deformation(lambda k, images=images: images[k], poses, {0: before}, rim_weights(GRID))
+        assert found is not None
+        after = mosaic_of([found.undone(k, image) for k, image in enumerate(images)], poses)
+        assert 1 - correlation(after, scene) < 0.5 * (1 - correlation(before, scene))
+
+
+def test_a_rigid_scene_is_left_as_it_is() -> None:
+    for seed in range(3):
+        _, images, poses = scanned(0.0, seed)
+        mosaics = {0: mosaic_of(images, poses)}
+        assert estimate_deformation(lambda k, images=images: images[k], poses, mosaics, rim_weights(GRID)) is None
+
+
+def test_an_image_without_a_field_is_left_as_it_is() -> None:
+    image = np.ones((SIDE, SIDE), np.float32)
+    assert Deformation(GRID).undone(0, image) is image
