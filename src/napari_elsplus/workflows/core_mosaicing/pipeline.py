@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import hypot
 from typing import TYPE_CHECKING, Any, Final
 
@@ -50,6 +51,8 @@ the cores that no frame shows."""
 MAX_REFINEMENTS: Final = 8
 """Refinements of finished images; measured on a photographed bundle: three reach 0.05 px with a flat field, six without
 one."""
+_KEPT_BYTES: Final = 256 << 20
+"""Memory for the values of cores between refinements, bytes; chosen: two thousand frames of 32,000 cores."""
 _REFINED_PITCHES: Final = 0.02
 """Move of a frame below which the refinement ends, core pitches; chosen, far below a cell."""
 _APERTURE: Final = hypot(SPOT_PITCHES * CELLS_PER_PITCH, 12**-0.5)
@@ -120,7 +123,8 @@ class CorePipeline(Pipeline):
 
     def insert_raw(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
         """Insert the cores of a raw frame at a pose; others as of :meth:`Pipeline.add`."""
-        self._insert_cores(pose, self._values(raw, raw if raw_residual is None else raw_residual))
+        values = self._read(raw, raw if raw_residual is None else raw_residual)
+        self._insert_cores(pose, self._corrected(values))
 
     def finish(
         self,
@@ -138,12 +142,14 @@ class CorePipeline(Pipeline):
         tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
         self._require_motion([self.poses[k] for k in tracked])
         self._light = self._uneven_light(raw_pair)
-        self._insert_all(raw_pair, progress(tracked))
+        kept = _KEPT_BYTES // (4 * len(self._view.cores)) if self._max_refinements else 0
+        read = lru_cache(maxsize=kept)(lambda index: self._read(*raw_pair(index)))
+        self._insert_all(read, progress(tracked))
         if self._max_refinements:
             self.complete()
         for left in reversed(range(self._max_refinements)):
-            moved_px = self._refine_on_mosaics(raw_pair, tracked)
-            self._insert_all(raw_pair, tracked)
+            moved_px = self._refine_on_mosaics(read, tracked)
+            self._insert_all(read, tracked)
             if left == 0 or moved_px < _REFINED_PITCHES * self._view.cores.pitch_px:
                 break
             self._reconstruct()
@@ -162,11 +168,11 @@ class CorePipeline(Pipeline):
             if isinstance(canvas, SampleCanvas):
                 self.mosaics[segment] = reconstruct_canvas(canvas, _APERTURE, self._smoothness)
 
-    def _insert_all(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]], indices: Iterable[int]) -> None:
-        """Insert frames into fresh mosaics."""
+    def _insert_all(self, read: Callable[[int], NDArray[np.float32]], indices: Iterable[int]) -> None:
+        """Insert frames, whose cores are read by their index, into fresh mosaics."""
         self.mosaics = {}
         for index in indices:
-            self._insert_cores(self.poses[index], self._values(*raw_pair(index)), self._exposures.get(index, 1.0))
+            self._insert_cores(self.poses[index], self._corrected(read(index)), self._exposures.get(index, 1.0))
 
     def _insert_cores(self, pose: Pose, values: NDArray[np.float32], exposure: float = 1.0) -> None:
         if pose.state is not TrackingState.TRACKED:
@@ -175,9 +181,13 @@ class CorePipeline(Pipeline):
         assert isinstance(canvas, SampleCanvas)
         canvas.add(self._places(pose), values / np.float32(exposure), self._core_weights * np.float32(exposure))
 
-    def _values(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
+    def _read(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
         """Return the values of the cores (m,) float32 in a frame."""
-        values = self._view.cores.read(self._view.image(raw, raw_residual)) * self._gains
+        return self._view.cores.read(self._view.image(raw, raw_residual))
+
+    def _corrected(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return values of the cores (m,) float32 freed of their refined gains and of uneven light."""
+        values = values * self._gains
         return values if self._light is None else values / self._light[self._at[1]]
 
     def _places(self, pose: Pose) -> NDArray[np.float64]:
@@ -202,9 +212,7 @@ class CorePipeline(Pipeline):
                 f"insertion by cores needs {needed_px:.1f} px of motion: move the probe, or choose another insertion",
             )
 
-    def _refine_on_mosaics(
-        self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]], tracked: Sequence[int]
-    ) -> float:
+    def _refine_on_mosaics(self, read: Callable[[int], NDArray[np.float32]], tracked: Sequence[int]) -> float:
         """Refine the frames' places, exposures and the cores' gains on the mosaics that they gave.
 
         The first frame of a segment stays. Returns the largest move of a frame, camera pixels.
@@ -213,7 +221,7 @@ class CorePipeline(Pipeline):
         farthest = 0.0
         gains, cell = CoreGains(len(self._view.cores)), self._cell_px / self._tracking.scale
         for index in tracked:
-            pose, values = self.poses[index], self._values(*raw_pair(index))
+            pose, values = self.poses[index], self._corrected(read(index))
             places = self._places(pose)
             part = _around(places)
             expected = seen_through(self.mosaics[pose.segment], part, SPOT_PITCHES * CELLS_PER_PITCH)
