@@ -15,6 +15,7 @@ MODULES: dict[str, str] = {  # the module, and its benchmark where that is not c
     "line": "choices.line",
     "cores": "choices.cores",
     "sectioning": "choices.sectioning",
+    "taps": "choices.taps",
     "frontend": "choices.frontend",
     "tracking": "choices.tracking",
     "insertion": "choices.insertion",
