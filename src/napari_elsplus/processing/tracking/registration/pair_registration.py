@@ -16,11 +16,11 @@ import numpy as np
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, lit_pixels, overlap_of_discs
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
+from napari_elsplus.processing.tracking.registration.candidates import log_likelihoods
 from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
 from napari_elsplus.processing.tracking.registration.odds import (
     CORRELATED_PX,
     blocks,
-    log_likelihood,
     log_odds,
     weakest_direction,
 )
@@ -253,23 +253,21 @@ class Registrar:
         min_odds_nats : float
             Odds that are needed: None also where competing shifts alone leave less, before any is refined.
         """
-        found: list[tuple[float, Warp]] = []
+        warps: list[Warp] = []
         expected, scratch = np.array(motion.warp), np.empty((4, 4))
-        (first, last), middle = self._spans[1], self._middles[1]
         for b, d in self._everywhere.peaks(self._coarse(earlier), self._coarse(later), motion.warp, reach_px):
             warp = np.array(motion.at(b, d))
             correlation, _, _ = descend(
                 earlier.levels, later.levels, self._lit, self._middles, 1, 1, expected, motion.terms, warp, scratch,
                 self.work,
             )  # fmt: skip
-            if correlation <= 0:
-                continue
-            at = Warp(*warp.tolist())
-            half = np.array([at.a, at.b / 2, at.s, at.d / 2])
-            nats = log_likelihood(earlier.levels[1], later.levels[1], first, last, middle, half, self._sums)
-            found.append((nats + float(prior(warp[1] - expected[1], warp[3] - expected[3], reach_px)), at))
-        if not found:
+            if correlation > 0:
+                warps.append(Warp(*warp.tolist()))
+        if not warps:
             return None
+        nats = log_likelihoods(earlier.levels[1], later.levels[1], self._spans[1], self._middles[1], warps, self._sums)
+        priors = [float(prior(warp.b - expected[1], warp.d - expected[3], reach_px)) for warp in warps]
+        found = [(like + before, warp) for like, before, warp in zip(nats, priors, warps, strict=True)]
         highest, best = max(found)
         others = [nats for nats, warp in found if hypot(warp.b - best.b, warp.d - best.d) > COMPETING_PX]
         competing = sum(exp(max(nats - highest, -700.0)) for nats in others)
