@@ -112,7 +112,8 @@ def run_batch(source: Path, output: Path, workers: int, *, kill_at: int | None =
         except psutil.NoSuchProcess:
             pass
         time.sleep(POLL_S)
-    said = b"".join(stream.read() for stream in (running.stdout, running.stderr)).decode()
+    with running.stdout, running.stderr:
+        said = (running.stdout.read() + running.stderr.read()).decode()
     if running.returncode != (0 if kill_at is None else -signal.SIGKILL):
         raise RuntimeError(f"the batch ended with {running.returncode}: {said[-500:]}")
     workers_s = tuple(sorted(spent.values(), reverse=True)[:workers])
