@@ -53,6 +53,12 @@ def test_whatever_else_changes_is_drawn_anew(plot, change):
     assert drawn(plot) != before
 
 
+def test_an_empty_plot_has_no_axes(plot):
+    for curves in ([Curve("signal", X, X, "blue")], []):
+        plot.draw(curves)
+        assert [plot.getAxis(side).isVisible() for side in ("bottom", "left")] == [bool(curves)] * 2
+
+
 def tick_labels(plot, side):
     """Places of an axis' tick labels in the plot, as it would draw them."""
     axis, picture = plot.getAxis(side), QPicture()

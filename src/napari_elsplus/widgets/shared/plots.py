@@ -151,14 +151,13 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         if before == self._drawn_as:
             self._update_data()
             return
-        for side in ("bottom", "left"):
-            self.showAxis(side, bool(self._curves))
         self._labels |= {side: text for side, text in (("bottom", bottom), ("left", left)) if text is not None}
         for side, text in self._labels.items():
             self.setLabel(
                 side, text, siPrefixEnableRanges=(), color=self._text
             )  # no SI prefix: the label states the unit
             self.getAxis(side).resizeEvent()  # centres the new text
+            self.showAxis(side, bool(self._curves))  # which `setLabel` shows always
         self.plotItem.clear()
         self._regions, self._lines = [], []
         for band in self._bands:
