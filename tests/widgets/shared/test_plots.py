@@ -9,6 +9,8 @@ from qtpy.QtGui import QPainter, QPicture
 from napari_elsplus.widgets.shared.plots import Band, Curve, ThemedPlot
 
 X = np.linspace(0, 1, 9)
+MARGIN_PX = 8
+"""Empty rim of a label's text, which may lie outside."""
 
 
 @pytest.fixture
@@ -73,16 +75,28 @@ def tick_labels(plot, side):
     "names", [["a", "b"], ["signal kept (%)", "3 dB (\N{MICRO SIGN}m)", "10 dB (\N{MICRO SIGN}m)"], ["a" * 30] * 4]
 )
 def test_at_its_least_height_neither_legend_nor_tick_labels_are_cut(plot, qtbot, names):
-    plot.draw([Curve(name, 1e4 * X - 5e3, -1e4 * X, "blue") for name in names])
+    drawn = [Curve(name, 1e4 * X - 5e3, -1e4 * X, "blue") for name in names]
+    plot.draw(drawn)
+    plot.resize(400, plot.minimumSizeHint().height())
+    plot.draw([])
+    plot.show()
+    qtbot.wait(50)
+    plot.hide()
+    plot.draw(drawn, left="a quantity in a unit with long names")  # as a result appears in a panel whose size stays
     plot.resize(400, plot.minimumSizeHint().height())
     plot.show()
-    qtbot.waitExposed(plot)
+    for position in (0, 1):  # what is followed: only a mark moves
+        qtbot.wait(50)
+        plot.draw(drawn, marks=[(position, "blue", "now")], left="a quantity in a unit with long names")
     qtbot.wait(50)
     curves, legend, whole = (one.sceneBoundingRect() for one in (plot.getViewBox(), plot._legend, plot.plotItem))
     assert curves.height() > 50
     assert legend.top() >= curves.bottom()
     assert legend.bottom() <= whole.bottom()
     for side in ("bottom", "left"):
+        label = plot.getAxis(side).label
+        place = label.mapRectToScene(label.boundingRect())
+        assert plot.sceneRect().adjusted(-MARGIN_PX, -MARGIN_PX, MARGIN_PX, MARGIN_PX).contains(place), side
         labels = tick_labels(plot, side)
         assert len(labels) > 1
         assert all(plot.sceneRect().contains(label) for label in labels), side

@@ -45,6 +45,8 @@ MARGINS_PX: Final = (2, 8, 12, 2)
 """Left, top, right, bottom: half a tick label reaches over the end of its axis."""
 MIN_CURVES_PX: Final = 140
 """Least height of curves with their axes, pixels; chosen: five tick labels fit."""
+BOTTOM_PX: Final = 50
+"""Height of the bottom axis with its labels and the margins, pixels."""
 LEGEND_ROW_PX: Final = 16
 _COLUMNS: Final = ((8, 3), (18, 2))
 """Most characters of a name, and columns of the legend that fit into a dock of 400 px then; else one."""
@@ -100,7 +102,10 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
 
     def minimumSizeHint(self) -> QSize:
         """Return a size in which curves, axes and legend do not cover each other."""
-        return QSize(0, MIN_CURVES_PX + self._legend_px)
+        label_px = (
+            int(self.getAxis("left").label.boundingRect().width()) if self._curves else 0
+        )  # it is written upwards
+        return QSize(0, max(MIN_CURVES_PX, label_px + BOTTOM_PX) + self._legend_px)
 
     @property
     def curves(self) -> tuple[Curve, ...]:
@@ -186,6 +191,8 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
             }
             pen = pg.mkPen(self.colour(colour), width=1, style=Qt.PenStyle.DotLine)
             self.addItem(pg.InfiniteLine(position, angle=90, pen=pen, label=text, labelOpts=options))
+        self.plotItem.layout.invalidate()  # the legend moves itself to the top when it changes its size
+        self.plotItem.layout.activate()
 
     def _structure(self, bottom: str | None, left: str | None) -> object:
         """Return all of a plot but its numbers."""
