@@ -75,9 +75,9 @@ class ImperfectRig:
         return cls(Instrument.of(preset, imperfections=imperfections, **fields), voltages)
 
     @classmethod
-    def drawn(cls, preset: str, seed: int) -> Self:
-        """Return a rig drawn at random, with a bundle of its own."""
-        return cls.of(preset, Imperfections.drawn(seed), bundle=Bundle(seed=seed), voltages=60)
+    def drawn(cls, preset: str, seed: int, rate_hz: float | None = None) -> Self:
+        """Return a rig drawn at random, with a bundle of its own, at the preset's frame rate or another."""
+        return cls.of(preset, Imperfections.drawn(seed), bundle=Bundle(seed=seed), voltages=60, rate_hz=rate_hz)
 
     @cached_property
     def measured(self) -> Draft:

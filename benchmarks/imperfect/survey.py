@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass, field
 from functools import cache
+from math import floor
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -77,9 +78,15 @@ class Surveyed:
 
 
 def survey_rig(seed: int) -> Surveyed:
-    """Calibrate a rig by its seed as a user would, scan with that, and measure its axial response."""
+    """Calibrate a rig by its seed as a user would, scan with that, and measure its axial response.
+
+    Where the galvo cannot follow at the preset's frame rate, the rig is calibrated again at the rate that is advised.
+    """
     rig = ImperfectRig.drawn(PRESET, seed)
     try:
+        ramp = None if rig.scanned.lag is None else rig.scanned.lag.ramp
+        if ramp is not None and ramp.highest_rate_hz:  # as the scan's step advises
+            rig = ImperfectRig.drawn(PRESET, seed, floor(ramp.highest_rate_hz))
         draft, calibration = rig.scanned, rig.scanned.calibration
         response = measures.axial(rig, calibration, line_rows=rig.line_rows(calibration), seed=seed)
     except ElsPlusError as error:
