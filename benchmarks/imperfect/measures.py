@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 JUDGED: Final = 0.9
 """Part of the bundle's diameter in which images and maps are judged, as the paper judges alignment."""
 _THERE_UM: Final = np.r_[np.arange(0.0, 40, 8), np.arange(40, 200, 10), np.arange(200, 720, 40)]
-DEPTHS_UM: Final = np.r_[_THERE_UM, _THERE_UM[::-1]]
-"""Depths of a scan there and back, um; chosen: each way a quarter of the depths of a whole scan."""
+DEPTHS_UM: Final = np.asarray(np.random.default_rng(0).permutation(np.r_[_THERE_UM, _THERE_UM]), np.float64)
+"""Depths of a scan, um; chosen: a quarter of those of a whole scan, each twice, in a random order. Power that changes
+slowly then differs from one depth to the next, and is seen as noise; in order it would bend the curve."""
 
 _FLAT_FRAMES: Final = 10
 """Frames of an even target for a flat field; chosen: the step takes 50, of which the noise of 10 is twice that."""
