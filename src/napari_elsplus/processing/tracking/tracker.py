@@ -167,17 +167,17 @@ class Tracker:
 
     def _restart(self, here: _Placed) -> Pose | None:
         """Start a new segment from the frame before, which itself has no place, if the two can be linked."""
-        previous, last, before = self._previous, self._last, self._motion
+        previous, last = self._previous, self._last
         assert previous is not None
-        assert last is not None
         if previous is last:
             return None
-        origin = self._last = _Placed(previous.view, previous.index)
-        self._motion = before.later(origin.index - last.index)
+        before = self._motion
+        self._motion = Motion(self.grid.shutter, FIELD * self.grid.diameter)
+        origin = _Placed(previous.view, previous.index)
         motion = self._prior(origin, here, self._expected(origin, here.index))
         link = self._link(origin, here, motion)
         if link is None or not self._place(origin, here, link, motion):
-            self._motion, self._last = before, last
+            self._motion = before
             return None
         here.row = here.col = here.angle = 0.0
         here.scale = 1.0
@@ -229,6 +229,8 @@ class Tracker:
         """Displacement from a placed frame that the motion so far suggests, in the orientation of the last one."""
         last = self._last
         assert last is not None
+        if not self._motion.known:
+            return Displacement(0.0, 0.0)
         ahead = self._motion.ahead(index - last.index)
         gone = last.row - earlier.row, last.col - earlier.col
         if self.model is not MotionModel.TRANSLATION:

@@ -66,13 +66,3 @@ def test_a_global_shutter_has_no_stretch() -> None:
     velocity, variance = prior.later_velocity(shutter.warp(*prior[:3]), np.diag([1e-18, 1e-2, 1e-18, 1e-2]))
     assert velocity == pytest.approx((3.0, 1.0))
     assert np.isfinite(variance)
-
-
-def test_after_frames_without_a_registration_the_last_velocity_is_still_expected_less_and_less() -> None:
-    motion = Motion(SHUTTER, 200.0)
-    for row in (20.0, 20.5, 21.0):
-        motion.follow(Velocity(row, 0.0), 0.01, successive=True)
-    soon, late = (motion.later(frames) for frames in (3, 10_000))
-    assert soon.ahead(1).row == pytest.approx(motion.next_velocity.row)
-    assert motion.variance < soon.variance < late.variance == Motion(SHUTTER, 200.0).variance
-    assert not soon.known

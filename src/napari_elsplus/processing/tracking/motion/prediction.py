@@ -6,7 +6,6 @@ learnt from how far the last ones were.
 
 from __future__ import annotations
 
-from copy import copy
 from math import hypot
 from typing import TYPE_CHECKING, Final
 
@@ -79,7 +78,7 @@ class Motion:
         self._read = min(diameter / shutter.line_periods_per_frame, 1.0)
         self.known = False
         self.velocity = self.change = AT_REST
-        self.variance = self._first_variance = (FIRST_SPEED * diameter) ** 2
+        self.variance = (FIRST_SPEED * diameter) ** 2
         self.surprise = _FIRST_SURPRISE
 
     def follow(self, velocity: Velocity, variance: float, *, successive: bool) -> None:
@@ -102,14 +101,6 @@ class Motion:
             gained = Velocity(velocity.row - self.velocity.row, velocity.col - self.velocity.col)
         self.velocity, self.change, self.known = velocity, gained, True
         self.variance = variance
-
-    def later(self, frames: int) -> Motion:
-        """Return the motion so many frames later, of which none was registered."""
-        later = copy(self)
-        later.velocity, later.change, later.known = self.next_velocity, AT_REST, False
-        later.variance = min(self.variance + frames * self.spread**2, self._first_variance)
-        later.surprise = min(self.surprise, _FIRST_SURPRISE)
-        return later
 
     def unevenness(self, velocity: Velocity, warp: Warp, missed_px: float) -> float:
         """Return the error of a displacement, pixels, because the probe did not move evenly within the frames.
