@@ -99,7 +99,9 @@ class Deformation:
         at = matrix @ self._samples + np.array([[pose.row - extent.top], [pose.col - extent.left]])
         expected = _sampled(shown, at)
         slopes: Floats = np.array([_sampled(np.asarray(slope, np.float32), at) for slope in np.gradient(shown)])
-        moved = self._samples + field @ self._sampled_basis + np.reshape(self._grid.centre, (2, 1))
+        moved = (
+            self._samples + np.einsum("ij,jk->ik", field, self._sampled_basis) + np.reshape(self._grid.centre, (2, 1))
+        )
         seen = _sampled(self._high_passed(image, (image != 0).astype(np.float32)), moved)
         energy = float(expected @ expected)
         if not energy > 0:
@@ -108,9 +110,11 @@ class Deformation:
         miss = seen - gain * expected
         design = (gain * (matrix.T @ slopes)[:, None] * self._sampled_basis).reshape(field.size, -1)
         noise = float(miss @ miss) / self._values
-        normal = design @ design.T / noise + np.eye(field.size) / COEFFICIENT_SIGMA_PX**2
-        step = np.linalg.solve(normal, design @ miss / noise + field.ravel() / COEFFICIENT_SIGMA_PX**2)
-        left = miss - step @ design
+        # einsum: for so little the threads of a BLAS wait for each other, a hundred times as long on a busy computer
+        normal = np.einsum("ik,jk->ij", design, design) / noise + np.eye(field.size) / COEFFICIENT_SIGMA_PX**2
+        pull = np.einsum("ik,k->i", design, miss) / noise + field.ravel() / COEFFICIENT_SIGMA_PX**2
+        step = np.linalg.solve(normal, pull)
+        left = miss - np.einsum("i,ik->k", step, design)
         self._fields[index] = field - step.reshape(field.shape)
         return 0.5 * self._values * log(float(miss @ miss) / float(left @ left)) - self._penalty
 
