@@ -46,7 +46,7 @@ class Work(QWidget):
         self._cancelled = Event()
         self._done, self._total, self._counts = 0, 0, True
         self._worker: Any = None
-        self._name = self._kernel = ""
+        self._name, self._kernel = "", [""]
         self._bar, self._step = QProgressBar(), QLabel()
         self._step.setWordWrap(True)
         self._cancel = QPushButton("Cancel")
@@ -83,16 +83,20 @@ class Work(QWidget):
         """
         self._cancelled.clear()
         self._done, self._total, self._counts = 0, total, total == 0
-        self._name = self._kernel = ""
+        self._name = ""
         self._step.hide()
         self._bar.setRange(0, total)
         self._finished = finished
 
-        once = [work]  # napari keeps references to workers: they must hold none to data
+        once = [work]  # napari keeps references to workers: they must hold none to data, nor to a panel
+        kernel = self._kernel = [""]
+
+        def compiling(name: str) -> None:
+            kernel[0] = name
 
         def guarded() -> tuple[Any, Exception | None]:
             try:
-                with reported_compilation(self._compiling):
+                with reported_compilation(compiling):
                     return once.pop()(), None
             except (ElsPlusError, OSError, Cancelled) as error:
                 return None, error
@@ -140,11 +144,8 @@ class Work(QWidget):
         self._cancelled.set()
         self._cancel_elsewhere()
 
-    def _compiling(self, kernel: str) -> None:
-        self._kernel = kernel
-
     def _show_progress(self) -> None:
-        self._step.setText(compilation_remark(self._kernel) or self._name)
+        self._step.setText(compilation_remark(self._kernel[0]) or self._name)
         self._step.setVisible(bool(self._step.text()))
         self._bar.setRange(0, self._total)
         self._bar.setValue(self._done)
