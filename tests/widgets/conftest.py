@@ -16,6 +16,7 @@ from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
+from napari_elsplus.widgets.shared.problems import problems
 from processes import exists
 
 HERE = Path(__file__).parents[1] / "acquisition"
@@ -60,6 +61,12 @@ def small_engine(tmp_path, monkeypatch):
     while any(exists(client.pid) for client in clients):  # they end beside the window
         assert time.monotonic() < end, "an engine was left behind"
         time.sleep(0.01)
+
+
+@pytest.fixture(autouse=True)
+def _errors_of_other_tests_are_forgotten() -> None:
+    """They are remembered for the process, as for a window."""
+    problems.dismiss()
 
 
 @pytest.fixture(autouse=True)
