@@ -11,7 +11,6 @@ from benchmarks.harness.running import thread_clock
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
-from napari_elsplus.processing.tracking.registration.odds import log_odds
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
 
@@ -27,8 +26,8 @@ if TYPE_CHECKING:
 
     Image = NDArray[np.float32] | NDArray[np.uint8]
 
-FRONT_END, LINK, GATE, SEARCH, MODEL, KEEPING, INSERTION = STAGES = (
-    "front end", "link", "gate", "search", "model choice", "prediction, key frames", "insertion",
+FRONT_END, LINK, SEARCH, MODEL, KEEPING, INSERTION = STAGES = (
+    "front end", "link and its odds", "search", "model choice", "prediction, key frames", "insertion",
 )  # fmt: skip
 _PASSES: Final = 3
 
@@ -40,13 +39,11 @@ class _TimedRegistrar(Registrar):
         super().__init__(grid)
         self._clock = clock
         self._searching = False
-        self._half = grid.spans(level=1), grid.middle(1)
         self.begin()
 
     def begin(self) -> None:
         """Begin a frame."""
-        self.spent = dict.fromkeys((LINK, GATE, SEARCH, MODEL), 0.0)
-        self.again = 0.0  # what was done a second time in order to time it
+        self.spent = dict.fromkeys((LINK, SEARCH, MODEL), 0.0)
 
     def prepare(self, view: PreparedFrame) -> PreparedFrame:
         """Time the pyramid with the link."""
@@ -57,23 +54,11 @@ class _TimedRegistrar(Registrar):
         return view
 
     def link(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> PairRegistration:
-        """Time a registration, and its odds once more by themselves."""
+        """Time a registration and its odds."""
         start = self._clock()
         link = super().link(earlier, later, motion)
-        whole = self._clock() - start
-        if self._searching:
-            return link
-        (first, last), middle = self._half
-        warp, expected = np.array(link.warp), np.array(motion.warp)
-        begin = self._clock()
-        log_odds(
-            earlier.levels[1], later.levels[1], first, last, middle, warp, link.information, expected, motion.terms,
-            self._sums, self.work,
-        )  # fmt: skip
-        gate = self._clock() - begin
-        self.spent[GATE] += gate
-        self.spent[LINK] += whole - gate
-        self.again += self._clock() - start - whole
+        if not self._searching:
+            self.spent[LINK] += self._clock() - start
         return link
 
     def search(self, *arguments: Any, **options: Any) -> PairRegistration | None:
@@ -120,7 +105,7 @@ def our_stages(calibration: Calibration, raw: NDArray[np.uint8]) -> dict[str, fl
             if pose.state is TrackingState.TRACKED:
                 mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
             laid = clock()
-            keeping = tracked - made - registrar.again - sum(registrar.spent.values())
+            keeping = tracked - made - sum(registrar.spent.values())
             frames.append(
                 {FRONT_END: made - start, **registrar.spent, KEEPING: keeping, INSERTION: laid - tracked}
             )  # fmt: skip
