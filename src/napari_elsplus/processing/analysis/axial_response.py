@@ -14,7 +14,7 @@ from scipy.optimize import isotonic_regression
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.processing.analysis.bleaching import light_loss
-from napari_elsplus.processing.analysis.curve_noise import noise_of_curve
+from napari_elsplus.processing.analysis.curve_noise import MIN_POINTS, noise_of_curve
 from napari_elsplus.processing.analysis.rounding import pixel_noise_dn, rounding_bias_dn
 from napari_elsplus.processing.images.sectioning import Sectioner
 
@@ -35,8 +35,6 @@ LEVEL_3DB: Final = 0.5
 """Level of the 3 dB drop-off, fraction of the signal in contact (the paper, Sec. 3.1)."""
 LEVEL_10DB: Final = 0.1
 """Level of the 10 dB drop-off, fraction of the signal in contact (the paper, Sec. 3.1)."""
-_MIN_DEPTHS: Final = 3
-"""Smallest number of depths; derived: the noise is estimated from a point and its two neighbours."""
 _MIN_SIGNAL_SIGMAS: Final = 3
 """Smallest signal in contact, standard deviations of its noise; chosen: the usual limit of detection."""
 
@@ -345,8 +343,8 @@ def _checked(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[
         )
     if not all(np.isfinite(values).all() for values in (depth, *signals)):
         raise InputError("a depth or signal is NaN or infinite", "leave that frame out")
-    if (different := len(np.unique(depth))) < _MIN_DEPTHS:
-        raise InputError(f"the scan has {different} different depths", f"give at least {_MIN_DEPTHS}")
+    if (different := len(np.unique(depth))) < MIN_POINTS:
+        raise InputError(f"the scan has {different} different depths", f"give at least {MIN_POINTS}")
     return depth, signals[0], signals[1]
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     Curve = NDArray[np.float64]
 
-_MIN_POINTS: Final = 3
+MIN_POINTS: Final = 3
 """Smallest number of points; derived: the noise is estimated from a point and its two neighbours."""
 _MAD_TO_SIGMA: Final = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation (derived)."""
@@ -35,7 +35,7 @@ def noise_of_curve(depth: Curve, signal: Curve) -> tuple[float, float]:
         Standard deviation that all points have, in their unit, and that in excess of it, relative to the signal, of the
         bright points: power that differs from frame to frame.
     """
-    if len(depth) < _MIN_POINTS:
+    if len(depth) < MIN_POINTS:
         return 0.0, 0.0
     ahead = (depth[1:-1] - depth[:-2]) / (depth[2:] - depth[:-2])
     departure = signal[1:-1] - (1 - ahead) * signal[:-2] - ahead * signal[2:]
