@@ -1,9 +1,9 @@
 """Log-likelihoods of candidate warps between two frames, also where a static pattern lies over both.
 
 Dust, dead cores and a flat field of another day do not move with the specimen: they correlate at rest, wherever the
-probe has gone. A specimen at rest is told from such a pattern by what is left of the later frame when it is explained
-by the earlier one at rest. Of a specimen at rest that is noise, which no other warp explains; of a specimen that has
-moved it is the specimen.
+probe has gone. A specimen at rest is distinguished from such a pattern by what is left of the later frame when it is
+explained by the earlier one at rest. Of a specimen at rest that is noise, which no other warp explains; of a specimen
+that has moved it is the specimen.
 """
 
 from __future__ import annotations
