@@ -210,8 +210,8 @@ class ModelSelection:
     >>> selection.weigh(Remainder(nothing, np.array([3e-4, 3e-4]), 1500.0)).name
     'TRANSLATION'
     >>> turned = nothing + np.array([0, 0, 0, 0, 0.01, 0])
-    >>> [selection.weigh(Remainder(turned, np.array([3e-4, 3e-4]), 1500.0)).name for _ in range(2)][-1]
-    'RIGID'
+    >>> [selection.weigh(Remainder(turned, np.array([3e-4, 3e-4]), 1500.0)).name for _ in range(3)]
+    ['TRANSLATION', 'TRANSLATION', 'RIGID']
     """
 
     def __init__(self) -> None:
