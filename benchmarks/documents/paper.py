@@ -9,9 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from benchmarks.documents.schematic import draw_schematic
-from benchmarks.studies import paper
+from benchmarks.studies import paper, resolution
 from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT, contrast, white_level
 from napari_elsplus.processing.calibration.bundle.cancellation import FILTER_NAMES
+from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from benchmarks.studies.paper import Calibrated, Mosaicked, MovingFrames
+    from benchmarks.studies.resolution import Resolved
+    from napari_elsplus.processing.calibration.bundle.cancellation import AlignmentErrors
 
     Image = NDArray[np.float32]
 
@@ -63,6 +66,11 @@ def make(
     report("calibration")
     found = paper.calibrate_simulated(Instrument.of("120hz" if not quick else "240hz"), 20 if quick else 400)
     keep("calibration", draw_calibration(found), calibration_table(found))
+    tables["paper-alignment"] = alignment_table(found)
+    report("USAF target")
+    chosen = dict(list(resolution.modes().items())[1:2]) if quick else resolution.modes()
+    resolved = {name: resolution.measure_mode(mode, 2 if quick else resolution.PLACES) for name, mode in chosen.items()}
+    keep("resolution", draw_images({name: one.image for name, one in resolved.items()}, 2), resolution_table(resolved))
     report("lens paper, 10 Hz")
     frames = paper.lens_paper()
     comparison = compare(frames.raw, frames.rig.calibration, 1)
@@ -142,6 +150,48 @@ def calibration_table(found: Calibrated) -> str:
             for kind, error in found.alignment.filtered.items()
         ),
     )
+
+
+def alignment_table(found: Calibrated) -> str:
+    """Alignment errors of views aligned by their cores and by their centres, after each filter, and the paper's."""
+    kinds = (CoreFilter.GAUSSIAN, CoreFilter.MEDIAN)
+    papers, papers_filtered = PAPER_ALIGNMENT_PERCENT
+    usual = next(iter(found.by_centres))
+    rows = {f"cores; {usual}": found.alignment} | {
+        f"centres alone; {views}": errors for views, errors in found.by_centres.items()
+    }
+
+    def percents(errors: AlignmentErrors) -> list[str]:
+        after = (f"{100 * errors.filtered[kind]:.2f} %" if kind in errors.filtered else "" for kind in kinds)
+        return [f"{100 * errors.before:.2f} %", *after]
+
+    return _table(
+        ("views aligned by", "unfiltered", *(f"after the {FILTER_NAMES[kind]}" for kind in kinds)),
+        ("the paper: centres alone; core filter said to be a 3x3 median", f"{papers} %", "", f"{papers_filtered} %"),
+        *((name, *percents(errors)) for name, errors in rows.items()),
+    )
+
+
+def resolution_table(resolved: dict[str, Resolved]) -> str:
+    """Finest resolved line pair of each mode, unfiltered and after the median, beside the paper's."""
+    titles = (
+        "pixels per core",
+        "field / um",
+        "line pair, unfiltered / um",
+        "after the 3x3 median / um",
+        "the paper / um",
+    )
+    return _table(
+        ("mode", *titles),
+        *(
+            (
+                name, f"{one.px_per_core:.1f}", f"{one.field_um:.0f}",
+                *(f"{one.line_pair_um[cores]:.2f}" for cores in (CoreFilter.NONE, CoreFilter.MEDIAN)),
+                resolution.PAPER.get(name, ""),
+            )
+            for name, one in resolved.items()
+        ),
+    )  # fmt: skip
 
 
 def motion_table(frames: MovingFrames) -> str:

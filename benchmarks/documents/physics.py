@@ -62,7 +62,7 @@ def make(docs: Path, *, quick: bool = False) -> None:
         "axial": draw_axial_response(by_offset[29.0]),
         "offset": charts.drop_off_against_offset(by_offset),
         "slit": charts.drop_off_against_slit(sharp),
-        "kept": charts.kept_signal(by_offset),
+        "kept": charts.kept_signal(by_offset, sharp),
         "choice": charts.the_choice(trades),
         "edge": charts.edge_artefacts(residuals, _instrument(74.0).optics.um_per_px),
     }

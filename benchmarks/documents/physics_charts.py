@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from benchmarks.studies import printed
 from benchmarks.studies.sectioning import sharper_line_drop_offs
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.simulation.model.axial_response import drop_offs, signal_kept
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, drop_offs, signal_kept
 from napari_elsplus.workflows.pictures.comparison import COLOURS
 
 if TYPE_CHECKING:
@@ -64,17 +64,35 @@ def drop_off_against_slit(measured: Mapping[float, AxialResponse]) -> Figure:
     return figure
 
 
-def kept_signal(measured: Mapping[float, AxialResponse]) -> Figure:
-    """In-focus signal of ELS+ relative to LS against slit offset."""
-    figure = Figure(figsize=(5.5, 4), layout="constrained")
-    axes = figure.add_subplot()
-    offsets_um = np.linspace(0.5, 90, 120)
-    kept = [100 * signal_kept(offset_um=offset) for offset in offsets_um.tolist()]
-    axes.plot(offsets_um, kept, color=COLOURS[Mode.ELS], label="closed form")
-    points = [100 * response.signal_kept for response in measured.values()]
-    axes.plot(list(measured), points, "o", color=COLOURS[Mode.ELS], label="raw frames")
-    axes.set(xlabel="slit offset (um)", ylabel="in-focus signal kept (%)", ylim=(0, 102))
-    axes.legend(frameon=False)
+def kept_signal(by_offset: Mapping[float, AxialResponse], by_slit: Mapping[float, AxialResponse]) -> Figure:
+    """In-focus signal of ELS+ relative to LS against slit offset, and against slit width at an offset of 77 um.
+
+    Parameters
+    ----------
+    by_offset : mapping
+        Offset (um) to the response measured there, slit 2.9 um, line a.
+    by_slit : mapping
+        Slit width (um) to the response measured there, the sharper line.
+    """
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    offsets_um, slits_um = np.linspace(0.5, 90, 120), np.linspace(1, 12, 40)
+    curves = (
+        (offsets_um, [100 * signal_kept(offset_um=offset) for offset in offsets_um.tolist()]),
+        (
+            slits_um,
+            [100 * signal_kept(offset_um=77, slit_um=slit, line=LINE_MODELS["b"]) for slit in slits_um.tolist()],
+        ),
+    )
+    titles = ("slit 2.9 um", "offset 77 um, sharper line of panels (c, d)")
+    for axes, curve, measured, title in zip(panels, curves, (by_offset, by_slit), titles, strict=True):
+        axes.plot(*curve, color=COLOURS[Mode.ELS], label="closed form")
+        points = [100 * response.signal_kept for response in measured.values()]
+        axes.plot(list(measured), points, "o", color=COLOURS[Mode.ELS], label="raw frames")
+        axes.set(title=title, ylim=(0, 102))
+    panels[0].set(xlabel="slit offset (um)", ylabel="in-focus signal kept (%)")
+    panels[1].set(xlabel="slit width (um)")
+    panels[0].legend(frameon=False)
     return figure
 
 

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.documents.paper import calibration_table, draw_calibration, draw_images, mosaic_table
+from benchmarks.documents.paper import alignment_table, calibration_table, draw_calibration, draw_images, mosaic_table
 from benchmarks.documents.schematic import draw_schematic
 from benchmarks.studies import paper
 from napari_elsplus.simulation.accuracy import TrackErrors
@@ -32,6 +32,12 @@ def test_a_calibration_is_told_with_its_uncertainty_and_its_error(tmp_path: Path
     assert median[2] == "(the paper: 0.74 %)"
     assert 0 < float(median[1].split()[0]) < float(cells(table, "alignment error")[1].split()[0])
     assert next(iter(found.pictures)) == paper.LINE
+    first, by_cores, *by_centres = alignment_table(found).splitlines()[2:]
+    assert "5.5 %" in first
+    assert "0.74 %" in first
+    unfiltered = [float(line.split("|")[2].split()[0]) for line in (by_cores, *by_centres)]
+    assert len(unfiltered) == 3
+    assert unfiltered[0] < min(unfiltered[1:])
     draw_calibration(found).savefig(tmp_path / "calibration.png")
 
 

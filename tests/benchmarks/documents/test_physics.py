@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.documents import physics
+from benchmarks.documents.physics_charts import kept_signal
 from napari_elsplus.processing.analysis import axial_response as axial
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response
 from napari_elsplus.workflows.sectioning_performance import SectioningPerformance, predict_performance
@@ -63,3 +64,16 @@ def test_the_tables_hold_closed_form_and_measurement_against_the_paper(page: str
     assert low < mean < high
     assert (low, high) == (113.0, 124.8)
     assert numbers(page, "74") == [1, 1, 1]  # an even image is as bright at its rim as in its centre
+
+
+def test_signal_kept_is_drawn_against_offset_and_against_slit_between_the_papers_bounds() -> None:
+    by_slit = {slit: closed_form(physics._instrument(77.0, slit, "b")) for slit in (2.9, 8.8)}
+    by_offset = {offset: closed_form(physics._instrument(offset)) for offset in (12.0, 77.0)}
+    figure = kept_signal(by_offset, by_slit)
+    against_offset, against_slit = figure.axes
+    for axes in figure.axes:
+        curve, points = axes.lines
+        curve_y = np.interp(points.get_xdata(), curve.get_xdata(), curve.get_ydata())
+        np.testing.assert_allclose(points.get_ydata(), curve_y, atol=1.5)
+    assert min(against_slit.lines[0].get_ydata()) > 95  # "virtually no price paid" at 77 um
+    assert against_offset.lines[0].get_ydata()[0] < 5  # a slit beside the line's middle samples light from the focus

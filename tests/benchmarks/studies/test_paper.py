@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from benchmarks.studies import paper
+from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT
+from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -14,6 +18,14 @@ def test_a_calibration_from_frames_finds_the_instrument() -> None:
     assert abs(found.errors.offset_rows) < 0.05
     assert abs(found.errors.galvo_slope_percent) < 0.1
     assert found.errors.pair_alignment_px < 0.05
+
+
+def test_centres_alone_leave_the_papers_alignment_error_which_no_median_removes() -> None:
+    instrument = replace(Instrument.of("120hz"), residual_view=paper.PAPER_LIKE)
+    errors = paper.errors_by_centres(instrument)
+    papers, papers_filtered = PAPER_ALIGNMENT_PERCENT
+    assert 100 * errors.before == pytest.approx(papers, rel=0.1)
+    assert 100 * errors.filtered[CoreFilter.MEDIAN] > 4 * papers_filtered
 
 
 @pytest.fixture(scope="module")

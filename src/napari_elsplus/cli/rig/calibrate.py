@@ -47,8 +47,13 @@ def _step_options(command: Callable[..., None]) -> Callable[..., None]:
     type=FILE,
     help="CSV: header `volts`, a line per frame  [default: NAME_volts.csv beside the sweep]",
 )
-@click.option("--um-per-px", type=POSITIVE, help="Micrometres at the bundle for one camera pixel.")
-@click.option("--bundle-um", type=POSITIVE, help="The bundle image's diameter in micrometres, instead of --um-per-px.")
+@click.option("--um-per-px", type=POSITIVE, help="Micrometres at the specimen for one camera pixel.")
+@click.option(
+    "--bundle-um",
+    type=POSITIVE,
+    help="Diameter of the bundle at the specimen in micrometres, instead of --um-per-px; of a probe with a lens that "
+    "of its field of view.",
+)
 @click.option("--line-period-s", type=POSITIVE, help="Seconds from one row's readout to the next.")
 @click.option("--rows-per-frame", type=POSITIVE, help="Line periods from one frame to the next.")
 @click.option("--rig", help="Measure everything live on this rig instead; `simulated` runs unattended.")

@@ -87,7 +87,12 @@ class Form:
         self.voltages.setRange(20, 4000)
         self.voltages.setValue(SWEEP_VOLTAGES)
         self.voltages.setToolTip("Voltages of the sweep, 20 to 4000; the paper takes at least 400")
-        self.bundle_um = _number(1, 10_000, "Diameter of the imaged part of the bundle; it gives the micrometres")
+        self.bundle_um = _number(
+            1,
+            10_000,
+            "Diameter of the imaged part of the bundle at the specimen; it gives the micrometres. "
+            "Of a probe with a lens: that of the field of view",
+        )
         self.line_period_us = _number(4, 1000, "Time from the readout of one row to that of the next")
         self.periods_per_frame = _number(2, 100_000, "Line periods from one frame to the next, idle time included")
         self.measure, self.follow_button, self.from_file = QPushButton(), QPushButton(), QPushButton("From file...")
