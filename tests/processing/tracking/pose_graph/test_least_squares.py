@@ -44,6 +44,14 @@ def test_one_wrong_link_among_right_ones_moves_nothing() -> None:
     assert np.abs(misses).max() < 0.5
 
 
+def test_loops_of_deformed_tissue_stretch_the_track_and_do_not_tear_it() -> None:
+    """Twenty loops are longer than the track by 1 px: its least accurate edge moves by its part of the variance."""
+    edges = [Edge(k, k + 1, (10.0, 0.0), (0.1 if k == 9 else 0.05) ** 2 * np.eye(2)) for k in range(20)]
+    edges += [Edge(a, b, (10.0 * (b - a) + 1.0, 0.0), 4e-4 * np.eye(2)) for a in range(4) for b in range(16, 21)]
+    found = np.array(list(least_squares_positions(edges).values()))
+    assert np.abs(np.diff(found[:, 0]) - 10.0).max() < 0.3
+
+
 def test_frames_that_nothing_connects_are_left_out() -> None:
     _, edges = walk(3)
     found = least_squares_positions([edge for edge in edges if edge.earlier != 20])
