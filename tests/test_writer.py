@@ -73,7 +73,8 @@ def test_a_single_image_gets_a_pyramid(tmp_path):
         assert len(file.series[0].levels) == 2
         assert 'PhysicalSizeX="500.0"' in file.ome_metadata
     write_image(str(tmp_path / "m.zarr"), data, attributes)
-    np.testing.assert_array_equal(zarr.open(tmp_path / "m.zarr")["0"][0], image)
+    np.testing.assert_array_equal(zarr.open(tmp_path / "m.zarr")["0"], image)
+    assert zarr.open(tmp_path / "m.zarr")["1"].shape == (350, 300)
 
 
 def test_pixels_are_not_taken_for_micrometres(tmp_path):

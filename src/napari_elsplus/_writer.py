@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pint
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import beside, write_calibration, write_mosaic
-from napari_elsplus.io.formats.registry import format_to_write
-from napari_elsplus.io.formats.tiff import TIFF
+from napari_elsplus.io import beside, write_calibration, write_images, write_mosaic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
-    """Write an image layer by the suffix of its file: a stack plane by plane, a single image to TIFF with a pyramid.
+    """Write an image layer by the suffix of its file: a stack plane by plane, a single image with a pyramid.
 
     Parameters
     ----------
@@ -44,18 +41,16 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
         If the layer is in colour or has more dimensions, or no format writes the suffix.
     """
     image = _grey(data, attributes)
-    file_format = format_to_write(Path(path))
     provenance = _provenance_of(attributes)
     calibration: Calibration | None = provenance.get("calibration")
     notes = _notes(provenance, attributes)
     step_s, um_per_px = _steps(attributes, image.ndim)
-    if file_format is TIFF and image.ndim == 2:
+    if image.ndim == 2:
         write_mosaic(path, np.asarray(image), um_per_px, metadata=notes, calibration=calibration, force=True)
     else:
-        assert file_format.writer is not None
-        file_format.writer(
-            path, _Planes(image if image.ndim == 3 else image[None]), um_per_px=um_per_px, frame_period_s=step_s,
-            metadata=notes, calibration=calibration, force=True,
+        write_images(
+            path, _Planes(image), um_per_px=um_per_px, frame_period_s=step_s, metadata=notes, calibration=calibration,
+            force=True,
         )  # fmt: skip
     return [path, *_calibration_of_raw(path, provenance)]
 

@@ -8,6 +8,7 @@ import pytest
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing, replacing_all
+from napari_elsplus.io.atomic import remove_unfinished
 
 
 def names(folder):
@@ -44,6 +45,26 @@ def test_refusals_come_before_the_work(tmp_path):
     for target, force, said in (("a", False, "exists"), ("folder", True, "folder"), ("absent/a", False, "no folder")):
         with pytest.raises(InputError, match=said), replacing(tmp_path / target, force=force):
             raise AssertionError("work was done")
+
+
+def test_a_folder_is_flushed_to_the_disk_with_all_that_is_in_it(tmp_path, monkeypatch):
+    flushed = []
+    fsync = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda file: (flushed.append(os.fstat(file).st_ino), fsync(file)))
+    with replacing(tmp_path / "a.zarr") as beside:
+        (beside / "0").mkdir(parents=True)
+        (beside / "zarr.json").write_text("{}")
+        (beside / "0" / "c").write_text("chunk")
+    written = [tmp_path / "a.zarr" / "zarr.json", tmp_path / "a.zarr" / "0" / "c"]
+    assert {path.stat().st_ino for path in written} <= set(flushed)
+
+
+def test_what_a_killed_process_left_beside_a_target_is_removed(tmp_path):
+    (tmp_path / ".deadbeef.a.zarr" / "0").mkdir(parents=True)
+    for name in (".deadbeef.a.tif", ".deadbeef.b.tif", "a.tif"):
+        (tmp_path / name).write_text("")
+    remove_unfinished(tmp_path / "a.zarr", tmp_path / "a.tif", tmp_path / "absent" / "c.tif")
+    assert names(tmp_path) == [".deadbeef.b.tif", "a.tif"]
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")

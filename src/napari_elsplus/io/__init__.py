@@ -1,8 +1,9 @@
 """Files: recordings, calibrations, tracks and tables; every output is written beside its target, then renamed.
 
 :func:`open_recording` returns a :class:`Recording` of any registered format; :class:`RecordingWriter` writes one while
-the camera runs; :func:`write_stack` and :func:`write_mosaic` write finished images. Names are imported when they are
-first used, so that `io.settings` and `io.user_folders` load neither numpy nor a decoder.
+the camera runs; :func:`write_images` and :func:`write_mosaic` write finished images by their file's suffix,
+:func:`write_stack` an OME-TIFF. Names are imported when they are first used, so that `io.settings` and
+`io.user_folders` load neither numpy nor a decoder.
 """
 
 from importlib import import_module
@@ -13,7 +14,8 @@ if TYPE_CHECKING:
     from napari_elsplus.io.calibration_lookup import beside, calibration_beside, existing_beside
     from napari_elsplus.io.calibrations import read_calibration, write_calibration
     from napari_elsplus.io.columns import read_depths_um, read_volts, volts_beside, write_column, write_table
-    from napari_elsplus.io.formats.ome_tiff import write_mosaic, write_stack
+    from napari_elsplus.io.finished_images import write_images, write_mosaic
+    from napari_elsplus.io.formats.ome_tiff import write_stack
     from napari_elsplus.io.formats.registry import FileFormat, register_format
     from napari_elsplus.io.formats.source import FrameSource
     from napari_elsplus.io.recorder import RecordingWriter
@@ -26,7 +28,8 @@ _MODULES = {
     "calibration_lookup": ("beside", "calibration_beside", "existing_beside"),
     "calibrations": ("read_calibration", "write_calibration"),
     "columns": ("read_depths_um", "read_volts", "volts_beside", "write_column", "write_table"),
-    "formats.ome_tiff": ("write_mosaic", "write_stack"),
+    "finished_images": ("write_images", "write_mosaic"),
+    "formats.ome_tiff": ("write_stack",),
     "formats.registry": ("FileFormat", "register_format"),
     "formats.source": ("FrameSource",),
     "recorder": ("RecordingWriter",),
@@ -58,6 +61,7 @@ __all__ = [
     "volts_beside",
     "write_calibration",
     "write_column",
+    "write_images",
     "write_mosaic",
     "write_stack",
     "write_table",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from contextlib import ExitStack, contextmanager, suppress
+from glob import escape
 from pathlib import Path
 from secrets import token_hex
 from typing import TYPE_CHECKING
@@ -87,6 +88,13 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         _remove(beside)
 
 
+def remove_unfinished(*targets: Path) -> None:
+    """Remove what processes that were killed have left beside the targets; files of other targets stay."""
+    for target in targets:
+        for unfinished in target.parent.glob(f".????????.{escape(target.name)}"):
+            _remove(unfinished)
+
+
 @contextmanager
 def replacing_all(*paths: str | os.PathLike[str], force: bool = False) -> Iterator[list[Path]]:
     """Write the several files of one result: all targets are checked first, and renamed last to first at the end.
@@ -115,9 +123,14 @@ def replacing_all(*paths: str | os.PathLike[str], force: bool = False) -> Iterat
 
 
 def _flush(path: Path) -> None:
+    """Write a file, or a folder and everything in it, to the disk."""
     if path.is_file():
         with path.open("rb+") as file:
             os.fsync(file.fileno())
+    elif path.is_dir():
+        for inside in path.iterdir():
+            _flush(inside)
+        _flush_folder(path)
 
 
 def _flush_folder(folder: Path) -> None:

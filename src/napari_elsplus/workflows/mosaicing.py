@@ -73,12 +73,12 @@ class MosaicResult:
     def save(
         self, path: str | os.PathLike[str], track: str | os.PathLike[str] | None = None, *, force: bool = False
     ) -> None:
-        """Write the mosaic to an OME-TIFF with its pyramid, and the track to a CSV file.
+        """Write the mosaic with its pyramid in the suffix's format, and the track to a CSV file.
 
         Parameters
         ----------
         path : path-like
-            File of the mosaic.
+            File of the mosaic: ``NAME.ome.tif`` for OME-TIFF, ``NAME.ome.zarr`` for OME-Zarr.
         track : path-like, optional
             File of the track; not written by default.
         force : bool
@@ -87,7 +87,7 @@ class MosaicResult:
         Raises
         ------
         InputError
-            If a file exists and `force` is not given; then neither is written.
+            If no format writes the suffix, or a file exists and `force` is not given; then neither is written.
         """
         for target in (path, track):
             if target is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.io import write_stack
+from napari_elsplus.io import write_images
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.row_power import RowPower
@@ -166,12 +166,12 @@ class SectionedImages:
         return np.array(self[:], dtype=dtype, copy=copy)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False, progress: Progress = without_display) -> None:
-        """Write the images to an OME-TIFF (T, n, n), one at a time, with the calibration and the timing in it.
+        """Write the images (T, n, n), one at a time, with the calibration and the timing, in the suffix's format.
 
         Parameters
         ----------
         path : path-like
-            The file.
+            ``NAME.ome.tif`` for OME-TIFF, ``NAME.ome.zarr`` for OME-Zarr.
         force : bool
             Overwrite an existing file.
         progress : Progress
@@ -180,9 +180,9 @@ class SectionedImages:
         Raises
         ------
         InputError
-            If the file exists and `force` is not given.
+            If no format writes the suffix, or the file exists and `force` is not given.
         """
-        write_stack(
+        write_images(
             path,
             (self[index] for index in progress(range(self._count), self.mode.value)),
             frame_period_s=self.frame_period_s,

@@ -9,7 +9,7 @@ import pytest
 import tifffile
 
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.io import write_calibration
+from napari_elsplus.io import open_recording, write_calibration
 
 SHAPE = (60, 130)
 Cli = Callable[..., Any]
@@ -93,6 +93,21 @@ def test_an_existing_file_is_kept_unless_forced(elsplus: Cli, files: tuple[Path,
     assert out.read_text() == "precious"
     assert elsplus("process", raw, "-c", calibration, "-o", out, "--force").code == 0
     assert tifffile.imread(out).shape == (5, 52, 52)
+
+
+@pytest.mark.parametrize("command", ["process", "mosaic"])
+def test_the_suffix_names_the_format(elsplus: Cli, files: tuple[Path, Path], tmp_path: Path, command: str) -> None:
+    raw, calibration = files
+    for name in ("out.ome.tif", "out.ome.zarr"):
+        assert elsplus(command, raw, "-c", calibration, "-o", tmp_path / name).code == 0
+    one, other = (open_recording(tmp_path / name) for name in ("out.ome.tif", "out.ome.zarr"))
+    np.testing.assert_array_equal(one[:], other[:])
+    assert other.metadata["um_per_px"] == pytest.approx(one.metadata["um_per_px"])
+    for key in ("mode", "method"):
+        assert other.metadata["settings"].get(key) == one.metadata["settings"].get(key)
+    run = elsplus(command, raw, "-c", calibration, "-o", tmp_path / "out.png")
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert "out.png has a suffix that cannot be written" in run.err
 
 
 @pytest.mark.parametrize("command", ["process", "compare", "mosaic", "axial"])

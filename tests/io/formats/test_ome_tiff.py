@@ -97,5 +97,7 @@ def test_a_mosaic_has_a_pyramid_and_its_scale(tmp_path):
         corner = levels[1].asarray()[0, 0]
         assert corner == pytest.approx(mosaic[:2, :2].mean())
         assert 'PhysicalSizeX="0.96"' in file.ome_metadata
+    with pytest.raises(InputError, match="suffix that cannot be written"):
+        write_mosaic(tmp_path / "m.png", mosaic)
     with pytest.raises(InputError, match="mosaic has shape"):
         write_mosaic(tmp_path / "n.ome.tif", mosaic[None])

@@ -10,7 +10,7 @@ import numpy as np
 from napari_elsplus.cli.options import FILE, force_option, output_option, progress, refuse_outputs
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.io.formats.registry import supported_recordings
+from napari_elsplus.io.formats.registry import format_to_write, supported_recordings
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.registry import Method, tracking_methods
@@ -71,6 +71,7 @@ def command(
         raise InputError("raw frames need a calibration", "give -c CAL, or --finished for finished images")
     files = () if calibration is None else (calibration, calibration.with_suffix(".npz"))
     refuse_outputs(output, track, force=force, inputs=(raw, flat, *files))
+    format_to_write(output)
     record = None if calibration is None else read_calibration(calibration)
     even = None if flat is None else _mean_frame(flat)
     with open_recording(raw) as recording:

@@ -19,7 +19,7 @@ from napari_elsplus.cli.options import (
     refuse_outputs,
 )
 from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.io.formats.registry import supported_recordings
+from napari_elsplus.io.formats.registry import format_to_write, supported_recordings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -81,10 +81,11 @@ def command(
     output: Path,
     force: bool,
 ) -> None:
-    """Section the raw frames of RAW: float32 grey levels, signed, written as OME-TIFF (T, n, n)."""
+    """Section the raw frames of RAW: float32 grey levels, signed, written as OME-TIFF or OME-Zarr (T, n, n)."""
     from napari_elsplus.workflows.sectioning import section
 
     refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
+    format_to_write(output)
     record = read_calibration(calibration)
     with open_recording(raw) as recording:
         images = section(

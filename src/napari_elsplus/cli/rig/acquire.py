@@ -23,6 +23,7 @@ from napari_elsplus.hardware.priority import keep_pace, settle_memory
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.io import beside, read_calibration, replacing, write_mosaic, write_track
+from napari_elsplus.io.formats.registry import format_to_write
 from napari_elsplus.processing.mosaicing.montage import montage
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ ALL_OF_IT_S = 3600.0
 @click.option("--rate-hz", type=POSITIVE, help="Frames per second; the preset's by default.")
 @click.option("--seconds", type=POSITIVE, required=True, help="How long.")
 @click.option("--record", type=FILE, help="Record the raw frames to this OME-TIFF.")
-@click.option("--mosaic", type=FILE, help="Write the mosaic to this OME-TIFF.")
+@click.option("--mosaic", type=FILE, help="Write the mosaic to this OME-TIFF or OME-Zarr.")
 @click.option("--track", type=FILE, help="Write the probe's track to this CSV file.")
 @click.option("--report", type=FILE, required=True, help="Write what happened to this JSON file.")
 @force_option
@@ -64,6 +65,8 @@ def command(
     """Run the live engine for some seconds: section every frame, record, track, insert into the mosaic, report."""
     beside_record = () if record is None else [beside(record, f".calibration{ending}") for ending in (".json", ".npz")]
     refuse_outputs(record, *beside_record, mosaic, track, report, force=force)
+    if mosaic is not None:
+        format_to_write(mosaic)
     keep_pace()
     given = None if calibration is None else read_calibration(calibration)
     with ExitStack() as held:

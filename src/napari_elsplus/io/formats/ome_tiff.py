@@ -126,7 +126,7 @@ def contiguous_images(images: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
         raise InputError("there is no image to write", "is the recording, the layer, or the range of frames empty?")
 
 
-def write_mosaic(
+def write_ome_tiff_pyramid(
     path: str | os.PathLike[str],
     image: NDArray[Any],
     um_per_px: float | None = None,

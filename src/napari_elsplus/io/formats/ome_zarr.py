@@ -1,8 +1,9 @@
-"""OME-Zarr folders: recordings of any version and zarr format are read; version 0.5 is written, a plane per chunk."""
+"""OME-Zarr folders: any version and zarr format are read; stacks and mosaics are written in version 0.5."""
 
 from __future__ import annotations
 
 import json
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -12,14 +13,14 @@ import numpy as np
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
 from napari_elsplus.io.formats.extras import extra_needed
-from napari_elsplus.io.formats.ome_tiff import contiguous_images
+from napari_elsplus.io.formats.ome_tiff import TILE_PX, contiguous_images, pyramid
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource, positive
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -105,7 +106,7 @@ def write_ome_zarr(
     calibration: Calibration | None = None,
     force: bool = False,
 ) -> int:
-    """Write images of one shape and type to an OME-Zarr folder, one at a time in memory.
+    """Write images of one shape and type to an OME-Zarr folder, one at a time in memory, a plane per chunk.
 
     Parameters
     ----------
@@ -138,47 +139,113 @@ def write_ome_zarr(
     ----------
     https://ngff.openmicroscopy.org/0.5/
     """
-    with extra_needed("zarr", "OME-Zarr images"):
-        import zarr
-
-    target = Path(path)
-    if target.suffix != ".zarr":
-        raise InputError(f"{target.name} is no name for an OME-Zarr folder", "let it end in .zarr")
     if calibration is not None:
         um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
         frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
-    with replacing(target, force=force) as beside:
+    with _new_group(path, metadata, calibration, force=force) as group:
         planes = contiguous_images(images)
         first = next(planes)
-        group = zarr.open_group(beside, mode="w", zarr_format=3)
         array = group.create_array("0", shape=(0, *first.shape), chunks=(1, *first.shape), dtype=first.dtype)
         count = 0
         for image in chain([first], planes):
             array.resize((count + 1, *first.shape))
             array[count] = image
             count += 1
-        group.attrs["ome"] = {
-            "version": "0.5",
-            "multiscales": [_multiscale(target.name.split(".")[0], um_per_px, frame_period_s)],
-        }
-        kept = {} if calibration is None else {"calibration": calibration.content()}
-        group.attrs[NOTES] = {"software": SOFTWARE, **(metadata or {}), **kept}
+        size = um_per_px or 1.0
+        time = _axis("t", "time", "second" if frame_period_s else None)
+        scaled = {"type": "scale", "scale": [frame_period_s or 1.0, size, size]}
+        datasets = [{"path": "0", "coordinateTransformations": [scaled]}]
+        _describe(group, path, [time, *_space(um_per_px)], datasets)
     return count
 
 
-def _multiscale(name: str, um_per_px: float | None, frame_period_s: float | None) -> dict[str, Any]:
-    def axis(name: str, kind: str, unit: str | None) -> dict[str, str]:
-        return {"name": name, "type": kind} | ({"unit": unit} if unit else {})
+def write_ome_zarr_pyramid(
+    path: str | os.PathLike[str],
+    image: NDArray[Any],
+    um_per_px: float | None = None,
+    *,
+    metadata: Mapping[str, Any] | None = None,
+    calibration: Calibration | None = None,
+    force: bool = False,
+) -> Path:
+    """Write a mosaic to an OME-Zarr folder with a pyramid of halved levels, in square chunks.
 
-    space_unit = "micrometer" if um_per_px else None
-    axes = [
-        axis("t", "time", "second" if frame_period_s else None),
-        axis("y", "space", space_unit),
-        axis("x", "space", space_unit),
-    ]
-    scale = [frame_period_s or 1.0, um_per_px or 1.0, um_per_px or 1.0]
-    datasets = [{"path": "0", "coordinateTransformations": [{"type": "scale", "scale": scale}]}]
-    return {"name": name, "axes": axes, "datasets": datasets}
+    Parameters
+    ----------
+    path : path-like
+        The folder, NAME.zarr.
+    image : numpy.ndarray, (rows, cols)
+        The mosaic at full resolution; pixels that were never covered are 0.
+    um_per_px : float, optional
+        Pixel size; the calibration's by default.
+    metadata : mapping, optional
+        Anything else to keep; must be fit for JSON.
+    calibration : Calibration, optional
+        Kept in the attributes, without its arrays.
+    force : bool
+        Replace an existing folder instead of refusing it.
+
+    Returns
+    -------
+    pathlib.Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        If the image is no mosaic, or the folder exists and `force` is not given.
+
+    References
+    ----------
+    https://ngff.openmicroscopy.org/0.5/
+    """
+    if um_per_px is None and calibration is not None:
+        um_per_px = calibration.um_per_px
+    with _new_group(path, metadata, calibration, force=force) as group:
+        (whole,) = contiguous_images([image])
+        datasets = []
+        for index, level in enumerate(pyramid(whole)):
+            chunks = tuple(min(side, tile) for side, tile in zip(level.shape, TILE_PX, strict=True))
+            group.create_array(str(index), shape=level.shape, chunks=chunks, dtype=level.dtype)[:] = level
+            size, shift_px = (um_per_px or 1.0) * 2**index, (2**index - 1) / 2  # of the first pixel's centre
+            scaled = {"type": "scale", "scale": [size] * 2}
+            shifted = {"type": "translation", "translation": [shift_px * (um_per_px or 1.0)] * 2}
+            datasets.append({"path": str(index), "coordinateTransformations": [scaled, shifted][: 1 + bool(index)]})
+        _describe(group, path, _space(um_per_px), datasets)
+    return Path(path)
+
+
+@contextmanager
+def _new_group(
+    path: str | os.PathLike[str], metadata: Mapping[str, Any] | None, calibration: Calibration | None, *, force: bool
+) -> Iterator[Any]:
+    """Yield a group, renamed to its path at the end, with its settings, software and calibration."""
+    with extra_needed("zarr", "OME-Zarr images"):
+        import zarr
+
+    target = Path(path)
+    if target.suffix != ".zarr":
+        raise InputError(f"{target.name} is no name for an OME-Zarr folder", "let it end in .zarr")
+    with replacing(target, force=force) as beside:
+        group = zarr.open_group(beside, mode="w", zarr_format=3)
+        yield group
+        kept = {} if calibration is None else {"calibration": calibration.content()}
+        group.attrs[NOTES] = {"software": SOFTWARE, **(metadata or {}), **kept}
+
+
+def _describe(
+    group: Any, path: str | os.PathLike[str], axes: list[dict[str, str]], datasets: list[dict[str, Any]]
+) -> None:
+    multiscale = {"name": Path(path).name.split(".")[0], "axes": axes, "datasets": datasets}
+    group.attrs["ome"] = {"version": "0.5", "multiscales": [multiscale]}
+
+
+def _space(um_per_px: float | None) -> list[dict[str, str]]:
+    return [_axis(name, "space", "micrometer" if um_per_px else None) for name in "yx"]
+
+
+def _axis(name: str, kind: str, unit: str | None) -> dict[str, str]:
+    return {"name": name, "type": kind} | ({"unit": unit} if unit else {})
 
 
 OME_ZARR: Final = FileFormat(
@@ -186,6 +253,7 @@ OME_ZARR: Final = FileFormat(
     (".zarr",),
     OmeZarr,
     write_ome_zarr,
+    write_ome_zarr_pyramid,
     written_suffixes=(".ome.zarr", ".zarr"),
     folder_markers=("zarr.json", ".zgroup", ".zarray", ".zattrs"),
 )

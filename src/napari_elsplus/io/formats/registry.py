@@ -46,6 +46,22 @@ class ImageWriter(Protocol):
         """Write equal images, (rows, cols) each, and return their number."""
 
 
+class PyramidWriter(Protocol):
+    """Writes a single image with its halved levels; :func:`napari_elsplus.io.write_mosaic` is one."""
+
+    def __call__(
+        self,
+        path: str | os.PathLike[str],
+        image: NDArray[Any],
+        um_per_px: float | None = None,
+        *,
+        metadata: Mapping[str, Any] | None = None,
+        calibration: Calibration | None = None,
+        force: bool = False,
+    ) -> Path:
+        """Write an image (rows, cols) and return its path."""
+
+
 @dataclass(frozen=True)
 class FileFormat:
     """One format of files.
@@ -61,8 +77,10 @@ class FileFormat:
         decoders are imported in it, so that the registry stays cheap to import.
     writer : ImageWriter, optional
         None where images cannot be written.
+    pyramid_writer : PyramidWriter, optional
+        None where mosaics cannot be written.
     written_suffixes : tuple of str
-        Suffixes that `writer` writes, the usual one first.
+        Suffixes that the writers write, the usual one first.
     folder_markers : tuple of str, optional
         The format is a folder that contains one of these files, or any folder if empty; None for a single file.
     signatures : tuple of bytes
@@ -73,6 +91,7 @@ class FileFormat:
     suffixes: tuple[str, ...]
     opener: Callable[[Path], FrameSource] | None = None
     writer: ImageWriter | None = None
+    pyramid_writer: PyramidWriter | None = None
     written_suffixes: tuple[str, ...] = ()
     folder_markers: tuple[str, ...] | None = None
     signatures: tuple[bytes, ...] = ()

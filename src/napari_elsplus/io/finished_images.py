@@ -1,0 +1,110 @@
+"""Finished images to a file of any registered format, by the suffix of its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from napari_elsplus.io.formats.registry import format_to_write
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+
+
+def write_images(
+    path: str | os.PathLike[str],
+    images: Iterable[NDArray[Any]],
+    *,
+    um_per_px: float | None = None,
+    frame_period_s: float | None = None,
+    metadata: Mapping[str, Any] | None = None,
+    calibration: Calibration | None = None,
+    force: bool = False,
+) -> int:
+    """Write images of one shape and type, one at a time in memory, in the format that the suffix names.
+
+    Parameters
+    ----------
+    path : path-like
+        ``NAME.ome.tif`` for OME-TIFF, ``NAME.ome.zarr`` for OME-Zarr, or a suffix of another registered format.
+    images : iterable of numpy.ndarray, (rows, cols)
+        Equal in shape and type.
+    um_per_px : float, optional
+        Pixel size; the calibration's by default.
+    frame_period_s : float, optional
+        Time from one image to the next; the calibration's by default.
+    metadata : mapping, optional
+        Anything else to keep; must be fit for JSON.
+    calibration : Calibration, optional
+        Kept in the file, without its arrays.
+    force : bool
+        Replace an existing file instead of refusing it.
+
+    Returns
+    -------
+    int
+        Number of images written.
+
+    Raises
+    ------
+    InputError
+        If no format writes the suffix, there is no image, the images differ, or the file exists and `force` is not
+        given.
+    """
+    writer = format_to_write(Path(path)).writer
+    assert writer is not None
+    return writer(
+        path, images, um_per_px=um_per_px, frame_period_s=frame_period_s, metadata=metadata, calibration=calibration,
+        force=force,
+    )  # fmt: skip
+
+
+def write_mosaic(
+    path: str | os.PathLike[str],
+    image: NDArray[Any],
+    um_per_px: float | None = None,
+    *,
+    metadata: Mapping[str, Any] | None = None,
+    calibration: Calibration | None = None,
+    force: bool = False,
+) -> Path:
+    """Write a mosaic in the format that the suffix names, with a pyramid of halved levels where the format has one.
+
+    Parameters
+    ----------
+    path : path-like
+        ``NAME.ome.tif`` for OME-TIFF, ``NAME.ome.zarr`` for OME-Zarr, or a suffix of another registered format.
+    image : numpy.ndarray, (rows, cols)
+        The mosaic at full resolution; pixels that were never covered are 0.
+    um_per_px : float, optional
+        Pixel size; the calibration's by default.
+    metadata : mapping, optional
+        Anything else to keep; must be fit for JSON.
+    calibration : Calibration, optional
+        Kept in the file, without its arrays.
+    force : bool
+        Replace an existing file instead of refusing it.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If no format writes the suffix, the image is no mosaic, or the file exists and `force` is not given.
+    """
+    chosen = format_to_write(Path(path))
+    if chosen.pyramid_writer is not None:
+        return chosen.pyramid_writer(
+            path, image, um_per_px, metadata=metadata, calibration=calibration, force=force
+        )  # fmt: skip
+    assert chosen.writer is not None
+    chosen.writer(path, [image], um_per_px=um_per_px, metadata=metadata, calibration=calibration, force=force)
+    return Path(path)
