@@ -63,14 +63,14 @@ def test_nothing_is_left_to_compile_when_frames_come() -> None:
 from napari_elsplus.acquisition.mosaic.tracking import warm_up
 from benchmarks.rigs.simulated import simulated_rig
 from napari_elsplus.processing.tracking.registration import (
-    model_selection, motion_models, odds, pyramid_descent,
+    model_selection, motion_models, odds, pyramid, pyramid_descent,
 )
 from napari_elsplus.workflows.tracking import Pipeline
 
 rig = simulated_rig()
 warm_up(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)
 called = (
-    pyramid_descent.descend, pyramid_descent.fill_coarser, odds.weakest_direction, odds.log_odds, odds.log_likelihood,
+    pyramid_descent.descend, pyramid.fill_levels, odds.weakest_direction, odds.log_odds, odds.log_likelihood,
     motion_models.unexplained, model_selection.score_statistics,
 )
 print([kernel.__name__ for kernel in called if not kernel.signatures])

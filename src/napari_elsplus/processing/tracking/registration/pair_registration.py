@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 from math import exp, hypot, inf, log
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import cv2
 import numpy as np
 
-from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, lit_pixels, overlap_of_discs
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
 from napari_elsplus.processing.tracking.registration.candidates import log_likelihoods
@@ -24,7 +23,8 @@ from napari_elsplus.processing.tracking.registration.odds import (
     log_odds,
     weakest_direction,
 )
-from napari_elsplus.processing.tracking.registration.pyramid_descent import LEVELS, descend, fill_coarser
+from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Pyramid, fill_levels, high_pass
+from napari_elsplus.processing.tracking.registration.pyramid_descent import descend
 from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP, CoarseImage, ShiftSearch, prior
 
 if TYPE_CHECKING:
@@ -36,10 +36,6 @@ if TYPE_CHECKING:
 MIN_ODDS_NATS: Final = 8.0
 """Log posterior odds from which a registration is accepted; chosen for about one wrong one in 1,000 in sparse scenes by
 ``benchmarks.studies.acceptance``, on 6 recordings a row (seeds 100 to 105) that are not those reported."""
-HIGH_PASS_PX: Final = 8.0
-"""Standard deviation of the Gaussian whose result is subtracted from images, pixels of full resolution."""
-_KERNEL: Final = (11, 11)
-"""Its size, pixels of quarter resolution: two and a half standard deviations on either side."""
 COMPETING_PX: Final = 4.0
 """Distance from which two peaks of the search are different shifts, pixels."""
 _AT_REST: Final = Velocity(0.0, 0.0)
@@ -157,15 +153,13 @@ class Registrar:
         self.work = Workspace.of(grid.side)
         self._sums = blocks(grid.side)
         self._everywhere = ShiftSearch(*self._spans[-1], 2.0 ** (LEVELS - 1))
-        self._inside = [lit_pixels(*grid.spans(lit, level)).astype(np.float32) for level in range(LEVELS)]
-        self._weight = np.maximum(_blurred(self._inside[-1]), 1e-3)
-        self._smooth = tuple(np.zeros_like(inside) for inside in self._inside)
+        self._pyramid = Pyramid.of(grid, lit)
 
     def view(self) -> PreparedFrame:
         """Return an empty view, to be filled again and again."""
         side = self.grid.side
         levels = tuple(np.zeros((side >> level, side >> level), np.float32) for level in range(LEVELS))
-        return PreparedFrame(levels, np.zeros_like(levels[0]), np.zeros_like(levels[-1]))
+        return PreparedFrame(levels, np.zeros_like(levels[0]), np.zeros_like(levels[1]))
 
     def prepare(self, view: PreparedFrame) -> PreparedFrame:
         """Fill the high-passed coarser levels from the image.
@@ -176,27 +170,13 @@ class Registrar:
             Of which the image was filled.
         """
         view.coarse, view.is_high_passed = None, False
-        fill_coarser(view.levels, 1)
-        fill_coarser(view.levels, 2)
-        self._high_pass(view, 1, view.levels[1])
-        fill_coarser(view.levels, 2)
+        fill_levels(view.levels, view.smooth, self._pyramid)
         return view
-
-    def _high_pass(self, view: PreparedFrame, level: int, out: NDArray[np.float32]) -> None:
-        """Write a level without what is smooth in it."""
-        if level:
-            np.multiply(view.levels[-1], self._inside[-1], out=view.smooth)
-            cv2.GaussianBlur(view.smooth, _KERNEL, HIGH_PASS_PX / 2 ** (LEVELS - 1), dst=view.smooth)
-            np.divide(view.smooth, self._weight, out=view.smooth)
-        inside, smooth = self._inside[level], self._smooth[level]
-        cv2.resize(view.smooth, inside.shape[::-1], dst=smooth, interpolation=cv2.INTER_LINEAR)
-        np.subtract(view.levels[level], smooth, out=out)
-        np.multiply(out, inside, out=out)
 
     def _fine(self, view: PreparedFrame) -> tuple[NDArray[np.float32], ...]:
         """Return the levels high-passed at full resolution, too; made when they are needed."""
         if not view.is_high_passed:
-            self._high_pass(view, 0, view.high_passed)
+            high_pass(view.image, view.smooth, self._pyramid, view.high_passed)
             view.is_high_passed = True
         return view.high_passed, *view.levels[1:]
 
@@ -390,8 +370,3 @@ class Registrar:
         if view.coarse is None:
             view.coarse = self._everywhere.prepare(view.levels[-1])
         return view.coarse
-
-
-def _blurred(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    smooth: NDArray[np.float32] = cv2.GaussianBlur(image, _KERNEL, HIGH_PASS_PX / 2 ** (LEVELS - 1))
-    return smooth

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.registration.lucas_kanade import align
 from napari_elsplus.processing.tracking.registration.odds import (
@@ -15,15 +13,16 @@ from napari_elsplus.processing.tracking.registration.odds import (
     weakest_direction,
     write_prior,
 )
+from napari_elsplus.processing.tracking.registration.pyramid import LEVELS
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
 
     Levels = tuple[NDArray[np.float32], ...]
 
-LEVELS: Final = 3
 SHARP_PX: Final = 0.04
 """Uncertainty of a shift at half resolution, pixels, below which structure constrains it in every direction; noise
 alone makes 0.06."""
@@ -111,14 +110,3 @@ def descend(
         count *= row_step * 4.0**level
         in_pixels_of(1 / px, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
     return correlation, count, sharp
-
-
-@lean_kernel
-def fill_coarser(levels: Levels, level: int) -> None:
-    """Fill a level with the means of two by two pixels of the finer one."""
-    quarter = np.float32(0.25)
-    fine, coarse = levels[level - 1], levels[level]
-    for row in range(coarse.shape[0]):
-        upper, lower, into = fine[2 * row], fine[2 * row + 1], coarse[row]
-        for col in range(coarse.shape[1]):
-            into[col] = quarter * (upper[2 * col] + upper[2 * col + 1] + lower[2 * col] + lower[2 * col + 1])
