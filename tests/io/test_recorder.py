@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import subprocess
 import sys
 import time
@@ -236,3 +237,15 @@ def test_a_disk_that_fails_while_it_is_flushed_is_said_at_the_next_frame(tmp_pat
     assert writer.closed
     with open_recording(tmp_path / "r.ome.tif") as recording:
         np.testing.assert_array_equal(recording[:], [frame(0)])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="there is no such call")
+def test_what_is_flushed_leaves_the_systems_memory(tmp_path, monkeypatch):
+    """A file of gigabytes would fill it, and every new page costs time; the newest page still has to be linked."""
+    released = []
+    monkeypatch.setattr("os.posix_fadvise", lambda _, *what: released.append(what))
+    with RecordingWriter(tmp_path / "r.ome.tif", (30, 47), np.uint8) as writer:
+        for k in range(4):
+            writer.append(frame(k), k / 240, k)
+        writer._flush()
+        assert released == [(0, PageLayout((30, 47), np.dtype(np.uint8)).start(3), os.POSIX_FADV_DONTNEED)]

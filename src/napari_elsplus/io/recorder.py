@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from pathlib import Path
 from threading import Event, Thread
@@ -34,7 +35,8 @@ class RecordingWriter:
 
     Each frame becomes one uncompressed page of a BigTIFF, all of the same length, with its time and number in a
     private tag. The file is flushed to the disk each second. After a kill all whole pages open; after a power cut,
-    those of the last flush. OME-XML is put into the first page when the recording is closed.
+    those of the last flush. OME-XML is put into the first page when the recording is closed. What is flushed leaves the
+    system's memory, which would otherwise fill up with a file that nobody reads yet.
 
     Parameters
     ----------
@@ -208,9 +210,12 @@ class RecordingWriter:
             due = time.monotonic() + FLUSH_PERIOD_S
 
     def _flush(self) -> None:
+        linked = self._layout.start(max(0, len(self) - 1))  # the newest page is changed once more, by its link
         descriptor = os.open(self.path, os.O_RDWR)
         try:
             os.fsync(descriptor)
+            if sys.platform == "linux":
+                os.posix_fadvise(descriptor, 0, linked, os.POSIX_FADV_DONTNEED)
         finally:
             os.close(descriptor)
 
