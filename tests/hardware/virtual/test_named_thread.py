@@ -17,6 +17,7 @@ def test_calls_run_in_the_thread_in_turn_and_their_errors_are_raised() -> None:
     for _ in range(3):
         worker.run(lambda: names.append(threading.current_thread().name))
     assert names == ["simulated test"] * 3
+    assert worker.run(lambda: 7) == 7
     with pytest.raises(ZeroDivisionError):
         worker.run(lambda: 1 // 0)
     worker.run(lambda: names.append("after"))

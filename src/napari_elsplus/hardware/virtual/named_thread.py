@@ -5,10 +5,12 @@ from __future__ import annotations
 import queue
 import threading
 import weakref
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+Result = TypeVar("Result")
 
 
 class NamedThread:
@@ -22,33 +24,35 @@ class NamedThread:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._calls: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._results: queue.SimpleQueue[Exception | None] = queue.SimpleQueue()
+        self._calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[tuple[Any, Exception | None]] = queue.SimpleQueue()
         self._started = False
 
-    def run(self, call: Callable[[], None]) -> None:
-        """Run a `call` in the thread, and raise what it raised."""
+    def run(self, call: Callable[[], Result]) -> Result:
+        """Run a `call` in the thread; return what it returned, or raise what it raised."""
         if not self._started:
             self._started = True
             weakref.finalize(self, self._calls.put, None)
             threading.Thread(target=_serve, args=(self._calls, self._results), name=self._name, daemon=True).start()
         self._calls.put(call)
-        error = self._results.get()
+        result, error = self._results.get()
         try:
             if error is not None:
                 raise error
+            return cast("Result", result)
         finally:
             del error  # its traceback holds this frame, and so the owner
 
 
-def _serve(calls: queue.SimpleQueue[Callable[[], None] | None], results: queue.SimpleQueue[Exception | None]) -> None:
+def _serve(
+    calls: queue.SimpleQueue[Callable[[], Any] | None], results: queue.SimpleQueue[tuple[Any, Exception | None]]
+) -> None:
     while (call := calls.get()) is not None:
+        result: tuple[Any, Exception | None]
         try:
-            call()
+            result = call(), None
         except Exception as error:  # noqa: BLE001 - raised for the caller
-            result: Exception | None = error
-        else:
-            result = None
+            result = None, error
         del call  # it may hold the owner
         results.put(result)
         del result

@@ -172,7 +172,7 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
         del intf
         self._reach(dev_handle)
         if ep == STREAM_IN:
-            count = dev_handle.camera.stream_endpoint.read(buff, timeout / 1000)
+            count = dev_handle.camera.read_stream(buff, timeout / 1000)
             self._reach(dev_handle)
         elif ep == CONTROL_IN:
             answer = dev_handle.camera.control_endpoint.read(timeout / 1000)

@@ -24,6 +24,7 @@ from napari_elsplus.hardware.virtual.named_thread import NamedThread
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain
 
 if TYPE_CHECKING:
+    from array import array
     from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
@@ -204,6 +205,10 @@ class VirtualCamera:
 
     # Stream.
 
+    def read_stream(self, buffer: array[int], timeout_s: float) -> int:
+        """Fill a buffer with the next packets, in the simulator's own thread: :meth:`StreamEndpoint.read`."""
+        return self._simulation.run(lambda: self.stream_endpoint.read(buffer, timeout_s))
+
     def _payload_bytes(self) -> int:
         settings = self.sensor.settings
         lines = settings.rows * (settings.cols + self.faults.padding_x)
@@ -251,7 +256,7 @@ class VirtualCamera:
         if len(self._pixels) != rows * cols:
             self._pixels = np.zeros(rows * cols, np.uint8)
         pixels = self._pixels.reshape(rows, cols)
-        self._simulation.run(lambda: self.bench.expose(shot, pixels))
+        self.bench.expose(shot, pixels)
         if settings.gamma:
             pixels = np.asarray(255 * (pixels / 255) ** GAMMA, np.uint8)
         if settings.frame_info:
