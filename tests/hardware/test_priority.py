@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+import gc
 import os
 import sys
 
 import pytest
 
-from napari_elsplus.hardware.priority import keep_pace, ordinary_priority
+from napari_elsplus.hardware.priority import full_collections_deferred, keep_pace, ordinary_priority
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="policies of scheduling are those of Linux")
@@ -21,3 +22,25 @@ def test_priority_is_ordinary_within_the_context_and_as_before_after_it() -> Non
     finally:
         os.sched_setscheduler(0, policy, parameters)
         sys.setswitchinterval(interval_s)
+
+
+def test_only_young_garbage_is_collected_while_frames_stream() -> None:
+    """A full collection stops every thread, the longer the more objects there are."""
+    collected: list[int] = []
+
+    def note(phase: str, info: dict[str, int]) -> None:
+        if phase == "start":
+            collected.append(info["generation"])
+
+    before = gc.get_threshold()
+    gc.callbacks.append(note)
+    try:
+        gc.set_threshold(10, 2, 2)
+        with full_collections_deferred():
+            kept = [[k] for k in range(5000)]
+        assert set(collected) == {0, 1}
+        assert gc.get_threshold() == (10, 2, 2)
+    finally:
+        gc.callbacks.remove(note)
+        gc.set_threshold(*before)
+    assert len(kept) == 5000

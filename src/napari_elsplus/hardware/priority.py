@@ -16,6 +16,9 @@ _SWITCH_INTERVAL_S: Final = 5e-5
 """Interval after which a Python thread releases the interpreter's lock; chosen: a hundredth of the default, because
 the tracking thread acquires the lock after each of its ten or so kernels per frame of 4 ms."""
 
+_NEVER: Final = 1 << 30
+"""Collections of young objects before a full one; chosen: more than a stream of a year makes."""
+
 
 def settle_memory() -> None:
     """Exclude all objects that exist now from garbage collection, which stops every thread for tenths of a second.
@@ -25,6 +28,17 @@ def settle_memory() -> None:
     gc.unfreeze()  # what an earlier call excluded may be garbage now, such as the engine of a rig that was closed
     gc.collect()
     gc.freeze()
+
+
+@contextmanager
+def full_collections_deferred() -> Iterator[None]:
+    """Collect only young garbage within the context: a full collection stops every thread for 40 to 100 ms."""
+    before = gc.get_threshold()
+    gc.set_threshold(*before[:2], _NEVER)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 def keep_pace() -> bool:

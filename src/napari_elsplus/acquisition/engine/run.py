@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,6 +15,7 @@ from napari_elsplus.acquisition.streaming.stream import FrameStream
 from napari_elsplus.acquisition.streaming.tally import Tally
 from napari_elsplus.acquisition.streaming.usage import process_age_s, thread_times_s
 from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.priority import full_collections_deferred
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -66,6 +68,7 @@ class Run:
         self._camera_worker = CameraWorker(camera, self._stream, self.tally, faults, setup.settling)
         self.processing = ProcessingWorker(self._stream, sink, self.tally, faults, tracker)
         self._recorder: Recorder | None = None
+        self._held = ExitStack()
         self._age_s = process_age_s() - time.perf_counter()
         self._times_s: dict[str, float] = {}
         self._cpu_us_per_frame: dict[str, float] = {}
@@ -79,6 +82,7 @@ class Run:
             If the camera fails; a `SlowBusError` if it has the default frame rate and the bus carries less.
         """
         self._times_s = thread_times_s()
+        self._held.enter_context(full_collections_deferred())
         self.processing.start()
         try:
             self._camera.start()
@@ -114,6 +118,7 @@ class Run:
         self._stream.end()
         if self.processing.ident is not None:
             self.processing.join()
+        self._held.close()
 
     def record(self, plan: RecordingPlan, calibration: Calibration | None, settings: Mapping[str, Any]) -> None:
         """Begin to record by a plan, with calibration and settings in the file.
