@@ -14,7 +14,6 @@ import numpy as np
 
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
-from napari_elsplus.simulation.rendering.ring import FrameLoop
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import trajectory
 
@@ -64,17 +63,6 @@ class NewLine(Rendering):
     track_milliseconds.unit = "ms"
 
 
-class Replaying:
-    """The fall-back: frames from memory."""
-
-    def setup(self):
-        self.ring = FrameLoop(Renderer(Instrument.of("240hz"), scene("fibres"), trajectory("hand")), 60)
-        self.frame = np.empty(self.ring.frame_shape, np.uint8)
-
-    def time_frame(self):
-        self.ring.render(7, self.frame)
-
-
 def main() -> None:
     for preset in Rendering.params[0]:
         for scene_name in Rendering.params[1]:
@@ -92,12 +80,6 @@ def main() -> None:
             new_line = NewLine()
             new_line.setup(preset, scene_name, "still")
             click.echo(f"{preset} {scene_name:7} a new line pattern: {new_line.track_milliseconds():.1f} ms")
-    replaying = Replaying()
-    replaying.setup()
-    start = time.thread_time()
-    for _ in range(100):
-        replaying.time_frame()
-    click.echo(f"{replaying.ring.name}: {10 * (time.thread_time() - start):.2f} ms a frame")
     click.echo(f"largest memory of the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
