@@ -20,11 +20,11 @@ from napari_elsplus.hardware.u3v.flea3 import Flea3
 from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
 from napari_elsplus.hardware.virtual.camera.capture import Capture
 from napari_elsplus.hardware.virtual.camera.device import Shot, VirtualCamera
-from napari_elsplus.hardware.virtual.card.c_library import replacing_ni_library
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
 from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
 from napari_elsplus.hardware.virtual.timeline import BenchClock, StrobeTrain
 from napari_elsplus.instrument.calibration import Calibration
+from ni_library import replacing_ni_library
 
 LINE_PERIOD_S = 1 / 130_750.6
 PARK_V = -0.7

@@ -100,8 +100,8 @@ def test_without_nis_driver_the_rest_still_works(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_virtual_card_is_listed_as_nis_would_be() -> None:
-    from napari_elsplus.hardware.virtual.card.c_library import replacing_ni_library
     from napari_elsplus.hardware.virtual.card.card import VirtualCard
+    from ni_library import replacing_ni_library
 
     with replacing_ni_library(VirtualCard()):
         (finding,) = devices.galvo_card()

@@ -19,11 +19,11 @@ from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.virtual.bench import Simulation
-from napari_elsplus.hardware.virtual.camera.sfnc import StandardRegisters
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.processing.calibration.step import Target
 from napari_elsplus.simulation.specimen.scenes import empty
 from napari_elsplus.simulation.specimen.trajectories import Still
+from sfnc_camera import StandardRegisters
 
 
 @pytest.fixture(scope="module")

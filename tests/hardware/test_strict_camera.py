@@ -18,7 +18,7 @@ from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.clock import CameraClock
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.virtual.camera.bus import VirtualBus
-from napari_elsplus.hardware.virtual.camera.sfnc import StandardRegisters
+from sfnc_camera import StandardRegisters
 
 SMALL = Region(262, 0, 40, 64)
 PAPER = Region(262, 0, 524, 1328)

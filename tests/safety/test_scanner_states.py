@@ -38,11 +38,11 @@ from napari_elsplus.hardware.parking import Parking
 from napari_elsplus.hardware.scan.timing import ScanTiming
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
 from napari_elsplus.hardware.virtual.card import card as card_module
-from napari_elsplus.hardware.virtual.card.c_library import replacing_ni_library
 from napari_elsplus.hardware.virtual.card.card import CardError, VirtualCard
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import park_volts, true_calibration
+from ni_library import replacing_ni_library
 from simulated_time import SimulatedBenchClock, SimulatedTime
 
 INSTRUMENT = Instrument.of("240hz", offset_um=-29)

@@ -14,9 +14,9 @@ from nidaqmx.constants import AcquisitionType, Edge, RegenerationMode
 from nidaqmx.errors import DaqError
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
-from napari_elsplus.hardware.virtual.card.c_library import replacing_ni_library
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
 from napari_elsplus.hardware.virtual.timeline import BenchClock, StrobeTrain, volts_at
+from ni_library import replacing_ni_library
 
 RAMP = np.linspace(-0.5, 0.5, 100)
 RATE_HZ, PERIOD_S, WIDTH_S = 100_000.0, 2e-3, 0.3e-3

@@ -1,1 +1,1 @@
-"""A virtual DAQ card, behind gRPC or in place of the C library."""
+"""A virtual DAQ card behind gRPC."""

@@ -51,7 +51,7 @@ class Function:
 def _plain(argument: Any) -> Any:
     """Unpack what ctypes would unpack: a number from its box, the box from a reference."""
     if hasattr(argument, "_obj"):
-        return argument._obj  # noqa: SLF001 - the only way to what byref refers to
+        return argument._obj
     if isinstance(argument, ctypes.Array) or not hasattr(argument, "value"):
         return argument
     return argument.value
