@@ -104,8 +104,7 @@ class ScannedFrames:
         rate_hz = allowed_rate_hz(camera, region, slit_rows, chosen.optics.frame_rate_hz)
         camera.configure(region, slit_rows=slit_rows, frame_rate_hz=rate_hz)
         self.timing = ScanTiming(camera.line_period_s, camera.line_periods_per_frame, slit_rows, rig.strobe)
-        assert calibration.bundle is not None
-        self.profile = RowProfile(calibration.bundle, camera.frame_shape)
+        self.profile = RowProfile(calibration.measured_bundle, camera.frame_shape)
         self._buffer = np.empty(camera.frame_shape, np.uint8)
 
     def __enter__(self) -> Self:
@@ -171,10 +170,7 @@ def strobe_phase(rig: Rig, calibration: Calibration, preset_name: str) -> Iterat
         If camera or card fail.
     """
     calibration.require("galvo", "bundle")
-    galvo = calibration.galvo
-    assert galvo is not None
-    plain = galvo.model_copy(update={"natural_hz": None, "damping": None})
-    calibration = calibration.model_copy(update={"galvo": plain, "scan_correction": None})
+    calibration = calibration.with_galvo(natural_hz=None, damping=None).model_copy(update={"scan_correction": None})
     lags = []
     for slit_rows in PHASE_SLITS:
         with ScannedFrames(rig, calibration, preset_name, slit_rows) as scanned:
@@ -200,9 +196,7 @@ def _signal(scanned: ScannedFrames, rig: Rig, calibration: Calibration) -> Calla
     lit = scanned.profile.lit[0]
 
     def signal_at(lead_s: float, shift_rows: float) -> float:
-        assert calibration.galvo is not None
-        galvo = calibration.galvo.model_copy(update={"lag_s": lead_s})
-        trial = shifted(calibration.model_copy(update={"galvo": galvo}), shift_rows)
+        trial = shifted(calibration.with_galvo(lag_s=lead_s), shift_rows)
         return float(scanned.profiles(els_waveform(trial, scanned.timing, rig.limits))[0, lit].mean())
 
     return signal_at
@@ -268,10 +262,7 @@ def measure_step(rig: Rig, calibration: Calibration, preset_name: str) -> StepRe
     DeviceError
         If camera or card fail.
     """
-    calibration.require("galvo", "bundle")
-    galvo, bundle = calibration.galvo, calibration.bundle
-    assert galvo is not None
-    assert bundle is not None
+    galvo, bundle = calibration.measured_galvo, calibration.measured_bundle
     step_rows = STEP_SHARE * bundle.diameter_px
     end_row = bundle.confocal_centre[0] - step_rows / 2
     with ScannedFrames(rig, calibration, preset_name, PHASE_SLITS[0]) as scanned:

@@ -7,7 +7,7 @@ impossible numbers. Files are read and written by :mod:`napari_elsplus.io`.
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,9 @@ class Section(BaseModel):
     """Section of the calibration: immutable and validated; unknown keys are kept."""
 
     model_config = ConfigDict(frozen=True, extra="allow", arbitrary_types_allowed=True)
+
+
+MeasuredSection = TypeVar("MeasuredSection", bound=Section)
 
 
 class FrameSection(Section):
@@ -331,17 +334,35 @@ class Calibration(Section):
         return next((name for name in needs if getattr(self, name, None) is None), None)
 
     def require(self, *sections: str) -> None:
-        """Check that sections were measured.
-
-        Raises
-        ------
-        CalibrationError
-            If one is absent; names the first, and the command that measures it.
-        """
+        """Raise a `CalibrationError` that names the first absent one of some sections and the command to measure it."""
         for name in sections:
             if getattr(self, name) is None:
                 how = CALIBRATE_COMMANDS.get(name, "calibrate")
                 raise CalibrationError(f"the calibration has no {name} section", f"measure it with `{how}`")
+
+    @property
+    def measured_offset(self) -> OffsetSection:
+        """Slit offset; a `CalibrationError` if it was not measured."""
+        return self._measured("offset", self.offset)
+
+    @property
+    def measured_galvo(self) -> GalvoSection:
+        """Galvo map; a `CalibrationError` if it was not measured."""
+        return self._measured("galvo", self.galvo)
+
+    @property
+    def measured_bundle(self) -> BundleSection:
+        """Bundle views; a `CalibrationError` if they were not measured."""
+        return self._measured("bundle", self.bundle)
+
+    def _measured(self, name: str, section: MeasuredSection | None) -> MeasuredSection:
+        self.require(name)
+        assert section is not None
+        return section
+
+    def with_galvo(self, **changes: float | None) -> Calibration:
+        """Return the calibration with other values of the galvo section; a `CalibrationError` if there is none."""
+        return self.model_copy(update={"galvo": self.measured_galvo.model_copy(update=changes)})
 
     def stale_sections(self, settings: AcquiredWith, frame: FrameSection | None = None) -> dict[str, str]:
         """Return the sections that no longer hold when the rig runs with other settings.

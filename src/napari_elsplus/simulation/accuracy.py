@@ -64,11 +64,7 @@ def calibration_errors(calibration: Calibration, instrument: Instrument) -> Cali
     CalibrationError
         If offset, galvo or bundle was not measured.
     """
-    calibration.require("offset", "galvo", "bundle")
-    offset, galvo, bundle = calibration.offset, calibration.galvo, calibration.bundle
-    assert offset is not None
-    assert galvo is not None
-    assert bundle is not None
+    offset, galvo, bundle = calibration.measured_offset, calibration.measured_galvo, calibration.measured_bundle
     rim = instrument.diameter_px / 2 * np.array([(0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)])
     places = np.column_stack([instrument.residual_centre + rim, np.ones(len(rim))])
     misplaced = places @ np.subtract(bundle.residual_to_confocal, residual_to_confocal(instrument)).T

@@ -108,8 +108,7 @@ def compare_stack(stack: Stack, calibration: Calibration, cores: CoreFilter | st
     CalibrationError
         If the calibration does not fit the frames, or has no flat field where the filter needs one.
     """
-    calibration.require("bundle")
-    assert calibration.bundle is not None
+    bundle = calibration.measured_bundle
     raw = stack.planes
     images = {
         mode: image_planes(_Successive(raw) if mode is Mode.ELSA else raw, calibration, mode, cores=cores)
@@ -117,7 +116,7 @@ def compare_stack(stack: Stack, calibration: Calibration, cores: CoreFilter | st
         if mode is not Mode.ELSA or len(raw) > 1
     }
     side = images[Mode.LS].shape[1]
-    inside = disc(side, USED_DIAMETER * calibration.bundle.diameter_px)
+    inside = disc(side, USED_DIAMETER * bundle.diameter_px)
     return Comparison(images, inside, um_per_px_of(stack, calibration))
 
 

@@ -61,9 +61,7 @@ def outline_layer(calibration: Calibration, name: str, path: Path | None = None)
     path : pathlib.Path, optional
         The calibration's file, for the metadata.
     """
-    calibration.require("bundle")
-    assert calibration.bundle is not None
-    bundle = calibration.bundle
+    bundle = calibration.measured_bundle
     attributes = space(calibration.um_per_px) | {"name": name}
     attributes |= {
         "shape_type": "ellipse",

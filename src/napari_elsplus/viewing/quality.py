@@ -181,14 +181,13 @@ def measure_edge(
     """
     residuals = image_planes(stack.planes, calibration, Mode.RESIDUAL, flat_field=calibration.flat is not None)
     image = edge_artefact(residuals[index] for index in progress(range(len(residuals))))
-    assert calibration.bundle is not None
-    middle, radius = (len(image) - 1) / 2, USED_DIAMETER * calibration.bundle.diameter_px / 2
+    middle, radius = (len(image) - 1) / 2, USED_DIAMETER * calibration.measured_bundle.diameter_px / 2
     near = np.flatnonzero(np.abs(np.arange(len(image)) - middle) < _PROFILE_SHARE * radius)
     rows = np.flatnonzero(np.abs(np.arange(len(image)) - middle) < radius)
     scale = um_per_px_of(stack, calibration)
     profile = image[np.ix_(rows, near)].mean(axis=1)
     position_um = (rows - middle).astype(np.float64) * (scale or 1.0)
-    image[~disc(len(image), calibration.bundle.diameter_px)] = np.nan
+    image[~disc(len(image), calibration.measured_bundle.diameter_px)] = np.nan
     return EdgeMap(image, position_um, profile, len(residuals))
 
 

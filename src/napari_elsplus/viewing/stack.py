@@ -106,10 +106,9 @@ def images_origin_px(calibration: Calibration) -> tuple[float, float]:
     CalibrationError
         If the bundle was not located.
     """
-    calibration.require("bundle")
-    assert calibration.bundle is not None
-    middle = (side_px(calibration.bundle.diameter_px) - 1) / 2
-    row, col = calibration.bundle.confocal_centre
+    bundle = calibration.measured_bundle
+    middle = (side_px(bundle.diameter_px) - 1) / 2
+    row, col = bundle.confocal_centre
     return row - middle, col - middle
 
 

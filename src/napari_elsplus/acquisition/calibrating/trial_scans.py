@@ -40,8 +40,7 @@ class TrialScans:
         calibration.require("galvo", "bundle")
         waveform = self._engine.galvo.waveform(calibration)
         assert waveform is not None
-        assert calibration.galvo is not None
-        return drive_of(waveform, calibration.galvo, self._engine.galvo.timing)
+        return drive_of(waveform, calibration.measured_galvo, self._engine.galvo.timing)
 
     def highest_rate_hz(self, calibration: Calibration) -> float:
         """Return the highest frame rate at which the galvo's limits allow a scan by a calibration; 0 for none."""

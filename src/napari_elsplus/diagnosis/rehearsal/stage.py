@@ -146,9 +146,7 @@ class Stage:
 
     def calibration(self) -> Calibration:
         """Return the true calibration of the rehearsed instrument."""
-        perfect = true_calibration(self.instrument)
-        assert perfect.galvo is not None
-        return perfect.model_copy(update={"galvo": perfect.galvo.model_copy(update={"lag_s": GalvoModel().lag_s})})
+        return true_calibration(self.instrument).with_galvo(lag_s=GalvoModel().lag_s)
 
     def scan(self, *, record: bool = True) -> None:
         """Open the rig, scan, and record until frames are in the file."""

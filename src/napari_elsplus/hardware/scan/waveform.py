@@ -167,13 +167,11 @@ def els_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLimi
     >>> waveform.samples_per_ramp
     2079
     """
-    calibration.require("galvo", "bundle")
-    assert calibration.galvo is not None
-    assert calibration.bundle is not None
-    rows = exposed_rows(calibration.bundle)
-    offset = calibration.bundle.residual_centre[0] - calibration.bundle.confocal_centre[0]
-    _refuse_without_time(calibration.galvo, rows[1] - rows[0], offset, timing, limits)
-    return ramp_waveform(calibration.galvo, rows, timing, limits, correction=calibration.scan_correction)
+    galvo, bundle = calibration.measured_galvo, calibration.measured_bundle
+    rows = exposed_rows(bundle)
+    offset = bundle.residual_centre[0] - bundle.confocal_centre[0]
+    _refuse_without_time(galvo, rows[1] - rows[0], offset, timing, limits)
+    return ramp_waveform(galvo, rows, timing, limits, correction=calibration.scan_correction)
 
 
 def elsa_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLimits) -> Waveform:
@@ -195,14 +193,11 @@ def elsa_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLim
     InputError
         If the flyback does not fit.
     """
-    calibration.require("galvo", "bundle", "offset")
-    assert calibration.galvo is not None
-    assert calibration.bundle is not None
-    assert calibration.offset is not None
-    rows = exposed_rows(calibration.bundle, residual=False)
+    galvo, bundle, offset = calibration.measured_galvo, calibration.measured_bundle, calibration.measured_offset
+    rows = exposed_rows(bundle, residual=False)
     shifts_rows = [0.0] * FRAMES_PER_IMAGE
-    shifts_rows[elsa_frames(0)[1]] = calibration.offset.rows
-    return ramp_waveform(calibration.galvo, rows, timing, limits, tuple(shifts_rows), calibration.scan_correction)
+    shifts_rows[elsa_frames(0)[1]] = offset.rows
+    return ramp_waveform(galvo, rows, timing, limits, tuple(shifts_rows), calibration.scan_correction)
 
 
 def ramp_waveform(

@@ -141,9 +141,7 @@ class OpticalBench:
     def calibration(self, preset: Preset, slit_rows: float = 3.0) -> Calibration:
         """Return the true calibration for a preset and a slit of `slit_rows`, the galvo's lag included."""
         perfect = true_calibration(self.instrument(preset, slit_rows))
-        assert perfect.galvo is not None
-        galvo = perfect.galvo.model_copy(update={"lag_s": self.simulation.moved_galvo.lag_s})
-        return perfect.model_copy(update={"galvo": galvo})
+        return perfect.with_galvo(lag_s=self.simulation.moved_galvo.lag_s)
 
     def line_row_now(self, preset: Preset) -> float:
         """Return the row of the confocal view, in a preset's frame, on which the card's voltage holds the line."""

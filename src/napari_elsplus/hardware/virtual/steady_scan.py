@@ -40,10 +40,7 @@ def steady_line_rows(instrument: Instrument) -> NDArray[np.float64]:
     """
     galvo = GalvoModel()
     limits = GalvoLimits(natural_hz=galvo.natural_hz, damping=galvo.damping)
-    perfect = true_calibration(instrument)
-    assert perfect.galvo is not None
-    lag_s = imperfect_galvo(galvo, instrument.imperfections).lag_s
-    lagging = perfect.model_copy(update={"galvo": perfect.galvo.model_copy(update={"lag_s": lag_s})})
+    lagging = true_calibration(instrument).with_galvo(lag_s=imperfect_galvo(galvo, instrument.imperfections).lag_s)
     return driven_line_rows(instrument, lagging, limits, galvo)
 
 

@@ -180,14 +180,14 @@ def axial_profiles(
     MeasurementError
         If the square does not fit into the bundle.
     """
-    calibration.require("bundle", "optics")
-    assert calibration.bundle is not None
+    bundle = calibration.measured_bundle
+    calibration.require("optics")
     um_per_px = calibration.um_per_px
     if um_per_px is None:
         raise CalibrationError("the calibration has no um_per_px", "give it with `calibrate --um-per-px`")
     if not len(frames):
         raise InputError("the scan holds no frame", "record one at each depth")
-    diameter_um = calibration.bundle.diameter_px * um_per_px
+    diameter_um = bundle.diameter_px * um_per_px
     if SQUARE_UM * np.sqrt(2) > diameter_um:
         raise MeasurementError(
             f"a square of {SQUARE_UM:.0f} um does not fit into the bundle of {diameter_um:.0f} um",
@@ -202,7 +202,6 @@ def axial_profiles(
         frame = frames[k]
         ls[k] = sectioner.ls(frame, image)[inside, inside].mean()
         residual[k] = sectioner.residual(frame, image)[inside, inside].mean()
-    bundle = calibration.bundle
     squares = (_square(bundle.confocal_centre, half), _square(bundle.residual_centre, half))
     zeros = [_zero_dn(frames, ls, calibration.background, square) for square in squares]
     gain = bundle.residual_gain

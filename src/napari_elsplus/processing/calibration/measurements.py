@@ -376,14 +376,13 @@ def measure_flat_field(frames: Frames, calibration: Calibration) -> Image:
     MeasurementError
         If the disc is dark, more than 1 % is saturated, or the level drifts by more than 5 %.
     """
-    calibration.require("bundle")
-    assert calibration.bundle is not None
+    bundle = calibration.measured_bundle
     frame = mean_frame(frames)
     saturated_share(frames[0], "flat field")
     _drift(frames, "flat field")
     sectioner = Sectioner(calibration, frame.shape)
     image = sectioner.ls(frame)
-    inside = disc(len(image), calibration.bundle.diameter_px)
+    inside = disc(len(image), bundle.diameter_px)
     level = float(image[inside].mean())
     if not level > 0.5:
         raise MeasurementError(f"the flat field is dark (mean {level:.2g} grey levels)", "light the scene evenly")

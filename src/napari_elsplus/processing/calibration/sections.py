@@ -131,8 +131,7 @@ def apply_lag(draft: Draft, lag: ScanLag) -> Calibration:
     if lag.ramp is not None and lag.ramp.correction is not None:
         update |= {"natural_hz": lag.ramp.response.natural_hz, "damping": lag.ramp.response.damping}
         correction = lag.ramp.correction.astype(np.float32)
-    galvo = known.galvo.model_copy(update=update)
-    return known.model_copy(update={"galvo": galvo, "scan_correction": correction})
+    return known.with_galvo(**update).model_copy(update={"scan_correction": correction})
 
 
 def apply_background(draft: Draft, background: Background) -> Calibration:

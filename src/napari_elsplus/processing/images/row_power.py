@@ -56,14 +56,13 @@ class RowPower:
     """
 
     def __init__(self, sectioner: Sectioner, calibration: Calibration) -> None:
-        assert calibration.bundle is not None
         if calibration.flat is None:
             raise CalibrationError("the calibration has no flat field", "measure it with `calibrate --flat`")
         self._sectioner = sectioner
         lit = disc(sectioner.side, 0.95 * sectioner.diameter_px) & sectioner.subtracted
         self._weights = np.where(lit, calibration.flat, 0).astype(np.float32)
         self._expected = np.einsum("ij,ij->i", self._weights, self._weights)
-        bundle = calibration.bundle
+        bundle = calibration.measured_bundle
         self._offset_rows = bundle.residual_centre[0] - bundle.confocal_centre[0]
         half = np.sqrt(1 - MIN_CHORD**2) * sectioner.diameter_px / 2
         from_middle = np.arange(sectioner.side) - sectioner.centre[0]

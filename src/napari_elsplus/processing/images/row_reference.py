@@ -90,8 +90,7 @@ def reference_of_rows(calibration: Calibration, frame_shape: tuple[int, int]) ->
     frame_shape : tuple of int
         Rows and columns of the raw frames.
     """
-    bundle = calibration.bundle
-    assert bundle is not None
+    bundle = calibration.measured_bundle
     discs = [(centre, bundle.diameter_px) for centre in (bundle.confocal_centre, bundle.residual_centre)]
     return RowReference(dark_pixels(frame_shape, discs), calibration.background, STRAY_LIGHT_ROWS)
 

@@ -142,11 +142,9 @@ class Sectioner:
         on_camera_grid: bool = False,
         row_reference: bool = False,
     ) -> None:
-        calibration.require("bundle")
-        assert calibration.bundle is not None
+        bundle = calibration.measured_bundle
         _check_fits(calibration, frame_shape)
-        _check_possible(calibration.bundle, frame_shape)
-        bundle = calibration.bundle
+        _check_possible(bundle, frame_shape)
         self.diameter_px = bundle.diameter_px
         self.side = side_px(bundle.diameter_px)
         self.inside = disc(self.side, bundle.diameter_px + 2)
@@ -365,11 +363,9 @@ def line_offset_px(calibration: Calibration) -> float:
 
 def _line_within_bundle(calibration: Calibration, side: int) -> NDArray[np.bool_]:
     """Return the pixels whose line, while their residual is read, stands within the central part of the bundle."""
-    assert calibration.bundle is not None
+    radius_px = LINE_FIELD * calibration.measured_bundle.diameter_px / 2
     axis = np.arange(side) - (side - 1) / 2
-    within: NDArray[np.bool_] = (
-        np.hypot(axis[:, None] + line_offset_px(calibration), axis) < LINE_FIELD * calibration.bundle.diameter_px / 2
-    )
+    within: NDArray[np.bool_] = np.hypot(axis[:, None] + line_offset_px(calibration), axis) < radius_px
     return within
 
 

@@ -65,9 +65,7 @@ def draw_contact_sheet(
 
 
 def _draw_raw(axes: Axes, raw: NDArray[np.integer | np.floating], calibration: Calibration) -> None:
-    calibration.require("bundle")
-    assert calibration.bundle is not None
-    bundle = calibration.bundle
+    bundle = calibration.measured_bundle
     white = float(np.quantile(raw, 0.9999))
     _show(axes, raw, "raw frame: confocal view left, residual view right", white, calibration.um_per_px)
     for (row, col), colour in (

@@ -94,8 +94,7 @@ def calibrated_line(calibration: Calibration, plate: Mapping[str, Any] | None = 
         If the plate's content is incomplete.
     """
     calibration.require("offset", "optics")
-    offset, um = calibration.offset, calibration.um_per_px
-    assert offset is not None
+    offset, um = calibration.measured_offset, calibration.um_per_px
     if um is None:
         raise CalibrationError("the calibration has no scale", "measure it with `calibrate --um-per-px` or --bundle-um")
     if offset.core_rows is None or offset.halo_rows is None or offset.halo_share is None:

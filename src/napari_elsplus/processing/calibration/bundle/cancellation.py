@@ -79,11 +79,12 @@ def measure_alignment_errors(image: NDArray[np.floating], calibration: Calibrati
     CalibrationError
         If the calibration has no bundle or does not fit the frame.
     """
-    calibration.require("bundle")
-    bundle = calibration.bundle
-    assert bundle is not None
+    bundle = calibration.measured_bundle
     frame = np.asarray(image, np.float32)
-    discs = (Disc(centre, bundle.diameter_px, 0.0, 0.0, 0.0, 1.0) for centre in _centres(calibration))
+    discs = (
+        Disc(centre, bundle.diameter_px, 0.0, 0.0, 0.0, 1.0)
+        for centre in (bundle.confocal_centre, bundle.residual_centre)
+    )
     above_dark = calibration.model_copy(update={"background": darkness(frame, *discs)})
     sectioner = Sectioner(above_dark, frame.shape)
     views = sectioner.ls(frame), sectioner.residual(frame)
@@ -96,8 +97,3 @@ def measure_alignment_errors(image: NDArray[np.floating], calibration: Calibrati
             continue  # no flat field, or its cores are not resolved
         filtered[kind] = alignment_error(smooth(views[0]), smooth(views[1]), bundle.diameter_px)
     return AlignmentErrors(alignment_error(*views, bundle.diameter_px), filtered)
-
-
-def _centres(calibration: Calibration) -> tuple[tuple[float, float], tuple[float, float]]:
-    assert calibration.bundle is not None
-    return calibration.bundle.confocal_centre, calibration.bundle.residual_centre

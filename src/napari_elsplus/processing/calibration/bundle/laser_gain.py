@@ -119,8 +119,7 @@ def laser_gain(light: SweptLight, calibration: Calibration) -> tuple[float, floa
     calibration : Calibration
         With the bundle section, its gain that of the lamp, and a gain map if there is one.
     """
-    bundle = calibration.bundle
-    assert bundle is not None
+    bundle = calibration.measured_bundle
     offset_rows = bundle.residual_centre[0] - bundle.confocal_centre[0]
     if abs(light.offset_rows - offset_rows) > MAX_OFFSET_CHANGE_ROWS:
         return None

@@ -97,19 +97,14 @@ class LearnedRamp:
 
 def shifted(calibration: Calibration, rows: float) -> Calibration:
     """Return a calibration by which the line is a number of rows lower at all times."""
-    galvo = calibration.galvo
-    assert galvo is not None
-    volts = galvo.volts_at_row_zero + rows * galvo.volts_per_row
-    return calibration.model_copy(update={"galvo": galvo.model_copy(update={"volts_at_row_zero": volts})})
+    galvo = calibration.measured_galvo
+    return calibration.with_galvo(volts_at_row_zero=galvo.volts_at_row_zero + rows * galvo.volts_per_row)
 
 
 def corrected(calibration: Calibration, response: GalvoResponse, correction: Floats) -> Calibration:
     """Return a calibration whose ramp compensates a galvo's response and adds a correction in rows, shape (rows,)."""
-    galvo = calibration.galvo
-    assert galvo is not None
-    update = {"lag_s": response.lag_s, "natural_hz": response.natural_hz, "damping": response.damping}
-    galvo = galvo.model_copy(update=update)
-    return calibration.model_copy(update={"galvo": galvo, "scan_correction": correction.astype(np.float32)})
+    driven = calibration.with_galvo(lag_s=response.lag_s, natural_hz=response.natural_hz, damping=response.damping)
+    return driven.model_copy(update={"scan_correction": correction.astype(np.float32)})
 
 
 class RampLearner:
@@ -128,10 +123,9 @@ class RampLearner:
     """
 
     def __init__(self, scans: Scans, calibration: Calibration, shape: tuple[int, int], slit_rows: float) -> None:
-        assert calibration.bundle is not None
         self._scans, self._calibration = scans, calibration
         bow_rows = 0.0 if calibration.galvo is None else calibration.galvo.bow_rows or 0.0
-        self.profile = RowProfile(calibration.bundle, shape, bow_rows)
+        self.profile = RowProfile(calibration.measured_bundle, shape, bow_rows)
         self.limit_rows = TOLERATED_SLIT_SHARE * slit_rows
         self.frames = 0
 
@@ -156,9 +150,7 @@ class RampLearner:
         MeasurementError
             If the line is on the slit, or near it, in too few rows to learn from.
         """
-        assert self._calibration.galvo is not None
-        galvo = self._calibration.galvo.model_copy(update={"lag_s": lag_s})
-        start = self._calibration.model_copy(update={"galvo": galvo})
+        start = self._calibration.with_galvo(lag_s=lag_s)
         before = self._measure(start, WIDE_ROWS, progress)
         if before.seen_share < MIN_SEEN:
             raise MeasurementError(

@@ -49,16 +49,13 @@ def measure_scan(
     """
     period_s = setup.line_period_s
     assert period_s is not None
-    assert calibration.galvo is not None
-    unlearned = calibration.galvo.model_copy(update={"natural_hz": None, "damping": None})
-    calibration = calibration.model_copy(update={"galvo": unlearned, "scan_correction": None})
+    calibration = calibration.with_galvo(natural_hz=None, damping=None).model_copy(update={"scan_correction": None})
     slit_rows = setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
     learner = RampLearner(scans, calibration, setup.frame.shape, slit_rows)
     profiles = []
 
     def signal_at(lead_s: float, shift_rows: float) -> float:
-        galvo = unlearned.model_copy(update={"lag_s": lead_s})
-        trial = shifted(calibration.model_copy(update={"galvo": galvo}), shift_rows)
+        trial = shifted(calibration.with_galvo(lag_s=lead_s), shift_rows)
         profiles.append(learner.profile(scans.frames(trial, frames)))
         return float(profiles[-1][0, learner.profile.lit[0]].mean())
 
