@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from magicgui.widgets import ComboBox, FloatSpinBox, PushButton
-from qtpy.QtWidgets import QLabel
+from magicgui.widgets import ComboBox, FloatSpinBox
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing
-from napari_elsplus.io.formats.registry import AXIAL_RESPONSES, PICTURE, TABLE, dialog_filter
+from napari_elsplus.io.formats.registry import AXIAL_RESPONSES, PICTURE, TABLE
 from napari_elsplus.viewing.axial import (
     MANUAL_SCAN,
     ManualScan,
@@ -24,6 +23,7 @@ from napari_elsplus.viewing.axial import (
     simulated_scan,
 )
 from napari_elsplus.widgets.analysis.axial_plots import drop_off_curves, response_curves, table
+from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
     OPEN_RECORDING_FIRST,
     calibrated_frames,
@@ -32,19 +32,16 @@ from napari_elsplus.widgets.shared.choosing import (
     refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.files import file_to_save
 from napari_elsplus.widgets.shared.panel import (
-    Panel,
     button_row,
     copy_as_script,
     form_layout,
     next_hint,
     panel_layout,
+    push_button,
     set_enabled,
 )
-from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
-from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -57,7 +54,7 @@ CURVES: Final = "signal and depth"
 HINT: Final = "measure a scan for its drop-offs; several scans give drop-offs against slit offset or width."
 
 
-class AxialResponsePanel(Panel):
+class AxialResponsePanel(AnalysisPanel):
     """Measure the axial response: from a stack, by manual steps of a stage, or of the simulated instrument.
 
     Parameters
@@ -67,22 +64,12 @@ class AxialResponsePanel(Panel):
     """
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
-        super().__init__(viewer)
+        super().__init__(viewer, "distance / µm", "signal")
         self.scans: list[Scan] = []
         self._manual = ManualScan()
-        self.work = Work(self._layers_changed)
         self._build()
         self.source.changed.connect(self._source_changed)
-        self.measure.clicked.connect(self.measure_stack)
-        self.simulate.clicked.connect(self.measure_simulated)
-        self.take.clicked.connect(self.take_frame)
         self.shown.changed.connect(self.show_scans)
-        self.clear.clicked.connect(self.clear_scans)
-        self.script.clicked.connect(self.copy_script)
-        self.save.clicked.connect(self._ask_where_to_save)
-        self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
-        self.connect_signal(viewer.layers.events.removed, self._layers_changed)
-        self.connect_signal(viewer.events.theme, self._theme_changed)
         self._source_changed()
         self.show_scans()
 
@@ -153,7 +140,7 @@ class AxialResponsePanel(Panel):
         """
         path = Path(path)
         if path.suffix.lower() != ".json":
-            self.plot.save(path)
+            super().save_to(path)
             return
         if not self.scans:
             raise InputError("there is no scan to save", "measure one first")
@@ -168,11 +155,6 @@ class AxialResponsePanel(Panel):
             facts = chosen_image(self.viewer, self.stack, "axial stack").metadata["elsplus"]
             text = axial_script(facts["stack"], facts["calibration_path"])
             copy_as_script(text)
-
-    def cleanup(self) -> None:
-        """Cancel the measurement and disconnect from the viewer."""
-        self.work.cancel()
-        super().cleanup()
 
     def _build(self) -> None:
         self.source = ComboBox(label="scan", choices=[STACK, MANUAL, SIMULATED])
@@ -191,10 +173,12 @@ class AxialResponsePanel(Panel):
         self.offset.tooltip = "Distance of the residual slit from the laser line at the bundle, 3 to 100 µm"
         self.slit = FloatSpinBox(label="slit (µm)", value=2.9, min=0.9, max=30, step=0.96)
         self.slit.tooltip = "Slit width at the bundle, rounded to whole camera rows, 0.9 to 30 µm"
-        names = ("Measure", "Add frame", "Simulate and measure", "Copy as script", "Save...", "Clear")
-        self.measure, self.take, self.simulate, self.script, self.save, self.clear = (
-            PushButton(text=name) for name in names
-        )
+        self.measure = push_button("Measure", self.measure_stack)
+        self.take = push_button("Add frame", self.take_frame)
+        self.simulate = push_button("Simulate and measure", self.measure_simulated)
+        kinds = PICTURE, TABLE, AXIAL_RESPONSES
+        self.save = self.save_button("Save...", "Save the axial response", "axial.png", *kinds)
+        self.clear = push_button("Clear", self.clear_scans)
         self._fields = {
             STACK: (self.stack, self.measure),
             MANUAL: (self.live, self.depth_now, self.depth_step, self.take),
@@ -204,9 +188,6 @@ class AxialResponsePanel(Panel):
         self.shown.tooltip = (
             "Signal against depth, or ELS+ drop-offs against slit offset or width with the paper's saturating curve"
         )
-        self.numbers = QLabel()
-        self.numbers.setWordWrap(True)
-        self.plot = ThemedPlot("distance / µm", "signal", self.viewer.theme)
         self.plot.setMinimumHeight(200)
         layout = panel_layout(self)
         fields = [field for group in self._fields.values() for field in group]
@@ -253,12 +234,3 @@ class AxialResponsePanel(Panel):
         takes = "Add the displayed frame at this depth, and advance the depth by a step"
         set_enabled(self.take, bool(self.live.choices), takes, OPEN_RECORDING_FIRST)
         set_enabled(self.script, stacks, "Copy a Python script that measures the selected stack", OPEN_SCAN)
-
-    def _theme_changed(self) -> None:
-        self.plot.apply_theme(self.viewer.theme)
-
-    def _ask_where_to_save(self) -> None:
-        kinds = dialog_filter(PICTURE, TABLE, AXIAL_RESPONSES)
-        if path := file_to_save(self, "Save the axial response", "axial.png", kinds):
-            with notify_errors(self):
-                self.save_to(path)

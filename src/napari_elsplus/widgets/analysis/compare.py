@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from magicgui.widgets import ComboBox, PushButton, SpinBox
-from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QLabel
+from magicgui.widgets import ComboBox, SpinBox
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
+from napari_elsplus.io.formats.registry import PICTURE, TABLE
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, line_profiles
 from napari_elsplus.processing.images.cores import CoreFilter
@@ -28,6 +25,7 @@ from napari_elsplus.viewing.comparison import (
 )
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.analysis.comparison_layers import ComparedImage, ComparisonLayers
+from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
     OPEN_RECORDING_FIRST,
     calibrated_recordings,
@@ -37,23 +35,27 @@ from napari_elsplus.widgets.shared.choosing import (
 )
 from napari_elsplus.widgets.shared.files import file_to_save, note_folder
 from napari_elsplus.widgets.shared.panel import (
-    Panel,
     button_row,
     copy_as_script,
     form_layout,
     next_hint,
     panel_layout,
+    push_button,
     set_enabled,
+    timer,
 )
-from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
+from napari_elsplus.widgets.shared.plots import Curve
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
-from napari_elsplus.widgets.shared.work import Work
 from napari_elsplus.workflows.pictures.comparison import ComparisonFigure
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import napari.viewer
     from napari.layers import Image
+
+    from napari_elsplus.widgets.shared.plots import ThemedPlot
 
 COLOURS: Final = {Mode.LS: "blue", Mode.ELSA: "orange", Mode.ELS: "green"}
 DASHES: Final = {Mode.LS: "dotted", Mode.ELSA: "dashed", Mode.ELS: "solid"}
@@ -71,7 +73,7 @@ PREPARING: Final = "Computing the first images; the first time after installatio
 HINT: Final = "select a recording and press Compare; then draw a line on any of the images."
 
 
-class ComparePanel(Panel):
+class ComparePanel(AnalysisPanel):
     """Compare LS, ELSA and ELS+ of a recording in the viewer.
 
     Parameters
@@ -81,27 +83,18 @@ class ComparePanel(Panel):
     """
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
-        super().__init__(viewer)
+        super().__init__(viewer, "position along the line / px", "grey levels")
         self._comparison: Comparison | None = None
         self._source: Image | None = None
         self.display = ComparisonLayers(viewer, self._schedule_refresh)
-        self.work = Work(self._work_ended)
         self._build()
-        self._refresh = _timer(self, REFRESH_MS, self.show_numbers, once=True)
-        self._blink = _timer(self, BLINK_MS, self.display.show_next)
-        self.start.clicked.connect(self.toggle)
-        self.rescale.clicked.connect(self.rescale_contrast)
-        self.script.clicked.connect(self.copy_script)
-        self.save.clicked.connect(self._ask_where_to_save)
-        self.save_figure.clicked.connect(self._ask_where_to_save_figure)
+        self._refresh = timer(self, REFRESH_MS, self.show_numbers, once=True)
+        self._blink = timer(self, BLINK_MS, self.display.show_next)
         self.line_width.changed.connect(self.show_numbers)
         self.scaling.changed.connect(self.rescale_contrast)
         for choice in (self.cores, self.view, self.recording):
             choice.changed.connect(self._restart)
-        self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
-        self.connect_signal(viewer.layers.events.removed, self._layers_changed)
         self.connect_signal(viewer.dims.events.current_step, self._schedule_refresh)
-        self.connect_signal(viewer.events.theme, self._theme_changed)
         self._layers_changed()
 
     @property
@@ -145,7 +138,6 @@ class ComparePanel(Panel):
 
     def cleanup(self) -> None:
         """End the comparison and disconnect from the viewer."""
-        self.work.cancel()
         self._refresh.stop()
         if self.comparing:
             self.end()
@@ -226,14 +218,10 @@ class ComparePanel(Panel):
         self.view.tooltip = "Side by side; alternating in one place; LS - ELS+ and ELSA - ELS+ in grey levels"
         self.line_width = SpinBox(label="line width (px)", value=PROFILE_WIDTH_PX, min=1, max=51)
         self.line_width.tooltip = "Pixels across the line that are averaged in the profiles, 1 to 51"
-        self.start = PushButton(text="Compare")
-        self.rescale = PushButton(text="Rescale")
-        self.script = PushButton(text="Copy as script")
-        self.save = PushButton(text="Save profiles...")
-        self.save_figure = PushButton(text="Save figure...")
-        self.numbers = QLabel()
-        self.numbers.setWordWrap(True)
-        self.plot = ThemedPlot("position along the line / px", "grey levels", self.viewer.theme)
+        self.start = push_button("Compare", self.toggle)
+        self.rescale = push_button("Rescale", self.rescale_contrast)
+        self.save = self.save_button("Save profiles...", "Save the profiles", "profiles.png", PICTURE, TABLE)
+        self.save_figure = push_button("Save figure...", self._ask_where_to_save_figure)
         layout = panel_layout(self)
         layout.addLayout(form_layout(self.recording, self.cores, self.scaling, self.view, self.line_width))
         layout.addLayout(button_row(self.start, self.rescale))
@@ -318,20 +306,14 @@ class ComparePanel(Panel):
         set_enabled(self.save_figure, self.comparing, figure, "start the comparison")
 
     def _work_ended(self) -> None:
-        self._layers_changed()
+        super()._work_ended()
         self.show_numbers()
 
     def _theme_changed(self) -> None:
-        self.plot.apply_theme(self.viewer.theme)
+        super()._theme_changed()
         if self._comparison is not None:
             self.display.set_title_colours(self._title_colours(self._comparison)[: len(self.display.images)])
         self.show_numbers()
-
-    def _ask_where_to_save(self) -> None:
-        kinds = dialog_filter(PICTURE, TABLE)
-        if path := file_to_save(self, "Save the profiles", "profiles.png", kinds):
-            with notify_errors(self):
-                self.plot.save(Path(path))
 
     def _ask_where_to_save_figure(self) -> None:
         if path := file_to_save(self, "Save the figure", "comparison.pdf", FIGURES):
@@ -342,14 +324,6 @@ def _round_up(level: float) -> float:
     """Return the next number at which the ticks of a colour bar are labelled near both of its ends."""
     decade = 10.0 ** np.floor(np.log10(level)) if level > 0 else 1.0
     return float(decade * next((step for step in ROUND if decade * step >= level), 10))
-
-
-def _timer(parent: Panel, milliseconds: int, slot: Any, *, once: bool = False) -> QTimer:
-    timer = QTimer(parent)
-    timer.setInterval(milliseconds)
-    timer.setSingleShot(once)
-    timer.timeout.connect(slot)
-    return timer
 
 
 def _table(found: dict[Mode, ImageStatistics], plot: ThemedPlot) -> str:

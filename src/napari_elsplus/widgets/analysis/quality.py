@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from magicgui.widgets import ComboBox, PushButton
+from magicgui.widgets import ComboBox
 from napari.layers import Image, Shapes
-from qtpy.QtWidgets import QLabel, QSizePolicy
+from qtpy.QtWidgets import QSizePolicy
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
+from napari_elsplus.io.formats.registry import PICTURE, TABLE
 from napari_elsplus.processing.analysis.resolution import RESOLVED_CONTRAST
 from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT
 from napari_elsplus.processing.images.cores import CoreFilter
@@ -28,6 +27,7 @@ from napari_elsplus.viewing.quality import (
     quality_script,
 )
 from napari_elsplus.viewing.stack import images_origin_px, space, um_per_px_of
+from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
     OPEN_RECORDING_FIRST,
     calibrated_recordings,
@@ -35,20 +35,18 @@ from napari_elsplus.widgets.shared.choosing import (
     refresh_choices,
     shown_index,
 )
-from napari_elsplus.widgets.shared.files import file_to_save
 from napari_elsplus.widgets.shared.panel import (
-    Panel,
     button_row,
     copy_as_script,
     form_layout,
     next_hint,
     panel_layout,
+    push_button,
     set_enabled,
 )
-from napari_elsplus.widgets.shared.plots import Curve, ThemedPlot
+from napari_elsplus.widgets.shared.plots import Curve
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
-from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -71,7 +69,7 @@ HINT: Final = (
 )
 
 
-class QualityPanel(Panel):
+class QualityPanel(AnalysisPanel):
     """Measure the image quality of an instrument as the paper does.
 
     Parameters
@@ -81,25 +79,16 @@ class QualityPanel(Panel):
     """
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
-        super().__init__(viewer)
+        super().__init__(viewer, "row from the centre / µm", "residual / central level")
         self.alignment: AlignmentErrors | None = None
         self.resolution: Resolution | None = None
         self.edge: EdgeMap | None = None
         self._boxes: Shapes | None = None
         self._aligned = ""
         self._measured = ""
-        self.work = Work(self._layers_changed)
         self._build()
-        self.align.clicked.connect(self.measure_alignment)
-        self.mark.clicked.connect(self.mark_elements)
-        self.average.clicked.connect(self.measure_edge)
-        self.script.clicked.connect(self.copy_script)
-        self.save.clicked.connect(self._ask_where_to_save)
         self.cores.changed.connect(self.measure_resolution)
         self.recording.changed.connect(self._recording_changed)
-        self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
-        self.connect_signal(viewer.layers.events.removed, self._layers_changed)
-        self.connect_signal(viewer.events.theme, self._theme_changed)
         self._layers_changed()
 
     def measure_alignment(self) -> None:
@@ -184,7 +173,6 @@ class QualityPanel(Panel):
 
     def cleanup(self) -> None:
         """Cancel the measurement and disconnect from the viewer."""
-        self.work.cancel()
         if self._boxes is not None:
             self._boxes.events.data.disconnect(self.measure_resolution)
             self._boxes = None
@@ -195,12 +183,11 @@ class QualityPanel(Panel):
         self.recording.tooltip = "Raw layers with a calibration"
         self.cores = ComboBox(label="core filter", choices=[kind.value for kind in CoreFilter], value="median")
         self.cores.tooltip = "Suppression of the core pattern (honeycomb) where the resolution is measured"
-        names = ("Alignment", "Measure USAF resolution", "Edge map", "Copy as script", "Save plot...")
-        self.align, self.mark, self.average, self.script, self.save = (PushButton(text=name) for name in names)
-        self.numbers = QLabel()
-        self.numbers.setWordWrap(True)
+        self.align = push_button("Alignment", self.measure_alignment)
+        self.mark = push_button("Measure USAF resolution", self.mark_elements)
+        self.average = push_button("Edge map", self.measure_edge)
+        self.save = self.save_button("Save plot...", "Save the profile", "edge.png", PICTURE, TABLE)
         self.numbers.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)  # it follows the dock
-        self.plot = ThemedPlot("row from the centre / µm", "residual / central level", self.viewer.theme)
         layout = panel_layout(self)
         layout.addLayout(form_layout(self.recording, self.cores))
         layout.addLayout(button_row(self.align, self.mark, self.average))
@@ -271,15 +258,6 @@ class QualityPanel(Panel):
         if self.alignment is not None and self.recording.value is not None:
             self.measure_alignment()
         self.measure_resolution()
-
-    def _theme_changed(self) -> None:
-        self.plot.apply_theme(self.viewer.theme)
-
-    def _ask_where_to_save(self) -> None:
-        kinds = dialog_filter(PICTURE, TABLE)
-        if path := file_to_save(self, "Save the profile", "edge.png", kinds):
-            with notify_errors(self):
-                self.plot.save(Path(path))
 
 
 def _scale(stack: Stack, calibration: Calibration) -> float:

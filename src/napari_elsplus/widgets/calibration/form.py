@@ -26,7 +26,7 @@ from napari_elsplus.processing.calibration.step import Capture, StepState
 from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps
 from napari_elsplus.viewing.calibration_script import MeasurementSource
 from napari_elsplus.widgets.shared.choosing import preset_label
-from napari_elsplus.widgets.shared.panel import panel_layout
+from napari_elsplus.widgets.shared.panel import panel_layout, text_label
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.window.keys import key_name
 
@@ -78,7 +78,7 @@ class Form:
         self.preset.setToolTip("Region of the camera and objective")
         self.connect_button = QPushButton()
         self.steps = {step.key: self._step_button(number, step) for number, step in enumerate(calibration_steps(), 1)}
-        self.explanation, self.headline, self.numbers = (_text() for _ in range(3))
+        self.explanation, self.headline, self.numbers = (text_label() for _ in range(3))
         self.headline.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.target, self.voltages = QDoubleSpinBox(), QSpinBox()
         self.target.setRange(3, 100)
@@ -370,12 +370,6 @@ def _number(decimals: int, largest: float, tooltip: str) -> QDoubleSpinBox:
     field.setKeyboardTracking(False)
     field.setToolTip(f"{tooltip}; unknown at 0")
     return field
-
-
-def _text() -> QLabel:
-    label = QLabel()
-    label.setWordWrap(True)
-    return label
 
 
 def _grid(*widgets: QWidget) -> QGridLayout:

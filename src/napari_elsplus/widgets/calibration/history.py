@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QComboBox, QDialog, QHBoxLayout, QLabel, QPushButton, QVBoxLayout
+from qtpy.QtWidgets import QComboBox, QDialog, QHBoxLayout, QPushButton, QVBoxLayout
 
 from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
 from napari_elsplus.widgets.shared.calibration_state import amber
 from napari_elsplus.widgets.shared.files import file_to_save, folder_to_open
+from napari_elsplus.widgets.shared.panel import text_label
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.workflows.calibration_report.history import CalibrationHistory, calibration_history
@@ -38,11 +39,10 @@ class HistoryDialog(QDialog):
         self.setWindowTitle("History of calibrations")
         self._panel = panel
         self.history = CalibrationHistory([], [])
-        self.quantity, self.plot, self.notes = QComboBox(), ThemedPlot("", "", theme), QLabel()
+        self.quantity, self.plot, self.notes = QComboBox(), ThemedPlot("", "", theme), text_label()
         self.choose, self.save = QPushButton("Folder..."), QPushButton("Save plot...")
         self.choose.setToolTip("Choose the folder of the calibrations; those of another rig or objective are left out")
         self.save.setToolTip("Save what is plotted as a picture (.png) or a table (.csv)")
-        self.notes.setWordWrap(True)
         layout, row = QVBoxLayout(self), QHBoxLayout()
         for widget in (self.quantity, self.plot, self.notes):
             layout.addWidget(widget)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from napari.utils.notifications import show_info
-from qtpy.QtCore import QTimer
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
@@ -31,7 +30,7 @@ from napari_elsplus.widgets.calibration.session import Session, ShownResult
 from napari_elsplus.widgets.calibration.sharing import Sharing
 from napari_elsplus.widgets.shared.choosing import frames_of
 from napari_elsplus.widgets.shared.connection import join
-from napari_elsplus.widgets.shared.panel import Panel, copy_as_script
+from napari_elsplus.widgets.shared.panel import Panel, copy_as_script, timer
 from napari_elsplus.widgets.shared.problems import notify_errors, problems
 from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
 from napari_elsplus.widgets.shared.window.keys import bind_keys
@@ -84,9 +83,7 @@ class CalibrationPanel(Panel):
         self.work = Work(self._work_ended, self._cancel)
         self.form = Form(self, self.work, viewer.theme)
         self._wire()
-        self._poll = QTimer(self)
-        self._poll.setInterval(POLL_MS)
-        self._poll.timeout.connect(self._update)
+        self._poll = timer(self, POLL_MS, self._update)
         self._poll.start()
         self._refresh()
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from qtpy.QtCore import Qt, QTimer
+from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QSizePolicy, QTabWidget, QVBoxLayout
 
 from napari_elsplus.widgets.dock.status_line import StatusLine
 from napari_elsplus.widgets.dock.tab import PanelKind, Tab
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
+from napari_elsplus.widgets.shared.panel import timer
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -71,12 +72,9 @@ class ElsPlusDock(EnginePanel):
         self.by_title[FIRST].build()
         self.show_tab(FIRST)
         self.tabs.currentChanged.connect(lambda _: self._build_current())
-        self._timer = QTimer(self)
-        self._timer.setInterval(STATUS_MS)
-        self._timer.timeout.connect(self.refresh)
+        self._timer = timer(self, STATUS_MS, self.refresh)
         self._timer.start()
-        self._idle = QTimer(self)
-        self._idle.timeout.connect(self._build_next)
+        self._idle = timer(self, 0, self._build_next)
         self._idle.start()
         self.refresh()
 

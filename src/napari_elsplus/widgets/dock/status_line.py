@@ -13,6 +13,7 @@ from qtpy.QtWidgets import QGridLayout, QLabel, QToolButton, QWidget
 from napari_elsplus.io.settings import active_calibration
 from napari_elsplus.processing.compilation import compilation_remark
 from napari_elsplus.widgets.shared.calibration_state import amber, calibration_lines
+from napari_elsplus.widgets.shared.panel import text_label
 from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
@@ -27,9 +28,8 @@ class StatusLine(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.state, self.problem = QLabel(), QLabel()
+        self.state, self.problem = text_label(), text_label()
         for label in (self.state, self.problem):
-            label.setWordWrap(True)
             label.setTextFormat(Qt.TextFormat.RichText)
         self.problem.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.dismiss = QToolButton()

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from magicgui.types import FileDialogMode
 from magicgui.widgets import CheckBox, ComboBox, FileEdit, FloatSpinBox, PushButton, SpinBox
-from qtpy.QtWidgets import QLabel, QWidget
 
 from napari_elsplus.acquisition.engine.live_images import RAW, LiveView
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
@@ -17,12 +16,14 @@ from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.widgets.live.layers import KINDS
 from napari_elsplus.widgets.shared.calibration_state import lag_button
-from napari_elsplus.widgets.shared.panel import button_row, form_layout, panel_layout
+from napari_elsplus.widgets.shared.panel import button_row, form_layout, panel_layout, text_label
 from napari_elsplus.widgets.shared.requests import RequestBar
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+    from qtpy.QtWidgets import QWidget
 
 SECTION: Final = "live"
 ONCE, CONTINUOUS, FIXED = "once", "continuous", "fixed"
@@ -110,8 +111,7 @@ class LiveForm:
         )
         self.lag, self.bar = lag_button(), RequestBar()
         self.opening = PushButton(text="Open it", tooltip="Open the newest recording as layers", visible=False)
-        self.status = QLabel()
-        self.status.setWordWrap(True)
+        self.status = text_label()
         self._panel = panel
         self._build_layout()
 

@@ -8,7 +8,6 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, Final
 
 from napari.utils.notifications import show_info
-from qtpy.QtCore import QTimer
 
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.hardware.rig_files import is_simulated
@@ -19,7 +18,7 @@ from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.live.status import status_text
 from napari_elsplus.widgets.shared.calibration_state import lag_advice
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint
+from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
 from napari_elsplus.widgets.shared.problems import notify_errors, problems
 from napari_elsplus.widgets.shared.window.canvas_monitor import CanvasMonitor
 from napari_elsplus.widgets.shared.window.layer_list import LayerListModels
@@ -65,9 +64,7 @@ class LivePanel(EnginePanel):
         self.form.opening.clicked.connect(self.open_recorded)
         self.form.lag.clicked.connect(self.measure_lag)
         self.form.script.clicked.connect(self.copy_script)
-        self._timer = QTimer(self)
-        self._timer.setInterval(TICK_MS)
-        self._timer.timeout.connect(self.tick)
+        self._timer = timer(self, TICK_MS, self.tick)
         self._timer.start()
         self.refresh()
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from magicgui.widgets import PushButton
 from qtpy.QtCore import Qt
 from qtpy.QtGui import QColor
 from qtpy.QtWidgets import QDialog, QLabel, QTableWidget, QTableWidgetItem, QVBoxLayout, QWidget
 
+from napari_elsplus.widgets.shared.panel import push_button, text_label
 from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
@@ -40,15 +40,12 @@ class Rehearsal(QWidget):
         super().__init__()
         self._names = names
         self._allowed = True
-        self.button = PushButton(text="Rehearse faults", tooltip=TOOLTIP)
-        self.button.clicked.connect(self.start)
+        self.button = push_button("Rehearse faults", self.start, TOOLTIP)
         self.work = Work(self._ended)
         self.table: QTableWidget | None = None
-        notice = QLabel(NOTICE)
-        notice.setWordWrap(True)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        for part in (self.button.native, self.work, notice):
+        for part in (self.button.native, self.work, text_label(NOTICE)):
             layout.addWidget(part)
 
     def allow(self, allowed: bool) -> None:

@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from magicgui.widgets import ComboBox, FloatSpinBox, PushButton, SpinBox
+from magicgui.widgets import ComboBox, FloatSpinBox, SpinBox
 from napari.utils.notifications import show_info
-from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QLabel
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError
@@ -24,7 +22,15 @@ from napari_elsplus.widgets.shared.calibration_state import calibration_lines, l
 from napari_elsplus.widgets.shared.choosing import preset_label
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.files import file_to_open, file_to_save
-from napari_elsplus.widgets.shared.panel import button_row, form_layout, next_hint, panel_layout
+from napari_elsplus.widgets.shared.panel import (
+    button_row,
+    form_layout,
+    next_hint,
+    panel_layout,
+    push_button,
+    text_label,
+    timer,
+)
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.requests import RequestBar
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
@@ -71,9 +77,7 @@ class RigPanel(EnginePanel):
         self._disconnecting = False
         self._accepted: Settings | None = None
         self._build()
-        self._timer = QTimer(self)
-        self._timer.setInterval(STATUS_MS)
-        self._timer.timeout.connect(self.refresh)
+        self._timer = timer(self, STATUS_MS, self.refresh)
         self._timer.start()
         self.refresh()
 
@@ -223,14 +227,13 @@ class RigPanel(EnginePanel):
         self.gain_db = FloatSpinBox(
             value=last.gain_db, min=0, max=24, step=1, label="gain (dB)", tooltip="Camera gain, 0 to 24 dB"
         )
-        self.connect, self.parking = PushButton(text="Connect"), PushButton(text="Park")
-        self.calibrate_simulated = PushButton(text="Calibrate simulated rig")
-        self.open_file, self.save_file = PushButton(text="Load calibration..."), PushButton(text="Save calibration...")
-        self.forgetting = PushButton(text="Forget calibration")
+        self.connect, self.parking = push_button("Connect", self.toggle), push_button("Park", self.park)
+        self.calibrate_simulated = push_button("Calibrate simulated rig", self.calibrate)
+        self.open_file = push_button("Load calibration...", self._ask_for_file)
+        self.save_file = push_button("Save calibration...", self._ask_where_to_save)
+        self.forgetting = push_button("Forget calibration", self.forget)
         self.lag, self.bar = lag_button(), RequestBar()
-        self.optics, self.status = QLabel(), QLabel()
-        for label in (self.optics, self.status):
-            label.setWordWrap(True)
+        self.optics, self.status = text_label(), text_label()
         layout = panel_layout(self)
         self.rehearsal = Rehearsal()
         layout.addLayout(form_layout(self.rig, self.preset, self.slit_rows, self.rate_hz, self.gain_db))
@@ -241,14 +244,8 @@ class RigPanel(EnginePanel):
         for part in (self.bar, self.status, self.lag.native, self.rehearsal):
             layout.addWidget(part)
         layout.addStretch(1)
-        self.connect.clicked.connect(self.toggle)
-        self.parking.clicked.connect(self.park)
         bind_keys(self, {"park": self.park})
-        self.calibrate_simulated.clicked.connect(self.calibrate)
         self.lag.clicked.connect(self.measure_lag)
-        self.open_file.clicked.connect(self._ask_for_file)
-        self.save_file.clicked.connect(self._ask_where_to_save)
-        self.forgetting.clicked.connect(self.forget)
         for choice in (self.preset, self.slit_rows, self.rate_hz, self.gain_db):
             choice.changed.connect(self.apply)
 

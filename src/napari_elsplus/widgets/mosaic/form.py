@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from magicgui.types import FileDialogMode
 from magicgui.widgets import CheckBox, ComboBox, FileEdit, PushButton
-from qtpy.QtWidgets import QLabel, QWidget
 
 from napari_elsplus.io.settings import recall, remember
 from napari_elsplus.processing.images.sectioning import Mode
@@ -15,7 +14,7 @@ from napari_elsplus.processing.tracking.registry import tracking_methods
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.mosaic.sources import source_names
 from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
-from napari_elsplus.widgets.shared.panel import button_row, form_layout, panel_layout
+from napari_elsplus.widgets.shared.panel import button_row, form_layout, panel_layout, text_label
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     import napari.viewer
+    from qtpy.QtWidgets import QWidget
 
 SECTION: Final = "mosaic"
 INSERTION_LABELS: Final = {
@@ -83,8 +83,7 @@ class MosaicForm:
         )
         self.opening = PushButton(text="Open file...", tooltip="Open a recording as layers")
         self.speed = SpeedBar(viewer.theme)
-        self.status = QLabel()
-        self.status.setWordWrap(True)
+        self.status = text_label()
         self._panel = panel
         self._build_layout(work)
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from napari.utils.notifications import show_info, show_warning
-from qtpy.QtCore import QTimer
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig_files import is_simulated
@@ -27,7 +26,7 @@ from napari_elsplus.widgets.shared.calibration_state import lag_advice
 from napari_elsplus.widgets.shared.choosing import chosen_image, refresh_choices
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.files import file_to_open, file_to_save, note_folder
-from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint
+from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.window import closing
 from napari_elsplus.widgets.shared.window.layer_list import LayerListModels
@@ -81,9 +80,7 @@ class MosaicPanel(EnginePanel):
             },
             {"open": self._ask_for_file, "script": self.copy_script},
         )
-        self._timer = QTimer(self)
-        self._timer.setInterval(TICK_MS)
-        self._timer.timeout.connect(self.tick)
+        self._timer = timer(self, TICK_MS, self.tick)
         self._timer.start()
         self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
         self.connect_signal(viewer.layers.events.removed, self._layers_changed)

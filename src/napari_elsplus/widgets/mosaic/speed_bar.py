@@ -5,8 +5,9 @@ from __future__ import annotations
 from math import isfinite
 from typing import TYPE_CHECKING, Final
 
-from qtpy.QtWidgets import QLabel, QProgressBar, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QProgressBar, QVBoxLayout, QWidget
 
+from napari_elsplus.widgets.shared.panel import text_label
 from napari_elsplus.widgets.shared.plots import theme_colour
 
 if TYPE_CHECKING:
@@ -31,11 +32,10 @@ class SpeedBar(QWidget):
 
     def __init__(self, theme: str) -> None:
         super().__init__()
-        self._bar, self._label = QProgressBar(), QLabel()
+        self._bar, self._label = QProgressBar(), text_label()
         self._bar.setRange(0, 100)
         self._bar.setTextVisible(False)
         self._bar.setMaximumHeight(12)
-        self._label.setWordWrap(True)
         self.setToolTip(
             "Speed of the probe; at the end of the bar successive frames overlap too little to be tracked. "
             "Stay below half, slower over tissue of low contrast."

@@ -8,7 +8,7 @@ from weakref import WeakSet
 
 from magicgui.widgets import PushButton
 from napari.utils.notifications import show_info
-from qtpy.QtCore import QEvent
+from qtpy.QtCore import QEvent, QTimer
 from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from napari_elsplus.errors import InputError
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     import napari.viewer
     from magicgui.widgets import Widget
-    from qtpy.QtCore import QMimeData
+    from qtpy.QtCore import QMimeData, QObject
     from qtpy.QtGui import QDragEnterEvent, QDropEvent
 
 PLUGIN: Final = "napari-elsplus"
@@ -170,6 +170,51 @@ def set_enabled(button: PushButton, enabled: bool, does: str, first: str) -> Non
     """
     button.enabled = enabled
     button.tooltip = does if enabled else f"{does}; first {first}"
+
+
+def push_button(text: str, pressed: Callable[..., Any], tooltip: str = "") -> PushButton:
+    """Return a button.
+
+    Parameters
+    ----------
+    text : str
+        On the button.
+    pressed : callable
+        Called when it is pressed.
+    tooltip : str
+        What it does.
+    """
+    button = PushButton(text=text, tooltip=tooltip)
+    button.clicked.connect(pressed)
+    return button
+
+
+def text_label(text: str = "") -> QLabel:
+    """Return a label of a text that is wrapped at the panel's width."""
+    label = QLabel(text)
+    label.setWordWrap(True)
+    return label
+
+
+def timer(parent: QObject, interval_ms: int, slot: Callable[[], Any], *, once: bool = False) -> QTimer:
+    """Return a timer that was not started.
+
+    Parameters
+    ----------
+    parent : QObject
+        Its owner.
+    interval_ms : int
+        Interval in milliseconds.
+    slot : callable
+        Called at each interval.
+    once : bool
+        Stop after the first interval.
+    """
+    new = QTimer(parent)
+    new.setInterval(interval_ms)
+    new.setSingleShot(once)
+    new.timeout.connect(slot)
+    return new
 
 
 def panel_layout(panel: QWidget) -> QVBoxLayout:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
-from qtpy.QtCore import QObject, QTimer
+from qtpy.QtCore import QObject
 from qtpy.QtWidgets import QProgressBar
 
 from napari_elsplus.errors import ElsPlusError, error_message
+from napari_elsplus.widgets.shared.panel import timer
 from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
@@ -75,9 +76,7 @@ class PendingRequests(QObject):
         self._panel, self._settled = parent, settled
         self._open: list[_Request] = []
         self._pool = ThreadPoolExecutor(1, "elsplus-requests")
-        self._poll = QTimer(self)
-        self._poll.setInterval(POLL_MS)
-        self._poll.timeout.connect(self._deliver)
+        self._poll = timer(self, POLL_MS, self._deliver)
 
     @property
     def busy(self) -> bool:

@@ -7,12 +7,11 @@ from threading import Event
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from napari.qt.threading import create_worker
-from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QGridLayout, QLabel, QProgressBar, QPushButton, QWidget
+from qtpy.QtWidgets import QGridLayout, QProgressBar, QPushButton, QWidget
 
 from napari_elsplus.errors import ElsPlusError, error_message
 from napari_elsplus.processing.compilation import compilation_remark, reported_compilation
-from napari_elsplus.widgets.shared.panel import panel_of
+from napari_elsplus.widgets.shared.panel import panel_of, text_label, timer
 from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
@@ -47,8 +46,7 @@ class Work(QWidget):
         self._done, self._total, self._counts = 0, 0, True
         self._worker: Any = None
         self._name, self._kernel = "", [""]
-        self._bar, self._step = QProgressBar(), QLabel()
-        self._step.setWordWrap(True)
+        self._bar, self._step = QProgressBar(), text_label()
         self._cancel = QPushButton("Cancel")
         self._cancel.setToolTip("Stop after this frame; nothing is changed")
         self._cancel.clicked.connect(self.cancel)
@@ -58,9 +56,7 @@ class Work(QWidget):
         layout.addWidget(self._step, 0, 0, 1, 2)
         layout.addWidget(self._bar, 1, 0)
         layout.addWidget(self._cancel, 1, 1)
-        self._poll = QTimer(self)
-        self._poll.setInterval(POLL_MS)
-        self._poll.timeout.connect(self._show_progress)
+        self._poll = timer(self, POLL_MS, self._show_progress)
         self.hide()
 
     @property
