@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.processing.analysis.uncertainty import robust_sigma
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -13,8 +15,6 @@ if TYPE_CHECKING:
 
 MIN_POINTS: Final = 3
 """Smallest number of points; derived: the noise is estimated from a point and its two neighbours."""
-_MAD_TO_SIGMA: Final = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation (derived)."""
 _BRIGHT: Final = 0.2
 """Of the signal in contact, above which points show the noise that is proportional to the signal; chosen."""
 _MIN_BRIGHT: Final = 5
@@ -40,16 +40,12 @@ def noise_of_curve(depth: Curve, signal: Curve) -> tuple[float, float]:
     ahead = (depth[1:-1] - depth[:-2]) / (depth[2:] - depth[:-2])
     departure = signal[1:-1] - (1 - ahead) * signal[:-2] - ahead * signal[2:]
     departure /= np.sqrt(1 + ahead**2 + (1 - ahead) ** 2)
-    noise = _robust_sigma(departure)
+    noise = float(robust_sigma(departure - np.median(departure)))
     bright = signal[1:-1] > _BRIGHT * signal.max()
     if np.count_nonzero(bright) < _MIN_BRIGHT:
         return noise, 0.0
     level = signal[1:-1][bright]
     # The curvature of the curve itself cancels in differences; of departures that share points, these vary 10/3 times.
     steps = np.diff(departure[bright] / level)
-    excess = _robust_sigma(steps) ** 2 / (10 / 3) - float(np.median(np.square(noise / level)))
+    excess = float(robust_sigma(steps - np.median(steps))) ** 2 / (10 / 3) - float(np.median(np.square(noise / level)))
     return noise, float(np.sqrt(max(excess, 0.0)))
-
-
-def _robust_sigma(values: Curve) -> float:
-    return float(_MAD_TO_SIGMA * np.median(np.abs(values - np.median(values))))

@@ -1,4 +1,4 @@
-"""Cluster-robust standard deviations, for residuals that are not independent.
+"""Standard deviations of residuals that have outliers, or that are not independent.
 
 Through a fibre bundle, the residuals of any fit are correlated within a core, by its transmission, which photon
 statistics do not contain. Residuals are therefore summed over clusters (columns, arcs, runs of frames) wider than a
@@ -8,7 +8,7 @@ https://doi.org/10.1093/biomet/73.1.13).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,6 +16,28 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
+
+MAD_TO_SIGMA: Final = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation; derived, the inverse of the normal
+quantile of 3/4."""
+
+
+def robust_sigma(deviations: NDArray[np.floating], axis: int | None = None) -> Floats:
+    """Return the standard deviation of normally distributed deviations by the median of their magnitudes.
+
+    Parameters
+    ----------
+    deviations : numpy.ndarray
+        Deviations from the centre of the distribution, of which less than half may be outliers.
+    axis : int, optional
+        Axis of the median; all values by default.
+
+    Examples
+    --------
+    >>> round(float(robust_sigma(np.r_[np.random.default_rng(0).normal(0, 2, 900), np.full(100, 50.0)])), 1)
+    2.2
+    """
+    return np.asarray(MAD_TO_SIGMA * np.median(np.abs(deviations), axis=axis), np.float64)
 
 
 def clustered_influence(jacobian: Floats, residuals: Floats, clusters: NDArray[np.intp], count: int) -> Floats:

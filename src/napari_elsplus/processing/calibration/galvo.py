@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.analysis.uncertainty import clustered_influence, overlapping_influence
+from napari_elsplus.processing.analysis.uncertainty import clustered_influence, overlapping_influence, robust_sigma
 from napari_elsplus.processing.calibration.line.location import Line, locate_line
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ def fit_galvo(
     slope = float(theilslopes(rows, v).slope)
     away = rows - slope * v
     away -= np.median(away)
-    scatter = max(1.4826 * float(np.median(np.abs(away))), 0.02)
+    scatter = max(float(robust_sigma(away)), 0.02)
     used = np.abs(away) < OUTLIER_SIGMAS * scatter
     travel = abs(slope) * float(np.ptp(v[used]))
     if used.mean() < 0.6 or travel < max(5.0, 20 * scatter):
@@ -220,8 +220,8 @@ def _common_bow(lines: list[Line], column: float, radius_px: float) -> _Bow:
     """Return the bow that all lines of a sweep share; 0 if it is not significant."""
     bends = np.array([line.bend for line in lines]) * radius_px**2
     weights = np.array([line.mean_square_px**2 for line in lines]) + 1e-12
-    away = np.abs(bends - np.median(bends))
-    weights[away > OUTLIER_SIGMAS * 1.4826 * np.median(away) + 1e-9] = 0
+    away = bends - np.median(bends)
+    weights[np.abs(away) > OUTLIER_SIGMAS * robust_sigma(away) + 1e-9] = 0
     rows = float(np.average(bends, weights=weights))
     scatter = float(np.sqrt(np.average(np.square(bends - rows), weights=weights)))
     uncertainty = scatter * float(np.sqrt(_NEIGHBOURS * np.square(weights).sum())) / float(weights.sum())

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 from napari_elsplus.processing.calibration.bundle.core_matching import tiles
 from napari_elsplus.processing.images.resampling import resampled
 
@@ -146,7 +147,7 @@ def _dark_plane(frame: Image, confocal: Disc, residual: Disc) -> tuple[Floats, F
     plane, covariance = np.array([np.median(level), 0.0, 0.0]), np.zeros((3, 3))
     for _ in range(3):
         miss = level - terms @ plane
-        kept = np.abs(miss) <= 4 * max(1.4826 * float(np.median(np.abs(miss))), 0.5)
+        kept = np.abs(miss) <= 4 * max(float(robust_sigma(miss)), 0.5)
         inverse = np.linalg.pinv(terms[kept].T @ terms[kept])
         plane = inverse @ (terms[kept].T @ level[kept])
         covariance = inverse * float(np.var(level[kept] - terms[kept] @ plane))

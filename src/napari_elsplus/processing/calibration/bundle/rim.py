@@ -17,7 +17,7 @@ import numpy as np
 from scipy import optimize
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.analysis.uncertainty import clustered_influence, estimator_influence
+from napari_elsplus.processing.analysis.uncertainty import clustered_influence, estimator_influence, robust_sigma
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -233,4 +233,4 @@ def _shortest_stretch(miss: Floats) -> tuple[float, float]:
     first = int(np.argmin(widths))
     middle = float((ordered[first] + ordered[first + count]) / 2)
     outward = miss[miss > middle] - middle
-    return middle, 1.4826 * float(np.median(outward)) if len(outward) else 0.0
+    return middle, float(robust_sigma(outward)) if len(outward) else 0.0

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 from napari_elsplus.processing.compiled import kernel
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def brightest_streak(image: Image) -> Streak:
     edges = np.linspace(0, cols, _BLOCKS + 1).astype(int)
     profiles = np.add.reduceat(image, edges[:-1], axis=1, dtype=np.float64) / np.diff(edges)
     profiles -= np.median(profiles, axis=0)
-    noise = 1.4826 * float(np.median(np.abs(profiles))) + 1e-3 * float(np.abs(profiles).max())
+    noise = float(robust_sigma(profiles)) + 1e-3 * float(np.abs(profiles).max())
     if noise == 0:
         raise MeasurementError(f"no laser line: all pixels are {float(image.flat[0]):g}", "is the laser on?")
     evidence = np.log1p(np.clip(ndimage.gaussian_filter1d(profiles, 1.0, axis=0) / noise, 0, None))

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy import ndimage
 
+from napari_elsplus.processing.analysis.uncertainty import robust_sigma
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -151,7 +153,7 @@ def find_row_errors(shifts_rows: Floats, profiles: Floats, lit: NDArray[np.bool_
     first, last = (int(value) for value in np.flatnonzero(lit)[[0, -1]])
     smooth = ndimage.gaussian_filter1d(profiles, PEAK_ROWS / step, axis=0, mode="nearest")
     rough = profiles - ndimage.gaussian_filter1d(profiles, 1.0, axis=0, mode="nearest")
-    noise = 1.4826 * np.median(np.abs(rough), axis=0) + 1e-9
+    noise = robust_sigma(rough, axis=0) + 1e-9
     best = np.argmax(smooth, axis=0)
     clear = smooth[best, rows] - smooth.min(axis=0) > MIN_SIGMAS * noise
     peak = shifts_rows[best]
