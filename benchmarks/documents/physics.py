@@ -9,11 +9,11 @@ import numpy as np
 
 from benchmarks.documents import physics_charts as charts
 from benchmarks.documents.pages import fill, require_marks
+from benchmarks.rigs.clipped_response import clipped_drop_offs
 from benchmarks.studies import printed
 from benchmarks.studies.sectioning import mean_residual, measure_axial, weigh_offset
 from napari_elsplus.processing.analysis.slit_offset import fit_saturation
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, drop_offs
-from napari_elsplus.simulation.model.clipped_response import clipped_drop_offs
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.workflows.pictures.axial import draw_axial_response
 from napari_elsplus.workflows.pictures.files import save_figure

@@ -1,8 +1,9 @@
 """The model line of state a, fitted to what the paper prints: ``python3 run.py bench docs --only line-fit``.
 
-The paper measured on a bundle, so the fit is made with the rim of a bundle (:mod:`simulation.clipped_response`). Five
-parameters are more than its numbers determine: the share of the halo and the gap may be exchanged for one another with
-hardly any change of the fit. They are held, and the three that remain are fitted.
+The paper measured on a bundle, so the fit is made with the rim of a bundle
+(:mod:`benchmarks.rigs.clipped_response`). Five parameters are more than its numbers determine: the share of the halo
+and the gap may be exchanged for one another with hardly any change of the fit. They are held, and the three that remain
+are fitted.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.parsimony.axial import Target, paper_targets
+from benchmarks.rigs.clipped_response import clipped_drop_offs
 from benchmarks.studies import printed
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel
-from napari_elsplus.simulation.model.clipped_response import clipped_drop_offs
 from napari_elsplus.simulation.model.instrument import Instrument
 
 if TYPE_CHECKING:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from benchmarks.documents.recommendation import SEED, SETTINGS
+from benchmarks.rigs.clipped_response import clipped_drop_offs
 from benchmarks.studies.recommendation import Setting, calibrated, compare_prediction, random_settings
 from napari_elsplus.cli import main
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import write_calibration
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response
-from napari_elsplus.simulation.model.clipped_response import clipped_drop_offs
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.workflows.recommendation.line_estimate import calibrated_line

@@ -186,8 +186,7 @@ def drop_offs(
 ) -> DropOffs:
     """Solve the model for the 3 dB and 10 dB drop-off distances of ELS+, or of LS where no offset is given.
 
-    The rim of the bundle is neglected, which reduces the LS 10 dB distance of a bundle of 620 um by 5 %:
-    :func:`napari_elsplus.simulation.model.clipped_response.clipped_drop_offs` includes it.
+    The rim of the bundle is neglected, which reduces the LS 10 dB distance of a bundle of 620 um by 5 %.
 
     Parameters
     ----------

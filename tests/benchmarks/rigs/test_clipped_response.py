@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.rigs.clipped_response import MAX_DEPTH_UM, clipped_drop_offs, clipped_response
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response, drop_offs
-from napari_elsplus.simulation.model.clipped_response import MAX_DEPTH_UM, clipped_drop_offs, clipped_response
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import plate
