@@ -285,13 +285,13 @@ class Stage:
         else:
             self.problems.append("the command was not refused")
 
-    def expect_frames_go_on(self, count: int = FRAMES_BEFORE) -> None:
-        """Expect that a further count of frames is acquired and processed."""
+    def expect_frames_go_on(self) -> None:
+        """Expect that `FRAMES_BEFORE` further frames are acquired and processed."""
         before = self.status()
         with suppress(DeviceError):
-            self.wait_for(lambda: self.status().processed >= before.processed + count, "frames", 3.0)
+            self.wait_for(lambda: self.status().processed >= before.processed + FRAMES_BEFORE, "frames", 3.0)
         now = self.status()
-        self.expect(now.live and now.processed >= before.processed + count, "frames do not go on")
+        self.expect(now.live and now.processed >= before.processed + FRAMES_BEFORE, "frames do not go on")
 
     def expect_recording(self, *, until_s: float | None = None, complete: bool = True) -> None:
         """Expect that every frame of the camera is in the recording, or was reported as lost.

@@ -78,10 +78,8 @@ def element_contrast(image: NDArray[np.floating], element: BarElement) -> float:
     return (bright - dark) / total if total > 0 else float("nan")
 
 
-def smallest_resolved_line_pair_um(
-    image: NDArray[np.floating], elements: Iterable[BarElement], min_contrast: float = RESOLVED_CONTRAST
-) -> float:
-    """Return the finest period of a bar target down to which every element is resolved.
+def smallest_resolved_line_pair_um(image: NDArray[np.floating], elements: Iterable[BarElement]) -> float:
+    """Return the finest period of a bar target down to which every element has a contrast of `RESOLVED_CONTRAST`.
 
     Parameters
     ----------
@@ -89,8 +87,6 @@ def smallest_resolved_line_pair_um(
         (rows, cols).
     elements : iterable of BarElement
         Of any periods and orientations; several may share a period.
-    min_contrast : float
-        Smallest Michelson contrast of a resolved element.
 
     Returns
     -------
@@ -111,12 +107,12 @@ def smallest_resolved_line_pair_um(
         raise InputError("a target of 0 elements", "give the positions of its elements")
     finest = None
     for period_um in sorted(periods, reverse=True):
-        if not all(element_contrast(image, element) >= min_contrast for element in periods[period_um]):
+        if not all(element_contrast(image, element) >= RESOLVED_CONTRAST for element in periods[period_um]):
             break
         finest = period_um
     if finest is None:
         raise MeasurementError(
-            f"no element of the target is resolved (contrast below {min_contrast:g} at {max(periods):.1f} um)",
+            f"no element of the target is resolved (contrast below {RESOLVED_CONTRAST:g} at {max(periods):.1f} um)",
             "is the target in focus, and at the given position?",
         )
     return finest

@@ -43,10 +43,8 @@ DARK_LIGHT: Final = 0.1
 """Part of the brightest columns' light up to which a column counts as dark; chosen."""
 
 
-def dark_pixels(
-    shape: tuple[int, int], discs: Iterable[tuple[tuple[float, float], float]], margin_px: float = RIM_MARGIN_PX
-) -> Mask:
-    """Return 1 in the pixels outside of the discs, 0 inside, (rows, cols) float32.
+def dark_pixels(shape: tuple[int, int], discs: Iterable[tuple[tuple[float, float], float]]) -> Mask:
+    """Return 1 in the pixels outside of the discs and of `RIM_MARGIN_PX` around them, 0 inside, (rows, cols) float32.
 
     Parameters
     ----------
@@ -54,13 +52,11 @@ def dark_pixels(
         Rows and columns of the frame.
     discs : iterable of tuple
         Centre (row, col) and diameter in pixels of each.
-    margin_px : float
-        Around the discs, in pixels.
     """
     row, col = np.ogrid[: shape[0], : shape[1]]
     dark = np.ones(shape, np.float32)
     for centre, diameter_px in discs:
-        dark[np.hypot(row - centre[0], col - centre[1]) <= diameter_px / 2 + margin_px] = 0
+        dark[np.hypot(row - centre[0], col - centre[1]) <= diameter_px / 2 + RIM_MARGIN_PX] = 0
     return dark
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,15 +16,17 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.tiles import Canvas
 
 
-def montage(mosaics: Sequence[Canvas], gap_px: int = 16) -> NDArray[np.float32]:
+GAP_PX: Final = 16
+"""Empty rows between two segments; chosen: seen at any scale at which a mosaic is displayed."""
+
+
+def montage(mosaics: Sequence[Canvas]) -> NDArray[np.float32]:
     """Stack the mosaics of all segments vertically in one image, the largest first.
 
     Parameters
     ----------
     mosaics : sequence of Canvas
         At least one into which a frame was inserted.
-    gap_px : int
-        Empty rows between them.
 
     Returns
     -------
@@ -39,10 +41,10 @@ def montage(mosaics: Sequence[Canvas], gap_px: int = 16) -> NDArray[np.float32]:
     images = sorted((mosaic.read()[0] for mosaic in mosaics), key=lambda image: -image.size)
     if not images:
         raise InputError("no frame could be placed", "check the frames: is the probe on the tissue?")
-    height = sum(len(image) + gap_px for image in images) - gap_px
+    height = sum(len(image) + GAP_PX for image in images) - GAP_PX
     canvas = np.zeros((height, max(image.shape[1] for image in images)), np.float32)
     top = 0
     for image in images:
         canvas[top : top + len(image), : image.shape[1]] = image
-        top += len(image) + gap_px
+        top += len(image) + GAP_PX
     return canvas

@@ -68,6 +68,8 @@ class LineModel:
         return (1 - self.halo_share, self.core_um), (self.halo_share, self.halo_um)
 
 
+FAR_UM: Final = 1e6
+"""Depth within which drop-offs are sought, um; chosen, far beyond that of any line model."""
 LINE_MODELS: Final = {
     "a": LineModel(core_um=5.58, halo_share=0.652, halo_um=38.3, spread=0.235, gap_um=14.3),
     "b": LineModel(core_um=2.34, halo_share=0.17, halo_um=33.8, spread=0.224, gap_um=20.2),
@@ -181,9 +183,7 @@ class DropOffs(NamedTuple):
     drop_10db_um: float
 
 
-def drop_offs(
-    *, offset_um: float | None, slit_um: float = 2.9, line: LineModel = LINE_MODELS["a"], far_um: float = 1e6
-) -> DropOffs:
+def drop_offs(*, offset_um: float | None, slit_um: float = 2.9, line: LineModel = LINE_MODELS["a"]) -> DropOffs:
     """Solve the model for the 3 dB and 10 dB drop-off distances of ELS+, or of LS where no offset is given.
 
     The rim of the bundle is neglected, which reduces the LS 10 dB distance of a bundle of 620 um by 5 %.
@@ -196,8 +196,6 @@ def drop_offs(
         Slit width at the bundle.
     line : LineModel
         Model of the laser line.
-    far_um : float
-        Upper limit of the search.
 
     Raises
     ------
@@ -219,7 +217,7 @@ def drop_offs(
         return float(response.ls if offset_um is None else response.els)
 
     contact = signal(0.0)
-    return DropOffs(*(float(brentq(lambda z, f=f: signal(z) / contact - f, 0.0, far_um)) for f in (0.5, 0.1)))
+    return DropOffs(*(float(brentq(lambda z, f=f: signal(z) / contact - f, 0.0, FAR_UM)) for f in (0.5, 0.1)))
 
 
 def signal_kept(*, offset_um: float, slit_um: float = 2.9, line: LineModel = LINE_MODELS["a"]) -> float:

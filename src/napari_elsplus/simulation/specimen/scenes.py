@@ -122,9 +122,9 @@ def uniform(seed: int = 0) -> Scene:
     return plate(0.0)
 
 
-def plate(depth_um: float, brightness: float = 1.0) -> Scene:
-    """Return a uniform stained plate of some brightness at a depth from the probe's face, um."""
-    return Scene((Plane(Uniform(), depth_um, brightness),))
+def plate(depth_um: float) -> Scene:
+    """Return a uniform stained plate at a depth from the probe's face, um."""
+    return Scene((Plane(Uniform(), depth_um),))
 
 
 def empty(seed: int = 0) -> Scene:

@@ -53,17 +53,15 @@ class LineEstimate:
     sigmas: dict[str, float]
     assumed: tuple[str, ...]
 
-    def draws(self, count: int, seed: int = 0) -> Iterator[LineModel]:
+    def draws(self, count: int) -> Iterator[LineModel]:
         """Yield lines drawn at random within the uncertainties.
 
         Parameters
         ----------
         count : int
             How many.
-        seed : int
-            Seed of the draws.
         """
-        random = np.random.default_rng(seed)
+        random = np.random.default_rng(0)
         for _ in range(count):
             drawn = {name: getattr(self.line, name) + self.sigmas[name] * random.normal() for name in _FIELDS}
             core_um = max(drawn["core_um"], 0.1)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.calibration.scan.lag import fit_lag, measure_lag
+from napari_elsplus.processing.calibration.scan.lag import fit_lag, measure_lag, take_leads
 
 LINE_S = 7.648e-6
 
@@ -53,7 +53,7 @@ def test_the_search_is_watched_and_can_be_given_up() -> None:
             yield number
 
     with pytest.raises(InputError, match="cancelled"):
-        measure_lag(lambda lead_s, shift: float(signal(np.array(lead_s + shift * LINE_S), 3e-4)), LINE_S, impatient)
+        take_leads(lambda lead_s, shift: float(signal(np.array(lead_s + shift * LINE_S), 3e-4)), LINE_S, impatient)
     assert numbers == [0, 1, 2, 3, 4]
 
 

@@ -60,11 +60,7 @@ class ScanLag:
     ramp: LearnedRamp | None = None
 
 
-def measure_lag(
-    signal_at: Callable[[float, float], float],
-    line_period_s: float,
-    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
-) -> ScanLag:
+def measure_lag(signal_at: Callable[[float, float], float], line_period_s: float) -> ScanLag:
     """Measure the scan lag with coarse leads over the range of galvos, and fine shifts about the best.
 
     Parameters
@@ -73,8 +69,6 @@ def measure_lag(
         Scans with a lead in seconds and a shift in rows, and returns the mean confocal grey level.
     line_period_s : float
         Seconds from one row to the next.
-    progress : callable, optional
-        Wraps the numbers of the leads, to display progress, or to cancel.
 
     Returns
     -------
@@ -85,7 +79,7 @@ def measure_lag(
     MeasurementError
         If the signal has no maximum within the leads.
     """
-    return fit_lag(*take_leads(signal_at, line_period_s, progress), line_period_s)
+    return fit_lag(*take_leads(signal_at, line_period_s), line_period_s)
 
 
 def take_leads(
@@ -95,7 +89,8 @@ def take_leads(
 ) -> tuple[Floats, Floats]:
     """Return the leads in seconds and the signal at each, shape (n,): the last ``len(FINE_SHIFTS)`` are fine shifts.
 
-    Parameters are those of :func:`measure_lag`. A shift by a row acts on the signal as a lead by a line period.
+    Parameters are those of :func:`measure_lag`; `progress` wraps the numbers of the leads. A shift by a row acts on the
+    signal as a lead by a line period.
     """
     leads = np.arange(0.0, MAX_LAG_S, _COARSE_STEP_ROWS * line_period_s).tolist()
     coarse, best = len(leads), 0.0

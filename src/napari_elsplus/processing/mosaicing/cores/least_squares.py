@@ -47,7 +47,7 @@ class Samples(NamedTuple):
     weights: Image
 
 
-def reconstruct(samples: Samples, aperture: float, smoothness: float, start: Image | None = None) -> Image:
+def reconstruct(samples: Samples, aperture: float, smoothness: float) -> Image:
     """Return the image (rows, cols) float32 that explains samples.
 
     Parameters
@@ -58,15 +58,13 @@ def reconstruct(samples: Samples, aperture: float, smoothness: float, start: Ima
         Standard deviation of the Gaussian through which a sample sees the image, cells.
     smoothness : float
         Weight of the squared gradient.
-    start : numpy.ndarray, optional
-        (rows, cols) float32 from which the iteration starts; the smoothed samples by default.
     """
-    first = local_means(samples, aperture)[0] if start is None else start
+    first = local_means(samples, aperture)[0]
     right = _seen(samples.weights * samples.means, aperture)
     return _solved(samples.weights, right[..., None], aperture, smoothness, first[..., None])[..., 0]
 
 
-def choose_smoothness(samples: Samples, aperture: float, seed: int = 0) -> float:
+def choose_smoothness(samples: Samples, aperture: float) -> float:
     """Return the smoothness that minimises the generalised cross-validation score.
 
     Parameters
@@ -75,14 +73,12 @@ def choose_smoothness(samples: Samples, aperture: float, seed: int = 0) -> float
         A part of the canvas, preferably with many samples.
     aperture : float
         As of :func:`reconstruct`.
-    seed : int
-        Seed of the random probe.
     """
     weights, means = samples.weights, samples.means
     occupied = weights > 0
     density = float(weights.mean())
     root = np.sqrt(weights)
-    probe = np.random.default_rng(seed).choice(np.array([-1, 1], np.float32), weights.shape) * occupied
+    probe = np.random.default_rng(0).choice(np.array([-1, 1], np.float32), weights.shape) * occupied
     right = np.stack([_seen(weights * means, aperture), _seen(root * probe, aperture)], axis=-1)
     start = np.stack([local_means(samples, aperture)[0], np.zeros_like(means)], axis=-1)
     count = int(occupied.sum())
