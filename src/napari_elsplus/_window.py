@@ -38,7 +38,7 @@ def close_at_once(viewer: napari.Viewer) -> None:
     Parameters
     ----------
     viewer : napari.Viewer
-        Its panels release the engine when its window is hidden, and ask nothing when it is closed then.
+        Its panels release the engine when its window is hidden, and open no dialog when it is closed then.
     """
     for window in QApplication.topLevelWidgets():
         if window.isVisible():

@@ -50,6 +50,7 @@ MOVED: dict[str, str] = {"bench": "run `python3 run.py bench` in a checkout of t
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+"""Exit codes after bad input, as of click, and after Ctrl-C, as of a shell: 128 and the number of the signal."""
 
 
 class _CommandPerModule(click.Group):

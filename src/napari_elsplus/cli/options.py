@@ -67,6 +67,7 @@ class LazyChoice(click.Choice):  # type: ignore[type-arg, unused-ignore] # gener
 FILE = _Named(path_type=Path)
 NUMBER, POSITIVE = _Number(), _Number(positive=True)
 SEED = click.IntRange(0, (1 << 31) - 1)
+"""Seeds that every random generator in use takes: 31 bits."""
 
 calibration_option = click.option(
     "-c", "--calibration", type=FILE, required=True, help="Calibration file, as written by `calibrate`."

@@ -52,7 +52,7 @@ def usb() -> Iterator[Finding]:
         yield _camera(camera)
     for camera in old:
         yield warning(
-            f"camera {_ids(camera)} speaks IIDC, not USB3 Vision", "update its firmware with the maker's software"
+            f"camera {_ids(camera)} uses IIDC, not USB3 Vision", "update its firmware with the maker's software"
         )
 
 

@@ -243,7 +243,7 @@ class StepResponse:
 def measure_step(rig: Rig, calibration: Calibration, preset_name: str) -> StepResponse:
     """Measure the response of the galvo to a step against the motion of the slit, one instant in each scan.
 
-    Slit and line move towards each other, so that they meet once in a frame; where they meet tells the line's row at
+    Slit and line move towards each other, so that they meet once in a frame; where they meet is the line's row at
     that time. The step's time is varied from scan to scan.
 
     Parameters

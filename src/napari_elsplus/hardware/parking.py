@@ -24,9 +24,10 @@ _log = logging.getLogger(__name__)
 
 RETRY_S: Final = 0.02
 """Seconds between two attempts; chosen: some task set-up times of the driver, small against the 0.5 s allowed."""
-RETRY_LATER_S: Final = 0.1
 MANY_ATTEMPTS: Final = 50
-"""Seconds between attempts after so many; chosen: a card that accepts again is parked within 0.5 s all the same."""
+"""Attempts after which they become rarer; chosen: a second of refusals is no short error."""
+RETRY_LATER_S: Final = 0.1
+"""Seconds between later attempts; chosen: a card that accepts again is parked within 0.5 s all the same."""
 RESET_AFTER: Final = 2
 """Failed attempts before the first that begins with a reset; chosen: a single error of the driver is made up for."""
 RESET_INTERVAL_S: Final = 0.2

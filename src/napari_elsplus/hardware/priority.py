@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _MIN_REAL_TIME_PRIORITY: Final = 1
+"""Lowest priority of SCHED_RR on Linux: above every thread of ordinary programs, below the kernel's own."""
 _SWITCH_INTERVAL_S: Final = 5e-5
 """Interval after which a Python thread releases the interpreter's lock; chosen: a hundredth of the default, because
 the tracking thread acquires the lock after each of its ten or so kernels per frame of 4 ms."""

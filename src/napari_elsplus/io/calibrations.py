@@ -27,6 +27,7 @@ _HEADER_READERS: Final = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
+"""Readers of the headers of .npy arrays, by the format's version."""
 
 
 def read_calibration(path: str | os.PathLike[str]) -> Calibration:

@@ -23,6 +23,7 @@ ROW: Final = np.dtype(
 LOST: Final = STATES.index("lost")
 _UNKNOWN: Final = ("row_px", "col_px", "row_um", "col_um", "score", "sigma_px")
 _INITIAL_CAPACITY: Final = 1 << 10
+"""Points for which memory is reserved first, doubled when they are full; chosen: seconds of frames."""
 _VALUES: Final = attrgetter(*HEADER)
 
 

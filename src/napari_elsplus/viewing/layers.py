@@ -39,6 +39,7 @@ TITLE_COLOUR: Final = "#8c8c8c"
 TITLE_RISE: Final = 0.03
 """Distance of a title from its image, fraction of the image's rows; chosen."""
 TITLE_PT: Final = 12
+"""Size of a title, points; chosen."""
 MOSAIC: Final = "mosaic"
 """Key of a mosaic's layers in their metadata."""
 

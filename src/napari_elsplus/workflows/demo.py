@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 
 FRAMES: Final = 120
 SPEED_UM_S: Final = 6000.0
+"""Frames and speed of the probe, micrometres per second; chosen: half a second over several fields of view."""
 SHOWN_FRAMES: Final = 12
 """Number of images of each mode that are written, from the start of the recording."""
 SLOW_RATE_HZ: Final = 10.0
@@ -78,6 +79,7 @@ FILES: Final = (
 )
 """Files that the demonstration writes into its folder."""
 _SEED: Final = 1
+"""Seed of scene, path and noise; chosen."""
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ BUS_SHARE: Final = 0.95
 BUS_TIMEOUT_S: Final = 2.0
 """Seconds in which the bus is measured; chosen: 12 frames of a bus of USB 2."""
 BUS_POLL_S: Final = 2e-3
+"""Seconds between two readings of the measured rate; chosen: half a frame period at 240 Hz."""
 SETTLING_FRAMES: Final = 2
 """Invalid frames after a change of region or exposure; documented for another camera of the same maker."""
 

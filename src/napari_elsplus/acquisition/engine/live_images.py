@@ -28,6 +28,7 @@ DISPLAY_SLOTS: Final = 6
 """Images in the display's ring; chosen: a tenth of a second at 60 Hz for a reader to copy one."""
 RAW: Final = "raw"
 _WHITE: Final = 255
+"""Grey level of saturated pixels; derived, the largest of 8 bits."""
 _STEP: Final = 4
 """Saturated pixels are counted on every fourth row and column; chosen: a sixteenth of the cost, and enough."""
 

@@ -38,6 +38,7 @@ CHANGE: Final = np.dtype(
 )  # fmt: skip
 _TILE_SHAPE: Final = (TILES_TOGETHER, 2, TILE_PX, TILE_PX)
 _TILES_BYTES: Final = TILES_TOGETHER * 2 * TILE_PX * TILE_PX * 4
+"""Shape and bytes of a block of tiles, each with float32 values and weights; derived."""
 BOARD_BYTES: Final = HEAD.itemsize + MAX_TILES * TILE.itemsize + CHANGES * CHANGE.itemsize
 
 

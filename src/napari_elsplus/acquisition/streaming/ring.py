@@ -23,6 +23,7 @@ _HEADER: Final = np.dtype(
     [("state", "<i8"), ("frame_number", "<i8"), ("received_s", "<f8"), ("readout_start_s", "<f8")]
 )
 _BEING_WRITTEN: Final = 0
+"""State of a slot that no reader may use; chosen: new shared memory is zero."""
 
 
 @dataclass(frozen=True, slots=True)

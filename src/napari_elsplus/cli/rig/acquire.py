@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     from napari_elsplus.workflows.tracking import Pipeline
 
 _STEP_S = 0.1
+"""Seconds from one step of the progress bar to the next; chosen, shorter than it can be read."""
 ALL_OF_IT_S = 3600.0
+"""Seconds before the command that are recorded, too; chosen, longer than the engine has streamed by then."""
 
 
 @click.command()

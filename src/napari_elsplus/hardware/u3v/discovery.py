@@ -186,7 +186,7 @@ def choose_camera(serial: str = "", backend: IBackend | None = None) -> Device:
         raise DeviceError(f"{len(cameras)} cameras are connected", "write the serial of one into the rig's file")
     if find_iidc(backend):
         raise DeviceError(
-            "the camera's firmware speaks IIDC, not USB3 Vision", "update the firmware with the maker's software"
+            "the camera's firmware uses IIDC, not USB3 Vision", "update the firmware with the maker's software"
         )
     missing = f"no USB3 Vision camera with serial {serial}" if serial else "no USB3 Vision camera is connected"
     raise DeviceError(missing, "plug it into a USB 3 port, then see `napari-elsplus doctor`")

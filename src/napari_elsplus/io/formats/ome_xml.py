@@ -26,6 +26,7 @@ SETTINGS: Final = "napari-elsplus/settings"
 """Namespace of the annotation that keeps settings as JSON."""
 _UM: Final = {"µm": 1.0, "μm": 1.0, "um": 1.0, "micron": 1.0, "nm": 1e-3, "mm": 1e3, "m": 1e6}
 _S: Final = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "μs": 1e-6, "us": 1e-6, "min": 60.0}
+"""Micrometres and seconds in the units of OME-XML."""
 
 
 def tifffile_metadata(

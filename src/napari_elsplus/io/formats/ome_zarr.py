@@ -30,6 +30,7 @@ NOTES: Final = "napari-elsplus"
 """Attribute of the group that keeps settings, software and calibration."""
 _TO_UM: Final = {"micrometer": 1.0, "nanometer": 1e-3, "millimeter": 1e3, "meter": 1e6}
 _TO_S: Final = {"second": 1.0, "millisecond": 1e-3, "microsecond": 1e-6, "minute": 60.0}
+"""Micrometres and seconds in the units of OME-Zarr."""
 
 
 class OmeZarr(FrameSource):

@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 
 MAX_MAPPED_BYTES: Final = 64 << 20
 """Frames that may stay in memory. Chosen: some hundred frames; the system reads them again in microseconds."""
-_ENTRY: Final = 20  # bytes of a tag in BigTIFF
-_COUNT: Final = 8  # bytes of the number of tags
+_ENTRY: Final = 20
+"""Bytes of a tag in BigTIFF (its specification)."""
+_COUNT: Final = 8
+"""Bytes of the number of tags in BigTIFF (its specification)."""
 
 
 class StridedTiff(FrameSource):

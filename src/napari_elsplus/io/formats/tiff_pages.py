@@ -17,8 +17,9 @@ from napari_elsplus.io.formats.ome_xml import SOFTWARE
 STAMP_TAG: Final = 65000
 """Private TIFF tag of each page: time in seconds and frame number, two doubles."""
 DESCRIPTION: Final = "napari-elsplus raw frame"
-_TAG_BYTES: Final = 20  # of BigTIFF: code, type, count, then value or offset at byte 12
+_TAG_BYTES: Final = 20
 _VALUE: Final = 12
+"""Bytes of a tag in BigTIFF, and of these the first of its value or offset, after code, type and count."""
 
 
 class PageLayout:

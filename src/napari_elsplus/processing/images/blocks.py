@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 BLOCK: Final = 16
 """Pixels of a block; derived: a vector of 512 bits, the longest there is."""
 TAPS: Final = 2 * LOBES
+"""Pixels from which one is interpolated along a row or column; derived."""
 PHASES: Final = 64
 """Number of tabulated fractions of a pixel; derived: half a step is far below :data:`MAX_EXPANSION_PX`."""
 MAX_EXPANSION_PX: Final = 0.12

@@ -27,6 +27,7 @@ MAX_SLOPE: Final = MAX_EXPANSION_PX / (0.5 * BLOCK)
 MAX_STRETCH: Final = MAX_EXPANSION_PX / (0.5 * BLOCK)
 """Largest difference of the scale from 1; derived likewise."""
 _NOT_WANTED: Final = np.empty((0, 0), np.float32)
+"""In place of an image that is not computed."""
 
 
 class View:

@@ -1,4 +1,4 @@
-"""Deformation of tissue between frames: smooth fields that map frames onto the mosaic, where frames ask for them.
+"""Deformation of tissue between frames: smooth fields that map frames onto the mosaic, where frames show it.
 
 A probe drags soft tissue along, which then has another shape in each frame. The mean of all frames at their poses has
 the mean shape; a frame's field, a polynomial of third degree in rows and columns, is fitted to it by Gauss-Newton steps
@@ -168,7 +168,7 @@ def estimate_deformation(
     grid = drawn[poses[tracked[0]].segment].grid
     deformation = Deformation(grid)
     tested = tracked[:: ceil(len(tracked) / MAX_TESTED)]
-    # of the frames of a jerk some are distorted by uneven motion: half of all must ask for a field
+    # of the frames of a jerk some are distorted by uneven motion: half of all must need a field
     if np.median([deformation.fit(k, image(k), poses[k], drawn[poses[k].segment]) for k in tested]) <= 0:
         return None
     deformation = Deformation(grid)

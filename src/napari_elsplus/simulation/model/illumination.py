@@ -29,6 +29,7 @@ GRID_POINTS: Final = 96
 _NODES = np.linspace(-3.2, 3.2, 13)
 """Nodes of the quadrature over a Gaussian, in standard deviations."""
 _NODE_WEIGHTS = np.exp(-0.5 * _NODES**2) / np.exp(-0.5 * _NODES**2).sum()
+"""Weights of the nodes, of sum 1; derived, the Gaussian at them."""
 
 
 @lru_cache(maxsize=4)

@@ -29,7 +29,8 @@ _COARSE_STEP_PX: Final = 16.0
 """Length of joined lines from which on lines are left out instead, pixels of the mosaic; chosen."""
 _MIN_SPACING_PX: Final = 16.0
 _MAX_SPACING_PX: Final = 128.0
-"""Spacing of the cells in which only the newest lines remain, pixels of the mosaic: up to half a bundle diameter."""
+"""Smallest and largest spacing of the cells in which only the newest lines remain, pixels of the mosaic; chosen: up to
+half a bundle diameter."""
 _THINNED_SHARE: Final = 0.75
 """Share of MAX_LINES that remains after thinning, so that it is not repeated at each row; chosen."""
 _STRETCH_LINES: Final = 16

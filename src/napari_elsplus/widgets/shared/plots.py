@@ -48,6 +48,7 @@ MIN_CURVES_PX: Final = 140
 BOTTOM_PX: Final = 50
 """Height of the bottom axis with its labels and the margins, pixels."""
 LEGEND_ROW_PX: Final = 16
+"""Height of a row of the legend, pixels; chosen: a line of its font."""
 _COLUMNS: Final = ((8, 3), (18, 2))
 """Most characters of a name, and columns of the legend that fit into a dock of 400 px then; else one."""
 

@@ -30,6 +30,7 @@ MIN_TESTED: Final = 4
 CONFIDENCE: Final = 0.999
 """Of both tests; chosen: of ten stable numbers a day, one is reported in seven weeks."""
 _DAY_S: Final = 86_400.0
+"""Seconds of a day."""
 
 
 @dataclass(frozen=True)

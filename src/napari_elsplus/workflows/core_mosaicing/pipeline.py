@@ -59,6 +59,9 @@ _APERTURE: Final = hypot(SPOT_PITCHES * CELLS_PER_PITCH, 12**-0.5)
 """Standard deviation of the Gaussian through which a sample sees the mosaic, cells; derived: the core's mode, and the
 rounding of a sample's place to a cell."""
 _DIRECTIONS: Final = [(np.sin(angle), np.cos(angle)) for angle in np.arange(16) * np.pi / 8]
+"""Unit vectors (row, col) along which the extremes of a path are found; chosen: 16 miss less than 2 % of its extent."""
+_MARGIN_CELLS: Final = 8
+"""Around the cores of a frame in its part of the mosaic, cells; chosen: seven standard deviations of a core's mode."""
 
 
 class CorePipeline(Pipeline):
@@ -314,8 +317,8 @@ def new_finished_pipeline(
     )  # fmt: skip
 
 
-def _around(places: NDArray[np.float64], margin: int = 8) -> Rectangle:
-    """Return the rectangle around places (m, 2), with a margin in cells."""
-    top, left = (np.floor(places.min(axis=0)).astype(int) - margin).tolist()
-    bottom, right = (np.ceil(places.max(axis=0)).astype(int) + margin + 1).tolist()
+def _around(places: NDArray[np.float64]) -> Rectangle:
+    """Return the rectangle around places (m, 2), with a margin."""
+    top, left = (np.floor(places.min(axis=0)).astype(int) - _MARGIN_CELLS).tolist()
+    bottom, right = (np.ceil(places.max(axis=0)).astype(int) + _MARGIN_CELLS + 1).tolist()
     return Rectangle(top, left, bottom, right)

@@ -39,9 +39,9 @@ COLUMN_MM: Final = 85.0
 """Width of the figure, millimetres: one column of most journals."""
 FONT_PT: Final = 7.0
 SMALL_PT: Final = 6.0
-"""Of labels, and of numbers and ticks, in points; journals ask for at least 5 to 6."""
+"""Of labels, and of numbers and ticks, in points; journals require at least 5 to 6."""
 FIGURE_DPI: Final = 600
-"""Pixels per inch of a figure saved as pixels; journals ask for 300 for images and 600 for line art with images."""
+"""Pixels per inch of a figure saved as pixels; journals require 300 for images and 600 for line art with images."""
 _PROFILE_MM: Final = 32.0
 """Height of the profiles with their labels; chosen."""
 _CAPTION_MM: Final = 8.0

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 MAX_SIDE_PX: Final = 4000
 """Pixels of the longer side of the picture; larger mosaics are reduced by area averaging. Chosen for viewers."""
 _BAR_SHARE: Final = 0.25
+"""Largest length of the scale bar, fraction of the picture's width; chosen."""
 _MIN_SIDE_PX: Final = 300
 """Pixels of the shorter side below which pixels are repeated, so that the scale bar can be read. Chosen."""
 

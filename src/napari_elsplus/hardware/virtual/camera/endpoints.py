@@ -46,7 +46,7 @@ class CameraFaults:
     short_frames, bad_trailers, drop_frames : int
         Number of frames cut short, ended by a bad trailer, or lost.
     empty_packets : bool
-        End payloads with an empty packet that the standard does not ask for.
+        End payloads with an empty packet that the standard does not require.
     bus_bytes_per_s : float
         Rate of the bus.
     padding_x : int

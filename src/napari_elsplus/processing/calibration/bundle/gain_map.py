@@ -1,6 +1,6 @@
 """Map of the residual view's gain over the field: vignettes, and cores that couple differently into the two views.
 
-A single gain is kept unless the evidence asks for a map. Evidence is prediction: a map that is made from every other
+A single gain is kept unless the evidence supports a map. Evidence is prediction: a map that is made from every other
 pixel of the bundle lit from its far end must predict the other pixels better, which noise and the cores' sampling by
 the camera do not.
 """

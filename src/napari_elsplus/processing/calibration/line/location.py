@@ -38,6 +38,7 @@ MAX_UNCERTAINTY_ROWS: Final = 1.0
 MAX_MISFIT: Final = 0.04
 """Weighted departure of the mean profile from a Gaussian, over its height; chosen: lines stay below 0.008."""
 _ROW, _SLOPE = 3, 4
+"""Indices of row and slope among the fitted parameters."""
 
 
 @dataclass(frozen=True, slots=True)

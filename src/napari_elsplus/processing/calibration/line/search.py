@@ -31,6 +31,7 @@ _BLOCKS: Final = 16
 _REACH: Final = 12
 """Rows to either side for the width; chosen: twice the widest streak that is expected."""
 _NEIGHBOURS: Final = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
+"""Structuring element of the eight neighbours of a pixel, without itself."""
 
 
 class Streak(NamedTuple):

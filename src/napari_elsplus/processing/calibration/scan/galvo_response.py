@@ -36,6 +36,7 @@ DELAYS_S: Final = (0.0, 1e-4, 3e-4)
 BOUNDS: Final = ((200.0, 0.05, -5e-5), (8000.0, 3.0, 1.5e-3))
 """Of resonance (Hz), damping and delay (s); chosen, beyond those of galvos and their triggers."""
 _SCALE: Final = (300.0, 0.2, 1e-4, 1.0, 1.0, 1.0)
+"""Typical changes of resonance (Hz), damping, delay (s), offset, slope and cubic (rows), for the solver; chosen."""
 ROWS_PER_RUN: Final = 10
 """Fitted rows whose errors are summed for the uncertainty; chosen: wider than a core and than the smoothing."""
 STATIC_SIGMAS: Final = np.array([0.3, 0.3, 5.0])

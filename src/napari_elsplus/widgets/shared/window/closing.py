@@ -1,4 +1,4 @@
-"""Detect that the main window closes, and ask first where something is not saved; a docked panel gets no event."""
+"""Detect that the main window closes, which a docked panel is not notified of; warn where something is not saved."""
 
 from __future__ import annotations
 
