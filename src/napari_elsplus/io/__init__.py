@@ -10,18 +10,32 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from napari_elsplus.io.atomic import refuse_existing, replacing, replacing_all
-    from napari_elsplus.io.calibration_lookup import beside, calibration_beside, existing_beside
-    from napari_elsplus.io.calibrations import read_calibration, write_calibration
-    from napari_elsplus.io.columns import read_depths_um, read_volts, volts_beside, write_column, write_table
-    from napari_elsplus.io.finished_images import write_images, write_mosaic
-    from napari_elsplus.io.formats.ome_tiff import write_stack
-    from napari_elsplus.io.formats.registry import FileFormat, register_format
-    from napari_elsplus.io.formats.source import FrameSource
-    from napari_elsplus.io.recorder import RecordingWriter
-    from napari_elsplus.io.recordings import Recording, open_recording
-    from napari_elsplus.io.track_table import TrackTable
-    from napari_elsplus.io.tracks import TrackPoint, read_track, write_track
+    from napari_elsplus.io.atomic import refuse_existing as refuse_existing
+    from napari_elsplus.io.atomic import replacing as replacing
+    from napari_elsplus.io.atomic import replacing_all as replacing_all
+    from napari_elsplus.io.calibration_lookup import beside as beside
+    from napari_elsplus.io.calibration_lookup import calibration_beside as calibration_beside
+    from napari_elsplus.io.calibration_lookup import existing_beside as existing_beside
+    from napari_elsplus.io.calibrations import read_calibration as read_calibration
+    from napari_elsplus.io.calibrations import write_calibration as write_calibration
+    from napari_elsplus.io.columns import read_depths_um as read_depths_um
+    from napari_elsplus.io.columns import read_volts as read_volts
+    from napari_elsplus.io.columns import volts_beside as volts_beside
+    from napari_elsplus.io.columns import write_column as write_column
+    from napari_elsplus.io.columns import write_table as write_table
+    from napari_elsplus.io.finished_images import write_images as write_images
+    from napari_elsplus.io.finished_images import write_mosaic as write_mosaic
+    from napari_elsplus.io.formats.ome_tiff import write_stack as write_stack
+    from napari_elsplus.io.formats.registry import FileFormat as FileFormat
+    from napari_elsplus.io.formats.registry import register_format as register_format
+    from napari_elsplus.io.formats.source import FrameSource as FrameSource
+    from napari_elsplus.io.recorder import RecordingWriter as RecordingWriter
+    from napari_elsplus.io.recordings import Recording as Recording
+    from napari_elsplus.io.recordings import open_recording as open_recording
+    from napari_elsplus.io.track_table import TrackTable as TrackTable
+    from napari_elsplus.io.tracks import TrackPoint as TrackPoint
+    from napari_elsplus.io.tracks import read_track as read_track
+    from napari_elsplus.io.tracks import write_track as write_track
 
 _MODULES = {
     "atomic": ("refuse_existing", "replacing", "replacing_all"),
@@ -39,34 +53,7 @@ _MODULES = {
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
-__all__ = [
-    "FileFormat",
-    "FrameSource",
-    "Recording",
-    "RecordingWriter",
-    "TrackPoint",
-    "TrackTable",
-    "beside",
-    "calibration_beside",
-    "existing_beside",
-    "open_recording",
-    "read_calibration",
-    "read_depths_um",
-    "read_track",
-    "read_volts",
-    "refuse_existing",
-    "register_format",
-    "replacing",
-    "replacing_all",
-    "volts_beside",
-    "write_calibration",
-    "write_column",
-    "write_images",
-    "write_mosaic",
-    "write_stack",
-    "write_table",
-    "write_track",
-]
+__all__ = list(_MODULE_OF)
 
 if not TYPE_CHECKING:  # else every misspelt name would pass as Any
 
