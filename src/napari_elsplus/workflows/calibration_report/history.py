@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 from math import sqrt
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy.stats import linregress, t
@@ -18,7 +18,7 @@ from napari_elsplus.workflows.calibration_report.picture import Plot
 from napari_elsplus.workflows.pictures.curves import Curve
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -142,11 +142,11 @@ def calibration_history(folder: Path) -> CalibrationHistory:
     comparable = (one for one in found if _identity(one[1]) == _identity(newest))
     kept = list({one[0]: one for one in comparable}.values())  # a copy counts once
     trends = []
-    for name, unit, value_of in QUANTITIES:
-        points = [((time_s - newest_s) / _DAY_S, *value) for time_s, one, _ in kept if (value := value_of(one))]
+    for quantity in QUANTITIES:
+        points = [((time_s - newest_s) / _DAY_S, *value) for time_s, one, _ in kept if (value := quantity.of(one))]
         if points and points[-1][0] == 0:
             days, values, sigmas = np.array(points, np.float64).T
-            trends.append(Trend(name, unit, days, values, sigmas))
+            trends.append(Trend(quantity.name, quantity.unit, days, values, sigmas))
     return CalibrationHistory([path for _, _, path in kept], trends)
 
 
@@ -175,62 +175,47 @@ def _sum_of_squares(days: NDArray[np.float64]) -> float:
     return float(((days - days.mean()) ** 2).sum())
 
 
-Value = tuple[float, float] | None
-"""Value and standard deviation (0 where none is stated), or None where it was not measured."""
+class Quantity(NamedTuple):
+    """A number of a calibration.
+
+    Parameters
+    ----------
+    name, unit : str
+        As displayed.
+    section, value : str
+        Section of the calibration, and its field with the number.
+    sigma : str
+        Field with the standard deviation; empty where none is stated.
+    factor : float or None
+        From the field's unit to the displayed one; None: micrometres per pixel of the calibration.
+    """
+
+    name: str
+    unit: str
+    section: str
+    value: str
+    sigma: str = ""
+    factor: float | None = 1.0
+
+    def of(self, calibration: Calibration) -> tuple[float, float] | None:
+        """Return value and standard deviation (0 where none is stated) in a `calibration`; None where not measured."""
+        section = getattr(calibration, self.section)
+        value = getattr(section, self.value, None)
+        factor = calibration.um_per_px if self.factor is None else self.factor
+        if value is None or factor is None:
+            return None
+        return factor * value, factor * (getattr(section, self.sigma, None) or 0.0)
 
 
-def _offset(one: Calibration) -> Value:
-    return None if one.offset is None else (one.offset.rows, one.offset.uncertainty_rows)
-
-
-def _offset_um(one: Calibration) -> Value:
-    scale = one.um_per_px
-    if one.offset is None or scale is None:
-        return None
-    return scale * one.offset.rows, scale * one.offset.uncertainty_rows
-
-
-def _tilt(one: Calibration) -> Value:
-    return None if one.offset is None else (one.offset.tilt_deg, 0.0)
-
-
-def _slope(one: Calibration) -> Value:
-    galvo = one.galvo
-    return None if galvo is None else (1e3 * galvo.volts_per_row, 1e3 * (galvo.volts_per_row_uncertainty or 0.0))
-
-
-def _intercept(one: Calibration) -> Value:
-    galvo = one.galvo
-    if galvo is None:
-        return None
-    return 1e3 * galvo.volts_at_row_zero, 1e3 * (galvo.volts_at_row_zero_uncertainty or 0.0)
-
-
-def _lag(one: Calibration) -> Value:
-    return None if one.galvo is None or one.galvo.lag_s is None else (1e6 * one.galvo.lag_s, 0.0)
-
-
-def _diameter(one: Calibration) -> Value:
-    return None if one.bundle is None else (one.bundle.diameter_px, one.bundle.diameter_uncertainty_px or 0.0)
-
-
-def _gain(one: Calibration) -> Value:
-    return None if one.bundle is None else (one.bundle.residual_gain, one.bundle.residual_gain_uncertainty)
-
-
-def _alignment_error(one: Calibration) -> Value:
-    return None if one.quality is None else (100 * one.quality.alignment_error, 0.0)
-
-
-QUANTITIES: Final[tuple[tuple[str, str, Callable[[Calibration], Value]], ...]] = (
-    ("slit offset", "rows", _offset),
-    ("slit offset in micrometres", "µm", _offset_um),
-    ("tilt of the line", "degrees", _tilt),
-    ("galvo", "mV per row", _slope),
-    ("galvo at row 0", "mV", _intercept),
-    ("scan lag", "µs", _lag),
-    ("bundle diameter", "px", _diameter),
-    ("gain of the residual view", "", _gain),
-    ("alignment error", "%", _alignment_error),
+QUANTITIES: Final = (
+    Quantity("slit offset", "rows", "offset", "rows", "uncertainty_rows"),
+    Quantity("slit offset in micrometres", "µm", "offset", "rows", "uncertainty_rows", None),
+    Quantity("tilt of the line", "degrees", "offset", "tilt_deg"),
+    Quantity("galvo", "mV per row", "galvo", "volts_per_row", "volts_per_row_uncertainty", 1e3),
+    Quantity("galvo at row 0", "mV", "galvo", "volts_at_row_zero", "volts_at_row_zero_uncertainty", 1e3),
+    Quantity("scan lag", "µs", "galvo", "lag_s", factor=1e6),
+    Quantity("bundle diameter", "px", "bundle", "diameter_px", "diameter_uncertainty_px"),
+    Quantity("gain of the residual view", "", "bundle", "residual_gain", "residual_gain_uncertainty"),
+    Quantity("alignment error", "%", "quality", "alignment_error", factor=100.0),
 )
-"""Name, unit and value of each number."""
+"""Numbers whose history is tested for drift."""
