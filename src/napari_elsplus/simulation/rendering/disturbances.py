@@ -82,20 +82,12 @@ class Disturbances:
         black = self._rng(_ROW_NOISE, frame_index).normal(0, given.row_noise_dn, rows)
         return Readout(self._power(frame_index), black.astype(np.float32), *self._pixels)
 
-    def jittered(self, line_rows: Rows | None, frame_index: int) -> Rows | None:
-        """Return a frame's line positions with the line's jitter.
-
-        Parameters
-        ----------
-        line_rows : numpy.ndarray or None
-            (rows,) line positions; None is the ideal scan.
-        frame_index : int
-            Index of the frame.
-        """
-        if not (self._laser and self._imperfections.line_jitter_rows):
-            return line_rows
-        ideal = np.arange(self._instrument.frame_shape[0], dtype=np.float64) if line_rows is None else line_rows
-        return ideal + self._rng(_JITTER, frame_index).normal(0, self._imperfections.line_jitter_rows)
+    def jitter_rows(self, frame_index: int) -> float:
+        """Return the rows by which the laser line is lower in a frame, by the frame's index; 0 in a lamp's light."""
+        sigma_rows = self._imperfections.line_jitter_rows
+        if not (self._laser and sigma_rows):
+            return 0.0
+        return float(self._rng(_JITTER, frame_index).normal(0, sigma_rows))
 
     def fade(self, values: Values, of_bundle: Values, frame_index: int, positions_um: Rows) -> None:
         """Apply bleaching and the bending of the bundle to the grey levels of one view's cores, in place.

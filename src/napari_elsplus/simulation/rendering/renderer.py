@@ -16,7 +16,8 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.processing.compiled import kernel
 from napari_elsplus.simulation.model.imperfections import IDEAL
 from napari_elsplus.simulation.rendering.disturbances import UNDISTURBED, Disturbances
-from napari_elsplus.simulation.rendering.scan import CoreLight, Scan
+from napari_elsplus.simulation.rendering.line_light import LineLight
+from napari_elsplus.simulation.rendering.scan import Scan
 from napari_elsplus.simulation.rendering.sensor import expose
 from napari_elsplus.simulation.rendering.views import views
 from napari_elsplus.simulation.specimen.layers import Layer
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.specimen.scenes import Scene
 
     Frame = NDArray[np.uint8]
-
-SAME_LINE_ROWS = 0.02
-"""Difference of line positions, rows, below which the scan is not recomputed: no core changes by a grey level."""
 
 
 class Renderer:
@@ -87,7 +85,8 @@ class Renderer:
         self._scan = Scan(instrument, scene, self._cores)
         reach_um = instrument.bundle.radius_um + abs(instrument.offset_um) / 2
         self._layers = [Layer(term.plane.texture, term.blur, reach_um) for term in self._scan.terms]
-        self._receive(None)
+        jitter_rows = instrument.imperfections.line_jitter_rows
+        self._light = LineLight(self._scan, self._views, self.frame_shape[0], jitter_rows)
         self._values = np.empty((2, len(self._cores.rows_um)), np.float32)
         self._places = np.empty((2, len(self._cores.rows_um)))
         self._down = np.empty((2, len(self._cores.rows_um)))
@@ -149,23 +148,21 @@ class Renderer:
             (2, cores) mean grey levels, cores in the order of ``instrument.bundle.cores()``; overwritten by the next
             call.
         """
-        if self._disturbances is not None:
-            line_rows = self._disturbances.jittered(line_rows, frame_index)
-        self._follow_line(line_rows)
+        light = self._light.at(line_rows, self._disturbances.jitter_rows(frame_index) if self._disturbances else 0.0)
         positions_um = self.row_positions_um(frame_index)
         turn = self.row_turns(frame_index)
         self._refuse_outside(frame_index, positions_um)
-        self._cover(positions_um)
-        for view, light, values in zip(self._views, self._light, self._values, strict=True):
-            values[:] = light.steady
+        self._cover(positions_um, light.shifts_um)
+        for view, of_view, values in zip(self._views, light.views, self._values, strict=True):
+            values[:] = of_view.steady
             places, camera_rows, rows_um, cols_um = self._places, view.rows_px, self._cores.rows_um, self._cores.cols_um
             down = None if turn is None else self._down
             if self._layers:
                 place_cores(places, down, camera_rows, rows_um, cols_um, positions_um, turn)
-            for layer, scale, shift_um in zip(self._layers, light.scale, light.shift_um, strict=True):
+            for layer, scale, shift_um in zip(self._layers, of_view.scale, of_view.shift_um, strict=True):
                 gather(values, layer.window, 1 / layer.step_um, places, down, shift_um, scale)
             if self._disturbances is not None:
-                self._disturbances.fade(values, light.of_bundle, frame_index, positions_um)
+                self._disturbances.fade(values, of_view.of_bundle, frame_index, positions_um)
         return self._values
 
     def row_positions_um(self, frame_index: int) -> NDArray[np.float64]:
@@ -204,33 +201,10 @@ class Renderer:
         for frame_index in range(frames):
             self._refuse_outside(frame_index, self.row_positions_um(frame_index))
 
-    def _receive(self, line_rows: NDArray[np.float64] | None) -> None:
-        self._line_rows = None if line_rows is None else line_rows.copy()
-        self._light: list[CoreLight] = [self._scan.light(view, line_rows) for view in self._views]
-        shifts_um = np.stack([light.shift_um for light in self._light])
-        self._shifts_um = list(zip(shifts_um.min((0, 2)).tolist(), shifts_um.max((0, 2)).tolist(), strict=True))
-
-    def _follow_line(self, line_rows: NDArray[np.float64] | None) -> None:
-        """Recompute the light on the cores if the line positions differ from those of the last frame."""
-        if line_rows is not None and self._line_rows is not None and np.array_equal(line_rows, self._line_rows):
-            return
-        rows = np.arange(self.frame_shape[0], dtype=np.float64)
-        if line_rows is not None:
-            if line_rows.shape != rows.shape:
-                raise InputError(f"line positions of shape {line_rows.shape}", f"give one for each of {len(rows)} rows")
-            if np.allclose(line_rows, rows, rtol=0, atol=SAME_LINE_ROWS):
-                line_rows = None
-        if line_rows is None or self._line_rows is None:
-            same = line_rows is self._line_rows
-        else:
-            same = np.allclose(line_rows, self._line_rows, rtol=0, atol=SAME_LINE_ROWS, equal_nan=True)
-        if not same:
-            self._receive(line_rows)
-
-    def _cover(self, positions_um: NDArray[np.float64]) -> None:
+    def _cover(self, positions_um: NDArray[np.float64], shifts_um: tuple[tuple[float, float], ...]) -> None:
         radius = self.instrument.bundle.radius_um
         low, high = positions_um.min(0) - radius, positions_um.max(0) + radius
-        for layer, (up_um, down_um) in zip(self._layers, self._shifts_um, strict=True):
+        for layer, (up_um, down_um) in zip(self._layers, shifts_um, strict=True):
             layer.cover(low[0] + up_um, low[1], high[0] + down_um, high[1])
 
     def _refuse_outside(self, frame_index: int, positions_um: NDArray[np.float64]) -> None:
