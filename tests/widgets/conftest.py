@@ -41,6 +41,11 @@ class Clients(list[EngineClient]):
 
 
 @pytest.fixture
+def viewer(make_napari_viewer_proxy):
+    return make_napari_viewer_proxy()
+
+
+@pytest.fixture
 def small_engine(tmp_path, monkeypatch):
     """Panels start the engine on a rig of a few lines, at a rate that leaves time for other tests' work."""
     monkeypatch.setenv("ELSPLUS_CONFIG", str(tmp_path / "settings"))

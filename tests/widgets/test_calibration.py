@@ -42,11 +42,6 @@ VOLTAGES = 24
 
 
 @pytest.fixture
-def viewer(make_napari_viewer_proxy):
-    return make_napari_viewer_proxy()
-
-
-@pytest.fixture
 def panel(viewer):
     _, widget = viewer.window.add_plugin_dock_widget(PLUGIN, "Calibration")
     assert isinstance(widget, CalibrationPanel)

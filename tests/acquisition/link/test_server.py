@@ -71,19 +71,6 @@ def segments(pid: int) -> list[Path]:
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> Path:
-    """What the mirror was told."""
-    path = tmp_path / "mirror.log"
-    path.touch()
-    return path
-
-
-@pytest.fixture
-def command(log: Path) -> tuple[str, ...]:
-    return (sys.executable, str(Path(__file__).parents[1] / "engine_process.py"), str(log))
-
-
-@pytest.fixture
 def client(command: tuple[str, ...]) -> Iterator[EngineClient]:
     with EngineClient(command) as client:
         client.open("small").result(60)

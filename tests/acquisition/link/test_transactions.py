@@ -64,19 +64,6 @@ def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> Path:
-    """What the galvo was commanded."""
-    path = tmp_path / "mirror.log"
-    path.touch()
-    return path
-
-
-@pytest.fixture
-def command(log: Path) -> tuple[str, ...]:
-    return (sys.executable, str(HERE / "engine_process.py"), str(log))
-
-
-@pytest.fixture
 def client(command: tuple[str, ...]) -> Iterator[EngineClient]:
     with EngineClient(command) as client:
         client.open("small").result(60)

@@ -87,7 +87,7 @@ def test_filters_keep_the_scene_and_drop_the_cores(pitch_px: float) -> None:
     assert brightness == pytest.approx(1, abs=0.02)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in CoreFilter if kind.needs_flat])
+@pytest.mark.parametrize("kind", [CoreFilter.GAUSSIAN, CoreFilter.INTERPOLATE])
 def test_a_filter_that_needs_a_flat_field_says_so(kind: CoreFilter) -> None:
     with pytest.raises(MeasurementError, match="needs a flat field"):
         kind.prepared(None, INSIDE)

@@ -19,11 +19,6 @@ PLUGIN = "napari-elsplus"
 
 
 @pytest.fixture
-def viewer(make_napari_viewer_proxy):
-    return make_napari_viewer_proxy()
-
-
-@pytest.fixture
 def panel(viewer):
     _, widget = viewer.window.add_plugin_dock_widget(PLUGIN, "Axial response")
     return widget

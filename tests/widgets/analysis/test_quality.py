@@ -16,11 +16,6 @@ PLUGIN = "napari-elsplus"
 
 
 @pytest.fixture
-def viewer(make_napari_viewer_proxy):
-    return make_napari_viewer_proxy()
-
-
-@pytest.fixture
 def panel(viewer, tmp_path):
     viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
     _, widget = viewer.window.add_plugin_dock_widget(PLUGIN, "Quality")

@@ -31,11 +31,6 @@ def truth() -> Truth:
 
 
 @pytest.fixture
-def viewer(make_napari_viewer_proxy):
-    return make_napari_viewer_proxy()
-
-
-@pytest.fixture
 def scan(tmp_path):
     path = tmp_path / "scan.tif"
     tifffile.imwrite(path, truth().frames)

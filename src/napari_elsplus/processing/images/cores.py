@@ -52,18 +52,13 @@ class CoreFilter(StrEnum):
     INTERPOLATE = "interpolate"
     """Barycentric interpolation between the cores found in the flat field."""
 
-    @property
-    def needs_flat(self) -> bool:
-        """True if the filter is calibrated with a flat field."""
-        return self in {CoreFilter.GAUSSIAN, CoreFilter.INTERPOLATE}
-
     def prepared(self, flat: NDArray[np.float32] | None, inside: NDArray[np.bool_]) -> Filter:
         """Return the filter as a function, calibrated for images of one bundle.
 
         Parameters
         ----------
         flat : numpy.ndarray or None
-            (n, n) float32 image of evenly lit cores, on the images' grid; required if `needs_flat`.
+            (n, n) float32 image of evenly lit cores, on the images' grid; required by `GAUSSIAN` and `INTERPOLATE`.
         inside : numpy.ndarray
             (n, n) bool, the lit disc.
 

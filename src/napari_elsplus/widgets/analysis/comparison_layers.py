@@ -188,13 +188,6 @@ class ComparisonLayers:
         if self._titles is not None:
             self._titles.text.string = [title if k == chosen else "" for k, title in enumerate(self._title_texts)]
 
-    @property
-    def shown_titles(self) -> list[str]:
-        """Titles that are displayed."""
-        if self._titles is None:
-            return []
-        return [str(text) for text in self._titles.text.values if text]
-
     def set_title_colours(self, colours: Sequence[str]) -> None:
         """Set the colours of the titles, one for each image."""
         if self._titles is not None:
