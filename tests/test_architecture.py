@@ -18,6 +18,7 @@ PACKAGE = PROJECT / "src" / "napari_elsplus"
 
 ORDER = (
     "errors",
+    "closing",
     "instrument",
     "processing.compilation",
     "processing.compiled",

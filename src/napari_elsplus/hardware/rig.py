@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Final
+
+from napari_elsplus.closing import ClosedOnExit
 
 if TYPE_CHECKING:
     from napari_elsplus.hardware.guardian import Guardian
@@ -23,7 +25,7 @@ SIMULATED_REAL: Final = "simulated-real"
 
 
 @dataclass
-class Rig:
+class Rig(ClosedOnExit):
     """An open rig. A context manager: leaving it parks the galvo and closes the devices.
 
     Parameters
@@ -54,12 +56,6 @@ class Rig:
     def close(self) -> None:
         """Park the galvo, and close camera and card."""
         self._held.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *reason: object) -> Any:
-        self.close()
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,11 @@ import sys
 import time
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import refuse_existing
 from napari_elsplus.io.calibration_lookup import beside
@@ -30,7 +31,7 @@ FLUSH_PERIOD_S: Final = 1.0
 """Maximum loss at a power cut. Chosen: part of the contract of recordings; a flush each second costs no frame."""
 
 
-class RecordingWriter:
+class RecordingWriter(ClosedOnExit):
     """Write raw frames to a file that a crash leaves readable up to its last whole frame.
 
     Each frame becomes one uncompressed page of a BigTIFF, all of the same length, with its time and number in a
@@ -168,12 +169,6 @@ class RecordingWriter:
         except OSError:
             self._cut_to_whole_pages()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _metadata(self) -> dict[str, Any]:
         times = np.array(self._times_s)

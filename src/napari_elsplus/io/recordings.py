@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, overload
+from typing import TYPE_CHECKING, Any, overload
 from weakref import finalize
 
 import numpy as np
 
+from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.calibration_lookup import find_calibration
 from napari_elsplus.io.formats.registry import format_to_read
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
 
-class Recording:
+class Recording(ClosedOnExit):
     """Raw frames on disk, read when they are indexed; safe to index from several threads.
 
     Parameters
@@ -131,12 +132,6 @@ class Recording:
         """Close the file; views that were returned stay valid."""
         self._source = None
         self._release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         count, rows, cols = self.shape

@@ -10,7 +10,7 @@ from dataclasses import replace
 from math import nan
 from pathlib import Path
 from threading import RLock
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.acquisition.engine.camera_setup import SlowBusError
 from napari_elsplus.acquisition.engine.display import on_the_heap
@@ -22,6 +22,7 @@ from napari_elsplus.acquisition.engine.status import Status
 from napari_elsplus.acquisition.engine.watcher import Watcher
 from napari_elsplus.acquisition.streaming.faults import FaultLog
 from napari_elsplus.acquisition.streaming.tally import Latencies
+from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError, InputError
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ _FRAME_TIMEOUT_S: Final = 2.0
 """Time in which a procedure's next frame has to come; chosen: hundreds of frame periods."""
 
 
-class Engine:
+class Engine(ClosedOnExit):
     """Runs a rig. A context manager: leaving it ends recordings, parks the galvo and closes the rig.
 
     Every method may be called from any thread. `configure`, `use`, `start`, `stop`, `hold`, `scan` and the procedures
@@ -312,12 +313,6 @@ class Engine:
                 self._rig.close()
                 self._imaging.display.close()
                 self.galvo.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @contextmanager
     def _changing(self, name: str) -> Iterator[None]:

@@ -12,12 +12,13 @@ from contextlib import suppress
 from itertools import count
 from multiprocessing.connection import Client
 from threading import Event, Lock, Thread
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.acquisition.engine.status import Status
 from napari_elsplus.acquisition.link.commands import Commands
 from napari_elsplus.acquisition.link.messages import HEARTBEAT_S, QUIT, Activated, Heartbeat, Reply, Request
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
+from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.detached import DETACHED
 
@@ -32,7 +33,7 @@ _CLOSING_TIMEOUT_S: Final = 30.0
 """Chosen: a recording behind by all 2 s of frames in memory is finished on a disk of a tenth of the usual speed."""
 
 
-class EngineClient(Commands):
+class EngineClient(ClosedOnExit, Commands):
     """Starts the engine's process; its methods are the commands of :mod:`napari_elsplus.acquisition.link.commands`.
 
     A context manager: leaving it ends the process in order. Commands return futures, so that a window need not wait;
@@ -141,12 +142,6 @@ class EngineClient(Commands):
             sends no heartbeats.
         """
         self._attended = attended
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     # inside
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.virtual.card.process import RemoteCard
 from napari_elsplus.hardware.virtual.galvo import STEP_S, GalvoModel
@@ -29,7 +30,7 @@ CLEARANCE_UM: Final = HALO_UM
 """Distance of the line from the rim at which it counts as clear; of the promises."""
 
 
-class CardLog:
+class CardLog(ClosedOnExit):
     """Collects what the card's output did, and keeps the card's process alive meanwhile.
 
     Parameters
@@ -93,12 +94,6 @@ class CardLog:
         self._ended.set()
         self._thread.join()
         self.card.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *reason: object) -> None:
-        self.close()
 
     def _exposed(self, volts: Series) -> NDArray[np.bool_]:
         """Return where a drive puts the line less than `CLEARANCE_UM` from the lit bundle, or on it."""

@@ -13,8 +13,9 @@ import contextlib
 import math
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
+from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.daq.calls import CardThread
 from napari_elsplus.hardware.daq.interlock import Interlock
@@ -52,7 +53,7 @@ class ResetResult(NamedTuple):
     """Seconds from the beginning of the reset to the write of the parking voltage."""
 
 
-class DaqScanner:
+class DaqScanner(ClosedOnExit):
     """The galvo behind a National Instruments card; see `napari_elsplus.hardware.protocols.Scanner`.
 
     Opening it parks the galvo. It parks on leaving the context, on `close`, and when the interpreter ends.
@@ -189,12 +190,6 @@ class DaqScanner:
         if self._parking.state.parked:
             self._card.join(max(0.0, begun_s + CLOSE_TIMEOUT_S - time.perf_counter()))
         atexit.unregister(self.close)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *reason: object) -> Any:
-        self.close()
 
     # what drives the galvo, in the card's thread
 

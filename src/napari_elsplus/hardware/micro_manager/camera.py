@@ -10,10 +10,11 @@ import time
 from collections import Counter
 from contextlib import contextmanager, suppress
 from math import ceil, inf
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.limits import RATE_TOLERANCE, SensorLimits
 from napari_elsplus.hardware.protocols import FrameInfo
@@ -38,7 +39,7 @@ MAX_ROUNDING: Final = 0.01
 cycles, and the rate that they hold is used."""
 
 
-class MicroManagerCamera:
+class MicroManagerCamera(ClosedOnExit):
     """A camera of Micro-Manager; see `napari_elsplus.hardware.protocols.Camera`.
 
     Parameters
@@ -186,12 +187,6 @@ class MicroManagerCamera:
         self.stop()
         with suppress(RuntimeError):
             self._core.unloadAllDevices()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *reason: object) -> Any:
-        self.close()
 
     def _configured(self) -> Region:
         if self._region is None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from math import inf
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+from typing import TYPE_CHECKING, Final, Protocol
 
+from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.u3v.clock import CameraClock
 from napari_elsplus.hardware.u3v.control import MODEL, SERIAL, Control
@@ -79,7 +80,7 @@ class Features(Protocol):
         """End acquiring; does nothing where the camera does not acquire."""
 
 
-class U3vCamera:
+class U3vCamera(ClosedOnExit):
     """A USB3 Vision camera; see `napari_elsplus.hardware.protocols.Camera`.
 
     Parameters
@@ -253,12 +254,6 @@ class U3vCamera:
             util.dispose_resources(self._device)
         except USBError:
             self._region = None  # gone: there is nothing left to let go
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *reason: object) -> Any:
-        self.close()
 
     def _configured(self) -> Region:
         if self._region is None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final
+
+from napari_elsplus.closing import ClosedOnExit
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,7 +23,7 @@ KEPT: Final = 2048
 """Bytes of a transfer that are written; chosen: leaders, trailers and control packets are whole, images are cut."""
 
 
-class Capture:
+class Capture(ClosedOnExit):
     """A capture file; a context manager.
 
     Parameters
@@ -59,12 +61,6 @@ class Capture:
         """Close the file."""
         with self._lock:
             self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *reason: object) -> None:
-        self.close()
 
     def _transfer(self, kind: int, endpoint: int, out: bytes, into: bytes, setup: bytes | None, room: int) -> None:
         """Record submission and completion of a transfer."""

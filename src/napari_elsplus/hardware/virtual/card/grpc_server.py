@@ -5,13 +5,14 @@ from __future__ import annotations
 import queue
 import threading
 from concurrent import futures
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import grpc
 import numpy as np
 from nidaqmx._stubs import nidaqmx_pb2 as pb
 from session_pb2 import Session
 
+from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.hardware.virtual.card.tasks import CardError
 
 if TYPE_CHECKING:
@@ -194,7 +195,7 @@ def answers(card: VirtualCard) -> dict[str, tuple[type, Callable[[Any], Any]]]:
     }
 
 
-class CardServer:
+class CardServer(ClosedOnExit):
     """Serves a virtual card on a free port of this computer. A context manager.
 
     Parameters
@@ -218,12 +219,6 @@ class CardServer:
         """Stop serving."""
         self._server.stop(None).wait()
         self._pool.shutdown()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *reason: object) -> None:
-        self.close()
 
     @staticmethod
     def _handler(request: Any, answer: Callable[[Any], Any]) -> grpc.RpcMethodHandler:

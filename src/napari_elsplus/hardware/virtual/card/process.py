@@ -13,8 +13,9 @@ import threading
 import time
 from contextlib import suppress
 from multiprocessing.connection import Client, Connection, Listener
-from typing import Any, Final, Self, cast
+from typing import Any, Final, cast
 
+from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.detached import DETACHED
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
@@ -29,7 +30,7 @@ Place = dict[str, Any]
 """Address of the gRPC server, port and key of the bench's connection."""
 
 
-class RemoteCard:
+class RemoteCard(ClosedOnExit):
     """A virtual card in another process, as the bench uses it.
 
     Parameters
@@ -76,12 +77,6 @@ class RemoteCard:
     def close(self) -> None:
         """Release the card, which ends when it has no holder."""
         self._wire.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *reason: object) -> None:
-        self.close()
 
     def _request(self, what: str, argument: object = None) -> Any:
         with self._lock:
