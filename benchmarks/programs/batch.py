@@ -2,10 +2,11 @@
 
 Recordings of the simulated rig are sectioned and made into mosaics by the command line. The batch is killed with all of
 its processes as often as asked, resumed to its end, and its images, mosaics and tracks are compared, bit by bit, with
-those of single runs. Then it is run anew by one worker and by two, in turn.
+those of single runs. Then it is run anew by one worker and by two, in turn, and so are the same stages by one plain
+process and by two, without a scheduler: the ratio of the latter is the most that the computer and its disk can give.
 
-The ratio of their times holds where nothing else runs. On a busy machine the processor time of the only worker over
-that of the busier of two is the ratio that would be reached if each worker had a core of its own.
+The ratios by the clock hold where nothing else runs. On a busy machine the processor time of the only worker over that
+of the busier of two is the ratio that would be reached if each worker had a core of its own.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -28,12 +30,13 @@ import numpy as np
 import psutil
 import tifffile
 
+from benchmarks.programs.batch_share import plain_job
 from benchmarks.programs.start import COMMAND_LINE
 from napari_elsplus.cli import main
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
 from napari_elsplus.io import write_calibration, write_stack
 from napari_elsplus.io.atomic import replacing
-from napari_elsplus.workflows.batch.job import RECORDS
+from napari_elsplus.workflows.batch.job import RECORDS, open_output
 from napari_elsplus.workflows.simulated import simulate_recording
 
 PASSES: Final = 10
@@ -41,6 +44,9 @@ PASSES: Final = 10
 POLL_S: Final = 0.1
 """Time between looks at records and processes; chosen, a small part of a stage."""
 STAGES: Final = ("section", "mosaic")
+DISK_BYTES: Final = 1 << 30
+"""Bytes written to measure the disk; chosen: five files of images of 240 frames each."""
+KINDS: Final = {"batch": "workers", "plain": "plain processes"}
 
 
 class Run(NamedTuple):
@@ -51,7 +57,7 @@ class Run(NamedTuple):
     wall_s : float
         From the start of the command to its end.
     main_cpu_s : float
-        Processor time of the command itself: scheduler, table, contact sheet.
+        Processor time of the command itself (scheduler, table, contact sheet); 0 without one.
     worker_cpu_s : tuple of float
         Processor time of each worker, largest first.
     peak_mb : float
@@ -120,6 +126,48 @@ def run_batch(source: Path, output: Path, workers: int, *, kill_at: int | None =
     return Run(time.perf_counter() - begun_s, main_s, workers_s, peak / 1e6)
 
 
+def run_plain(source: Path, output: Path, processes: int) -> Run:
+    """Execute the stages of a batch in plain processes that share the recordings, without a scheduler.
+
+    Raises
+    ------
+    RuntimeError
+        If one of them fails.
+    """
+    begun_s = time.perf_counter()
+    open_output(plain_job(output))
+    program = (sys.executable, "-m", "benchmarks.programs.batch_share", str(source), str(output))
+    one_thread = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # as dask's workers have it
+    shares = [psutil.Popen((*program, str(k), str(processes)), env=one_thread) for k in range(processes)]
+    spent, peak = [0.0] * processes, 0
+    while any(share.poll() is None for share in shares):
+        for place, share in enumerate(shares):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                spent[place] = max(spent[place], _cpu_s(share))
+                peak = max(peak, share.memory_info().rss)
+        time.sleep(POLL_S)
+    if any(share.returncode for share in shares):
+        raise RuntimeError("a plain process failed; what it printed stands above")
+    return Run(time.perf_counter() - begun_s, 0.0, tuple(sorted(spent, reverse=True)), peak / 1e6)
+
+
+def disk_mb_per_s(folder: Path) -> float:
+    """Return the rate at which a file is written into a folder and flushed to the disk, MB/s."""
+    block = np.random.default_rng(0).bytes(1 << 24)
+    begun_s = time.perf_counter()
+    with tempfile.TemporaryFile(dir=folder) as file:
+        for _ in range(DISK_BYTES // len(block)):
+            file.write(block)
+        file.flush()
+        os.fsync(file.fileno())
+        return DISK_BYTES / 1e6 / (time.perf_counter() - begun_s)
+
+
+def size_mb(folder: Path) -> float:
+    """Return the size of all files in a folder, MB."""
+    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
+
+
 def _cpu_s(process: psutil.Process) -> float:
     times = process.cpu_times()
     return float(times.user + times.system)
@@ -154,14 +202,16 @@ def differences(batch: Path, single: Path) -> list[str]:
 @click.option("--frames", type=click.IntRange(4), default=240, show_default=True, help="Frames of each.")
 @click.option("--kills", type=click.IntRange(0), default=2, show_default=True, help="How often it is killed.")
 @click.option("--rounds", type=click.IntRange(0), default=2, show_default=True, help="Runs of each number of workers.")
+@click.option("--scratch", type=FILE, help="Folder for recordings and results, temporary; on a memory disk, say.")
 @force_option
-def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, force: bool) -> None:
+def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scratch: Path | None, force: bool) -> None:
     """Kill and resume a batch, compare it with single runs, and time one worker against two."""
     table = out / "batch.csv"
     out.mkdir(parents=True, exist_ok=True)
     refuse_outputs(table, force=force)
     rows: list[tuple[str, int, Run]] = []
-    with tempfile.TemporaryDirectory() as made:
+    written_mb = 0.0
+    with tempfile.TemporaryDirectory(dir=scratch) as made:
         source, output, single = (Path(made, name) for name in ("in", "out", "single"))
         paths = simulate(source, recordings, frames)
         for words in single_commands(paths[0], Path(made, "first")):  # a kernel that was just compiled rounds otherwise
@@ -183,9 +233,14 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, forc
             differing += differences(output / path.stem, single / path.stem)
             shutil.rmtree(single / path.stem)
         left = [str(file.relative_to(output)) for file in output.rglob(".????????.*")]
-        for workers in (1, 2) * rounds:
-            rows.append(("whole", workers, run_batch(source, Path(made, "timed"), workers)))
-            shutil.rmtree(Path(made, "timed"))
+        shutil.rmtree(output)
+        disk = disk_mb_per_s(Path(made))
+        for _ in range(rounds):
+            for workers in (1, 2):
+                for kind, timed in (("batch", run_batch), ("plain", run_plain)):
+                    rows.append((kind, workers, timed(source, Path(made, "timed"), workers)))
+                    written_mb = size_mb(Path(made, "timed"))
+                    shutil.rmtree(Path(made, "timed"))
     with replacing(table, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("run", "workers", "wall_s", "main_cpu_s", "worker_cpu_s", "peak_mb"))
@@ -193,7 +248,7 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, forc
             cpu = " ".join(f"{seconds:.2f}" for seconds in run.worker_cpu_s)
             writer.writerow((name, workers, f"{run.wall_s:.2f}", f"{run.main_cpu_s:.2f}", cpu, f"{run.peak_mb:.0f}"))
             click.echo(
-                f"{name}, {workers} workers: {run.wall_s:.1f} s, processor time {cpu} s (workers) and "
+                f"{name}, {workers} {KINDS.get(name, 'workers')}: {run.wall_s:.1f} s, processor time {cpu} s and "
                 f"{run.main_cpu_s:.1f} s (scheduler, table, sheet), {run.peak_mb:.0f} MB a worker at most"
             )
     click.echo(
@@ -201,13 +256,18 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, forc
         f"{len(differing)} of {3 * recordings} files differ from single runs, {len(left)} unfinished files left"
     )
     if rounds:
-        whole = {workers: [run for name, by, run in rows if name == "whole" and by == workers] for workers in (1, 2)}
-        pairs = list(zip(whole[1], whole[2], strict=True))
-        by_clock = median(one.wall_s / two.wall_s for one, two in pairs)
-        by_processor = median(one.worker_cpu_s[0] / two.worker_cpu_s[0] for one, two in pairs)
+        for kind, name in KINDS.items():
+            ones, twos = ([run for of, by, run in rows if (of, by) == (kind, workers)] for workers in (1, 2))
+            by_clock = median(one.wall_s / two.wall_s for one, two in zip(ones, twos, strict=True))
+            by_cpu = median(one.worker_cpu_s[0] / two.worker_cpu_s[0] for one, two in zip(ones, twos, strict=True))
+            rate = written_mb / median(two.wall_s for two in twos)
+            click.echo(
+                f"two {name} against one: {by_clock:.2f} times by the clock, {by_cpu:.2f} times by processor time; "
+                f"two write {rate:.0f} MB/s"
+            )
         click.echo(
-            f"two workers against one: {by_clock:.2f} times by the clock, {by_processor:.2f} times by "
-            f"processor time; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+            f"{written_mb / 1000:.1f} GB of results; the disk takes {disk:.0f} MB/s; "
+            f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
         )
     if twice or differing or left or len(ended) != stages:
         raise SystemExit(1)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
 from napari_elsplus.processing.images.cores import CoreFilter
-from napari_elsplus.processing.images.elsa import FRAMES_PER_IMAGE, elsa_frames
+from napari_elsplus.processing.images.modes import FRAMES_PER_IMAGE, elsa_frames
 from napari_elsplus.processing.images.sectioning import Mode, disc
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
 from napari_elsplus.viewing.script import recording_script

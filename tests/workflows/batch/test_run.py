@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import csv
+import subprocess
+import sys
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -16,8 +19,8 @@ from click.testing import CliRunner
 from napari_elsplus.cli import elsplus
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_track, write_calibration
-from napari_elsplus.workflows.batch import run, stages
-from napari_elsplus.workflows.batch.job import RECORDS, BatchItem, BatchJob, open_output
+from napari_elsplus.workflows.batch import run, stages, tasks
+from napari_elsplus.workflows.batch.job import FORMATS, RECORDS, BatchItem, BatchJob, open_output
 from napari_elsplus.workflows.batch.run import batch
 from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.sectioning import section
@@ -113,8 +116,8 @@ def test_a_batch_is_resumed_without_doing_anything_twice(
 
         return execute
 
-    whole = dict(stages._STAGES)
-    monkeypatch.setattr(stages, "_STAGES", {name: counted(name, stage) for name, stage in whole.items()})
+    whole = dict(stages.STAGES)
+    monkeypatch.setattr(stages, "STAGES", {name: counted(name, stage) for name, stage in whole.items()})
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         batch(recordings, out, mosaic=True)
@@ -131,7 +134,7 @@ def test_a_batch_is_resumed_without_doing_anything_twice(
 def test_a_stage_leaves_what_another_worker_is_writing(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, own: str
 ) -> None:
-    monkeypatch.setattr(stages, "_STAGES", {stage: lambda *_: {}})
+    monkeypatch.setattr(stages, "STAGES", {stage: lambda *_: {}})
     job, item = (
         BatchJob(str(tmp_path / "out"), "els", mosaic=True, calibration=None),
         BatchItem("a", str(recordings / "a.tif")),
@@ -144,12 +147,64 @@ def test_a_stage_leaves_what_another_worker_is_writing(
     writing = {name: out / "a" / f".deadbeef.{name}" for name in ("els.ome.tif", "mosaic.ome.tif", "track.csv")}
     for file in writing.values():
         file.touch()
-    stages.run_stage(stage, item, job)
+    tasks.run_stage(stage, item, job)
     assert not writing[own].exists()
     kept = {"els.ome.tif"} if stage == "mosaic" else {"mosaic.ome.tif", "track.csv"}
     assert {name for name, file in writing.items() if file.exists()} == kept
     (record,) = (out / RECORDS).glob(".deadbeef.*")
     assert stage not in record.name
+
+
+@pytest.mark.usefixtures("inline")
+@pytest.mark.parametrize("mosaic", [False, True])
+def test_a_batch_as_ome_zarr_is_resumed_and_has_the_pixels_of_ome_tiff(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mosaic: bool
+) -> None:
+    outputs = {name: tmp_path / name for name in FORMATS}
+    rows = {name: batch(recordings, out, mosaic=mosaic, file_format=name).rows for name, out in outputs.items()}
+    assert rows["ome-zarr"] == rows["ome-tiff"]
+    for kind in ("els", "mosaic") if mosaic else ("els",):
+        files = [out / "a" / f"{kind}{FORMATS[name]}" for name, out in outputs.items()]
+        with open_recording(files[0]) as one, open_recording(files[1]) as other:
+            np.testing.assert_array_equal(one[:], other[:])
+            assert other.metadata["um_per_px"] == pytest.approx(one.metadata["um_per_px"])
+            assert other.calibration == one.calibration
+    sheets = [(out / "contact-sheet.png").read_bytes() for out in outputs.values()]
+    assert sheets[0] == sheets[1]
+    left = outputs["ome-zarr"] / "b" / ".deadbeef.els.ome.zarr"
+    (left / "0").mkdir(parents=True)  # of the recording that fails, which is tried again
+    monkeypatch.setattr(stages, "STAGES", {})
+    again = batch(recordings, outputs["ome-zarr"], mosaic=mosaic, file_format="ome-zarr")
+    assert [row["name"] for row in again.failed] == ["b"]
+    assert not left.exists()
+    with pytest.raises(InputError, match=r"another job than els images.* as ome-tiff"):
+        batch(recordings, outputs["ome-zarr"], mosaic=mosaic)
+
+
+def test_an_unknown_format_is_refused_before_any_work(recordings: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no format 'png': choose one of ome-tiff, ome-zarr"):
+        batch(recordings, tmp_path / "out", file_format="png")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_stage_computes_on_one_thread(recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = cv2.getNumThreads()
+    threads: list[int] = []
+    monkeypatch.setattr(stages, "STAGES", {"section": lambda *_: {"threads": threads.append(cv2.getNumThreads())}})
+    job = BatchJob(str(tmp_path / "out"), "els", mosaic=False, calibration=None)
+    open_output(job)
+    tasks.run_stage("section", BatchItem("a", str(recordings / "a.tif")), job)
+    assert threads == [1]
+    assert cv2.getNumThreads() == before
+
+
+def test_the_process_that_submits_tasks_imports_no_kernels() -> None:
+    program = (
+        "import sys, napari_elsplus.workflows.batch.run; "
+        "print([name for name in ('numba', 'cv2', 'matplotlib') if name in sys.modules])"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ended.stdout.strip() == "[]"
 
 
 @pytest.mark.usefixtures("inline")

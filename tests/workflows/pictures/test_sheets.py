@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from napari_elsplus.instrument.calibration import Calibration, OpticsSection
-from napari_elsplus.io import write_mosaic
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.workflows.batch.tiles import read_tile, write_tile
 from napari_elsplus.workflows.pictures.batch_sheet import draw_batch_sheet
 from napari_elsplus.workflows.pictures.comparison import compare
 from napari_elsplus.workflows.pictures.contact_sheet import draw_contact_sheet
@@ -32,12 +32,27 @@ def test_every_image_of_the_contact_sheet_has_a_scale_bar_where_the_scale_is_kno
     assert sorted(labels(figure)) == sorted(expected)
 
 
-def test_a_batch_sheet_has_the_scale_of_each_file(tmp_path: Path) -> None:
+def test_a_batch_sheet_has_the_name_and_scale_of_each_picture(tmp_path: Path) -> None:
     image = np.ones((700, 600), np.float32)
-    write_mosaic(tmp_path / "a.ome.tif", image, 1.0)
-    write_mosaic(tmp_path / "b.ome.tif", image, None)
-    figure = draw_batch_sheet([(name, tmp_path / f"{name}.ome.tif") for name in "ab"])
-    assert labels(figure) == ["100 µm"]
-    bar, axes = figure.axes[0].lines[0], figure.axes[0]
+    image[:350] = 2
+    scales = {name: write_tile(tmp_path / name, image, um_per_px) for name, um_per_px in (("a", 1.0), ("b", None))}
+    assert scales == {"a": 3.0, "b": None}
+    figure = draw_batch_sheet([(name, read_tile(tmp_path / name), um_per_px) for name, um_per_px in scales.items()])
+    assert sorted(labels(figure)) == ["100 µm", "a", "b"]
+    (bar,) = figure.axes[0].lines
     assert np.ptp(bar.get_xdata()) == pytest.approx(100 / 3)  # of pixels reduced threefold
-    assert axes.get_xlim() == (-0.5, 199.5)
+    drawn = np.asarray(figure.axes[0].images[0].get_array())
+    right, bottom = int(max(bar.get_xdata())), int(bar.get_ydata()[0])
+    assert drawn[bottom, right] == drawn[bottom, right - 100] == 0  # on the picture of a, not beside it
+
+
+@pytest.mark.parametrize("shape", [(700, 3), (6, 700), (40, 50)])
+def test_tiles_of_any_shape_show_nothing_where_nothing_was_seen(tmp_path: Path, shape: tuple[int, int]) -> None:
+    image = np.full(shape, np.nan, np.float32)
+    write_tile(tmp_path / "unseen", image, None)
+    assert not read_tile(tmp_path / "unseen").any()
+    image[: shape[0] // 2] = np.linspace(1, 9, shape[0] // 2)[:, None]
+    write_tile(tmp_path / "half", image, None)
+    half = read_tile(tmp_path / "half")
+    assert half.max() > 100
+    assert not half[-1].any()

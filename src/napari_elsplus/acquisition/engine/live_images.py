@@ -12,7 +12,7 @@ from napari_elsplus.acquisition.streaming.ring import Layout
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.priority import ordinary_priority
 from napari_elsplus.processing.images.cores import CoreFilter
-from napari_elsplus.processing.images.elsa import elsa_pair
+from napari_elsplus.processing.images.modes import elsa_pair
 from napari_elsplus.processing.images.resampling import resampled
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.workflows.sectioning import finishing
@@ -121,7 +121,7 @@ class LiveImages:
     Notes
     -----
     The confocal view is not resampled: the bundle's centre lies at most half a pixel from the middle of the images.
-    ELSA is made of alternating frames, paired as in :mod:`napari_elsplus.processing.images.elsa`. Where one of the two
+    ELSA is made of alternating frames, paired as in :mod:`napari_elsplus.processing.images.modes`. Where one of the two
     is missing, the last ELSA image stands.
     """
 

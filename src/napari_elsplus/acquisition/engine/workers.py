@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 from napari_elsplus.acquisition.engine.live_images import LiveImages, Measures
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.protocols import HasClock
-from napari_elsplus.processing.images.elsa import elsa_pair
+from napari_elsplus.processing.images.modes import elsa_pair
 
 if TYPE_CHECKING:
     import numpy as np

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.images.elsa import elsa_pair
+from napari_elsplus.processing.images.modes import elsa_pair
 from napari_elsplus.processing.mosaicing.keyframe_store import KeyframeStore
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, bounding_rectangle, tile_rectangle

@@ -13,9 +13,15 @@ if TYPE_CHECKING:
 
 
 def _modes() -> list[str]:
-    from napari_elsplus.processing.images.sectioning import Mode
+    from napari_elsplus.processing.images.modes import Mode
 
     return [mode.value for mode in Mode]
+
+
+def _formats() -> list[str]:
+    from napari_elsplus.workflows.batch.job import FORMATS
+
+    return list(FORMATS)
 
 
 @click.command()
@@ -25,6 +31,10 @@ def _modes() -> list[str]:
 )
 @click.option("--mode", type=LazyChoice(_modes), default="els", show_default=True, help="Image type.")
 @click.option("--mosaic", is_flag=True, help="Also track the probe and make a mosaic of each recording.")
+@click.option(
+    "--format", "file_format", type=LazyChoice(_formats), default="ome-tiff", show_default=True,
+    help="Format of images and mosaics; ome-zarr is NGFF 0.5, and needs the extra zarr.",
+)  # fmt: skip
 @click.option("-o", "--output", type=FILE, required=True, help="Folder for the results; a batch in it is resumed.")
 @click.option(
     "--scheduler",
@@ -36,20 +46,22 @@ def command(
     calibration: Path | None,
     mode: str,
     mosaic: bool,
+    file_format: str,
     output: Path,
     scheduler: str | None,
     workers: int | None,
 ) -> None:
     """Section every recording of a folder, or of a text file with one path per line.
 
-    Writes OUTPUT/NAME/els.ome.tif (mosaic.ome.tif and track.csv with --mosaic), OUTPUT/table.csv with a row per
-    recording, and OUTPUT/contact-sheet.png. The same command resumes an interrupted batch. Local workers and their
-    dashboard listen on 127.0.0.1 only. Exits 1 if any recording failed.
+    Writes OUTPUT/NAME/els.ome.tif (mosaic.ome.tif and track.csv with --mosaic; .ome.zarr with --format ome-zarr),
+    OUTPUT/table.csv with a row per recording, and OUTPUT/contact-sheet.png. The same command resumes an interrupted
+    batch. Local workers and their dashboard listen on 127.0.0.1 only. Exits 1 if any recording failed.
     """
     from napari_elsplus.workflows.batch.run import batch
 
     result = batch(
-        source, output, calibration=calibration, mode=mode, mosaic=mosaic, scheduler=scheduler, workers=workers,
+        source, output, calibration=calibration, mode=mode, mosaic=mosaic, file_format=file_format,
+        scheduler=scheduler, workers=workers,
         announce=lambda address: click.echo(f"dashboard: {address}", err=True), progress=progress,
     )  # fmt: skip
     for note in result.notes:

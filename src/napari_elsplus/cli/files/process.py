@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def _modes() -> list[str]:
-    from napari_elsplus.processing.images.sectioning import Mode
+    from napari_elsplus.processing.images.modes import Mode
 
     return [mode.value for mode in Mode]
 

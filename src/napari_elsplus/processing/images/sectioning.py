@@ -7,16 +7,15 @@ background.
 
 from __future__ import annotations
 
-from enum import StrEnum
 from math import ceil
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.processing.images.elsa import FRAMES_PER_IMAGE, elsa_frames
 from napari_elsplus.processing.images.fused import FusedSections
 from napari_elsplus.processing.images.hot_pixels import HotPixels
+from napari_elsplus.processing.images.modes import Mode as Mode
 from napari_elsplus.processing.images.resampling import Resampler
 from napari_elsplus.processing.images.residual_gain import inverse_gain_map
 from napari_elsplus.processing.images.row_reference import reference_of_rows
@@ -31,28 +30,6 @@ if TYPE_CHECKING:
 LINE_FIELD: Final = 0.96
 """Part of the bundle's diameter in which the residual's line must stand where the frame cuts the views; measured on two
 simulated recordings of cut views: between 0.93 and 0.97 correlation and tracking are best."""
-
-
-class Mode(StrEnum):
-    """Image type that is made of raw frames."""
-
-    LS = "ls"
-    """Confocal view alone: line-scan confocal."""
-    RESIDUAL = "residual"
-    """Residual view, aligned with the confocal one and divided by the residual gain."""
-    ELS = "els"
-    """Confocal minus residual of one frame: ELS+."""
-    ELSA = "elsa"
-    """Confocal of one frame minus residual of the next: sequential ELS, for comparison."""
-
-    @property
-    def frames_per_image(self) -> int:
-        """Raw frames from which one image is made, in non-overlapping groups: 2 for ELSA, otherwise 1."""
-        return FRAMES_PER_IMAGE if self is Mode.ELSA else 1
-
-    def source_frames(self, index: int) -> tuple[int, int]:
-        """Return the numbers of the raw frames of the confocal and of the residual view of the image with an index."""
-        return elsa_frames(index) if self is Mode.ELSA else (index, index)
 
 
 class Frames(Protocol):

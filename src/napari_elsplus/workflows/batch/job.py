@@ -16,14 +16,15 @@ from typing import TYPE_CHECKING, Any, Final
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing
 from napari_elsplus.io.formats.registry import format_of_name, recording_stem, supported_recordings
-from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.images.modes import Mode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 RECORDS: Final = ".batch"
 """Folder of a batch's records, in its output folder."""
-MOSAIC_NAME: Final = "mosaic.ome.tif"
+FORMATS: Final = {"ome-tiff": ".ome.tif", "ome-zarr": ".ome.zarr"}
+"""Suffix of the files of images and mosaics by the name of their format."""
 TRACK_NAME: Final = "track.csv"
 MAX_LIST_BYTES: Final = 16 << 20
 """Chosen: a list of a hundred thousand paths has some 10 MB; a larger file is another one, named by mistake."""
@@ -44,12 +45,15 @@ class BatchJob:
         Also track the probe and make a mosaic.
     calibration : str, optional
         Calibration file for all recordings; by default that beside or in each.
+    file_format : str
+        Format of images and mosaics: a name of :data:`FORMATS`.
     """
 
     output: str
     mode: str
     mosaic: bool
     calibration: str | None
+    file_format: str = "ome-tiff"
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -59,15 +63,20 @@ class BatchJob:
     @property
     def images_name(self) -> str:
         """Name of the file of sectioned images."""
-        return f"{Mode(self.mode).value}.ome.tif"
+        return f"{Mode(self.mode).value}{FORMATS[self.file_format]}"
+
+    @property
+    def mosaic_name(self) -> str:
+        """Name of the file of the mosaic."""
+        return f"mosaic{FORMATS[self.file_format]}"
 
     def files(self, stage: str) -> tuple[str, ...]:
         """Return the names of the files that a stage writes."""
-        return (self.images_name,) if stage == "section" else (MOSAIC_NAME, TRACK_NAME)
+        return (self.images_name,) if stage == "section" else (self.mosaic_name, TRACK_NAME)
 
     def describe(self) -> str:
         """Return the job in words, for a message."""
-        made = f"{self.mode} images" + (" and mosaics" if self.mosaic else "")
+        made = f"{self.mode} images" + (" and mosaics" if self.mosaic else "") + f" as {self.file_format}"
         return made + (f" by {self.calibration}" if self.calibration else " by the recordings' calibrations")
 
 
@@ -107,6 +116,10 @@ class BatchItem:
     def record(self, job: BatchJob, stage: str) -> Path:
         """Return the path of the record that a stage of a job is finished."""
         return Path(job.output, RECORDS, f"{self.name}.{stage}.json")
+
+    def tile(self, job: BatchJob) -> Path:
+        """Return the path of the recording's picture for the contact sheet."""
+        return Path(job.output, RECORDS, f"{self.name}.png")
 
     def _fingerprint(self) -> list[int]:
         found = Path(self.recording).stat()

@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import read_calibration, replacing
 from napari_elsplus.io.formats.extras import extra_needed
-from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.workflows.batch.job import MOSAIC_NAME, BatchItem, BatchJob, Values, find_items, open_output
-from napari_elsplus.workflows.batch.stages import ERROR, run_stage
-from napari_elsplus.workflows.pictures.batch_sheet import draw_batch_sheet
-from napari_elsplus.workflows.pictures.files import save_figure
+from napari_elsplus.processing.images.modes import Mode
+from napari_elsplus.workflows.batch.job import FORMATS, BatchItem, BatchJob, Values, find_items, open_output
+from napari_elsplus.workflows.batch.tasks import ERROR, STAGES_MODULE, run_stage
 from napari_elsplus.workflows.progress import without_display
 
 if TYPE_CHECKING:
@@ -62,6 +60,7 @@ def batch(
     calibration: str | os.PathLike[str] | None = None,
     mode: Mode | str = Mode.ELS,
     mosaic: bool = False,
+    file_format: str = "ome-tiff",
     scheduler: str | None = None,
     workers: int | None = None,
     announce: Callable[[str], None] = lambda _: None,
@@ -85,6 +84,8 @@ def batch(
         Image type.
     mosaic : bool
         Also track the probe and make a mosaic of each recording.
+    file_format : str
+        ``"ome-tiff"`` or ``"ome-zarr"`` (``.ome.zarr`` for ``.ome.tif``): format of images and mosaics.
     scheduler : str, optional
         Address of an existing dask scheduler, whose workers see the same files and have this package; it executes the
         code that it is sent. By default workers are started here and listen on 127.0.0.1 only.
@@ -102,27 +103,37 @@ def batch(
     Raises
     ------
     InputError
-        If there are no recordings, the output folder holds anything else, or no scheduler answers.
+        If there are no recordings, the format is unknown or not installed, the output folder holds anything else, or no
+        scheduler answers.
     CalibrationError
         If the given calibration cannot be used.
     """
     if calibration is not None:
         read_calibration(calibration)  # refused here, once
+    _require_format(file_format)
     items = find_items(Path(source))
     chosen = None if calibration is None else str(Path(calibration).resolve())
-    job = BatchJob(str(Path(output).resolve()), Mode(mode).value, mosaic, chosen)
+    job = BatchJob(str(Path(output).resolve()), Mode(mode).value, mosaic, chosen, file_format)
     items = [BatchItem(item.name, str(Path(item.recording).resolve())) for item in items]
     tasks = [(item, stage) for item in items for stage in job.stages]
     with _client(scheduler, workers) as client:
         open_output(job)
         announce(client.dashboard_link)
-        found = _executed(client, tasks, job, progress)
-    rows = [_row(item, [found[item.name, stage] for stage in job.stages]) for item in items]
+        executed = _executed(client, tasks, job, progress)
+    found = {item.name: [executed[item.name, stage] for stage in job.stages] for item in items}
+    rows = [_row(item, found[item.name]) for item in items]
     _write_table(Path(job.output, "table.csv"), rows)
-    pictures = [(row["name"], _picture(job, row)) for row in rows if not row[ERROR]]
-    if pictures:
-        save_figure(draw_batch_sheet(pictures), Path(job.output, "contact-sheet.png"), force=True)
+    _write_sheet(job, [(item, found[item.name][-1]) for item, row in zip(items, rows, strict=True) if not row[ERROR]])
     return BatchResult(rows, _notes(rows))
+
+
+def _require_format(name: str) -> None:
+    """Raise an error if no file of a format can be written here."""
+    if name not in FORMATS:
+        raise InputError(f"there is no format {name!r}", f"choose one of {', '.join(FORMATS)}")
+    if name == "ome-zarr":
+        with extra_needed("zarr", "OME-Zarr images"):
+            import zarr  # noqa: F401
 
 
 @contextmanager
@@ -140,7 +151,7 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         with client:
             yield client
         return
-    local = {"host": LOCAL, "dashboard_address": f"{LOCAL}:0", "threads_per_worker": 1, "processes": True}
+    local = {"host": LOCAL, "dashboard_address": f"{LOCAL}:0", "threads_per_worker": 1, "preload": [STAGES_MODULE]}
     with LocalCluster(n_workers=workers, silence_logs="ERROR", **local) as cluster, Client(cluster) as client:
         yield client
 
@@ -162,7 +173,7 @@ def _executed(
 def _row(item: BatchItem, found: list[Values]) -> Values:
     row: Values = dict.fromkeys(COLUMNS, "") | {"recording": item.recording, "name": item.name}
     for values in found:
-        row |= {name: value for name, value in values.items() if name != ERROR}
+        row |= {name: value for name, value in values.items() if name in COLUMNS and name != ERROR}
     row[ERROR] = "; ".join(dict.fromkeys(values[ERROR] for values in found if ERROR in values))
     return row
 
@@ -174,8 +185,15 @@ def _write_table(path: Path, rows: list[Values]) -> None:
         table.writerows(rows)
 
 
-def _picture(job: BatchJob, row: Values) -> Path:
-    return Path(job.output, row["name"], MOSAIC_NAME if job.mosaic else job.images_name)
+def _write_sheet(job: BatchJob, made: list[tuple[BatchItem, Values]]) -> None:
+    if not made:
+        return
+    from napari_elsplus.workflows.batch.tiles import TILE_UM, read_tile
+    from napari_elsplus.workflows.pictures.batch_sheet import draw_batch_sheet
+    from napari_elsplus.workflows.pictures.files import save_figure
+
+    sheet = draw_batch_sheet([(item.name, read_tile(item.tile(job)), values[TILE_UM]) for item, values in made])
+    save_figure(sheet, Path(job.output, "contact-sheet.png"), force=True)
 
 
 def _notes(rows: list[Values]) -> tuple[str, ...]:

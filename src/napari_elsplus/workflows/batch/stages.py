@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import hashlib
-from glob import escape
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import cv2
 import numpy as np
 
-from napari_elsplus.errors import CalibrationError, ElsPlusError, error_message
-from napari_elsplus.io import Recording, open_recording, read_calibration
+from napari_elsplus.errors import CalibrationError
+from napari_elsplus.io import Recording, read_calibration
 from napari_elsplus.io.calibrations import format_calibration
-from napari_elsplus.workflows.batch.job import MOSAIC_NAME, TRACK_NAME
+from napari_elsplus.workflows.batch.job import TRACK_NAME
+from napari_elsplus.workflows.batch.tiles import TILE_UM, write_tile
 from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.sectioning import section
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -26,52 +28,22 @@ if TYPE_CHECKING:
     from napari_elsplus.io import TrackPoint
     from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, Values
 
-ERROR: Final = "error"
-"""Key of a failed stage's message."""
-
-
-def run_stage(stage: str, item: BatchItem, job: BatchJob) -> Values:
-    """Return what a stage finds in a recording: from an earlier run's record, or by executing it.
-
-    Parameters
-    ----------
-    stage : str
-        ``"section"`` or ``"mosaic"``.
-    item : BatchItem
-        The recording.
-    job : BatchJob
-        What is made of it.
-
-    Returns
-    -------
-    dict
-        Columns of the recording's row in the table; a message under :data:`ERROR` if it failed.
-    """
-    try:
-        found = item.recall(job, stage)
-        if found is None:
-            _remove_unfinished(item.record(job, stage), *(item.folder(job) / name for name in job.files(stage)))
-            with open_recording(item.recording) as recording:
-                found = _STAGES[stage](item, job, recording)
-            item.remember(job, stage, found)
-    except (ElsPlusError, OSError) as error:
-        return {ERROR: error_message(error)}
-    return found
-
 
 def _section(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
     calibration, source = _calibration(job, recording)
     images = section(recording, calibration, job.mode)
     folder = _made(item.folder(job))
     images.save(folder / job.images_name, force=True)
-    return {"calibration": source, "images": len(images), "contrast": _contrast(images[len(images) // 2])}
+    middle = images[len(images) // 2]
+    tile = {} if job.mosaic else {TILE_UM: write_tile(item.tile(job), middle, calibration.um_per_px)}
+    return {"calibration": source, "images": len(images), "contrast": _contrast(middle), **tile}
 
 
 def _mosaic(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
     calibration, source = _calibration(job, recording)
     result = mosaic(recording, calibration, job.mode, threads=1)
     folder = _made(item.folder(job))
-    result.save(folder / MOSAIC_NAME, folder / TRACK_NAME, force=True)
+    result.save(folder / job.mosaic_name, folder / TRACK_NAME, force=True)
     um = np.nan if result.um_per_px is None else result.um_per_px
     return {
         "calibration": source,
@@ -81,10 +53,11 @@ def _mosaic(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
         "path_um": _path_um(result.track),
         "area_um2": float(np.count_nonzero(result.image)) * um**2,
         "warnings": "; ".join(result.notes),
+        TILE_UM: write_tile(item.tile(job), result.image, result.um_per_px),
     }
 
 
-_STAGES: Final = {"section": _section, "mosaic": _mosaic}
+STAGES: Final = {"section": _section, "mosaic": _mosaic}
 
 
 def _calibration(job: BatchJob, recording: Recording) -> tuple[Calibration, str]:
@@ -121,8 +94,12 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def _remove_unfinished(*files: Path) -> None:
-    """Remove what a killed worker has left of these files; others may be being written by another worker."""
-    for file in files:
-        for unfinished in file.parent.glob(f".????????.{escape(file.name)}"):
-            unfinished.unlink(missing_ok=True)
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """Let OpenCV compute on the caller's thread alone: a worker has one core."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)

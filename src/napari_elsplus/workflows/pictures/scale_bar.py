@@ -14,7 +14,9 @@ MAX_SHARE: Final = 0.32
 """Largest length of a bar, relative to the picture's width; chosen."""
 
 
-def draw_scale_bar(axes: Axes, shape: tuple[int, ...], um_per_px: float, font_pt: float) -> None:
+def draw_scale_bar(
+    axes: Axes, shape: tuple[int, ...], um_per_px: float, font_pt: float, *, corner: tuple[float, float] = (0, 0)
+) -> None:
     """Draw a white scale bar with its length into the lower right corner of an image.
 
     Parameters
@@ -27,17 +29,20 @@ def draw_scale_bar(axes: Axes, shape: tuple[int, ...], um_per_px: float, font_pt
         Micrometres per pixel of the image.
     font_pt : float
         Size of the label, points.
+    corner : tuple of float
+        Row and column of the image's first pixel on the axes.
     """
     rows, cols = shape
     length_um = bar_length(MAX_SHARE * cols * um_per_px)
-    right, bottom = 0.97 * cols, 0.96 * rows
+    top, left = corner
+    right, bottom = left + 0.97 * cols, top + 0.96 * rows
     axes.plot(
         [right - length_um / um_per_px, right], [bottom] * 2, color="white", linewidth=1.5, solid_capstyle="butt",
         scalex=False, scaley=False,
     )  # fmt: skip
     outline = [withStroke(linewidth=1.5, foreground="black")]
     axes.text(
-        right, 0.94 * rows, length_label(length_um), color="white", ha="right", va="bottom", fontsize=font_pt,
+        right, top + 0.94 * rows, length_label(length_um), color="white", ha="right", va="bottom", fontsize=font_pt,
         path_effects=outline,
     )  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from napari_elsplus.processing.images.elsa import FRAMES_PER_IMAGE, elsa_frames, elsa_pair
+from napari_elsplus.processing.images.modes import FRAMES_PER_IMAGE, elsa_frames, elsa_pair
 from napari_elsplus.processing.images.sectioning import Mode
 
 
