@@ -40,7 +40,7 @@ class BatchJob:
     output : str
         Folder of the results.
     mode : str
-        Image type: :class:`~napari_elsplus.processing.images.sectioning.Mode`.
+        Image type: :class:`~napari_elsplus.processing.images.modes.Mode`.
     mosaic : bool
         Also track the probe and make a mosaic.
     calibration : str, optional
@@ -118,7 +118,7 @@ class BatchItem:
         return Path(job.output, RECORDS, f"{self.name}.{stage}.json")
 
     def tile(self, job: BatchJob) -> Path:
-        """Return the path of the recording's picture for the contact sheet."""
+        """Return the path of the recording's picture for the contact sheet of a job."""
         return Path(job.output, RECORDS, f"{self.name}.png")
 
     def _fingerprint(self) -> list[int]:

@@ -51,6 +51,6 @@ def write_tile(path: Path, image: NDArray[np.float32], um_per_px: float | None) 
 
 
 def read_tile(path: Path) -> NDArray[np.uint8]:
-    """Return a tile, (rows, cols)."""
+    """Return a tile, (rows, cols), from the path of its PNG."""
     found: Any = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
     return np.asarray(found, np.uint8)
