@@ -18,6 +18,7 @@ import numpy as np
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+from napari_elsplus.processing.tracking.registration.lucas_kanade import accumulate
 from napari_elsplus.processing.tracking.registration.similarity import tone_between
 
 if TYPE_CHECKING:
@@ -28,9 +29,13 @@ if TYPE_CHECKING:
     Matrix = NDArray[np.float64]
 
 _UNKNOWNS: Final = 8
-"""a, b, s, d of the warp; rows from columns and columns from columns; gain and offset."""
-_TONE: Final = 6
-"""The first unknown that is no motion."""
+"""a, b, s, d of the warp; gain and offset; rows from columns and columns from columns."""
+_TURN: Final = 6
+_SCALE: Final = 7
+_OF_TONE: Final = (4, 5)
+_OF_MOTION: Final = [n for n in range(_UNKNOWNS) if n not in _OF_TONE]
+_SAMPLING: Final = (1, False)
+"""Every how many rows are used, and whether they are sampled finely: variables in a kernel, as in ``odds``."""
 
 
 class MotionModel(IntEnum):
@@ -44,7 +49,9 @@ class MotionModel(IntEnum):
     """The probe rotates, and its images change in scale."""
 
 
-_FREE: Final = np.array([[n not in range(4 + model, 6) for n in range(_UNKNOWNS)] for model in MotionModel], np.float64)
+_FREE: Final = np.array(
+    [[n not in range(_TURN + model, _UNKNOWNS) for n in range(_UNKNOWNS)] for model in MotionModel], np.float64
+)
 _FREE_PAIRS: Final = _FREE[:, :, None] * _FREE[:, None, :]
 _HELD_AT_ZERO: Final = (1 - _FREE[:, :, None]) * np.eye(_UNKNOWNS)
 """Unknowns that each model leaves free, and the equations that hold the others at zero."""
@@ -201,29 +208,29 @@ def remainder(
         None where the frames do not overlap or show nothing.
     """
     normal, right = np.empty((_UNKNOWNS, _UNKNOWNS)), np.empty(_UNKNOWNS)
-    tilt = np.empty((3, template.shape[1]), np.float32)
     scaled = np.array([warp.a, warp.b / px, warp.s, warp.d / px])
-    count, noise = unexplained(template, image, first, last, *middle, scaled, tilt, normal, right)
-    if not (count > 0 and noise > 0):
+    tone, samples = np.empty(3), np.empty((2, template.shape[1]), np.float32)
+    count, noise = fill_equations(template, image, first, last, *middle, scaled, tone, samples, normal, right)
+    if not noise > 0:
         return None
     noise *= correlated_px
     normal[0, 0] += stiffness[0] * noise
     normal[2, 2] += stiffness[1] * noise
-    normal[4, 4] += noise / turn[1] ** 2
-    right[4] += turn[0] * noise / turn[1] ** 2
+    normal[_TURN, _TURN] += noise / turn[1] ** 2
+    right[_TURN] += turn[0] * noise / turn[1] ** 2
     try:
         inverse = np.linalg.inv(normal * _FREE_PAIRS + _HELD_AT_ZERO)
     except np.linalg.LinAlgError:
         return None
-    step = (inverse @ (right * _FREE)[..., None])[:, :6, 0]
+    step = (inverse @ (right * _FREE)[..., None])[:, _OF_MOTION, 0]
     covariance = inverse[MotionModel.SIMILARITY] * noise
     step[:, [1, 3]] *= px
-    sigma = np.sqrt(np.maximum(covariance.diagonal()[4:6], 0))
+    sigma = np.sqrt(np.maximum(covariance.diagonal()[_TURN:], 0))
     return Remainder(step, sigma, count / correlated_px)
 
 
 @lean_kernel
-def unexplained(
+def fill_equations(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
     first: NDArray[np.int32],
@@ -231,151 +238,106 @@ def unexplained(
     middle_row: float,
     middle_col: float,
     warp: NDArray[np.float64],
-    tilt: NDArray[np.float32],
+    tone: NDArray[np.float64],
+    samples: NDArray[np.float32],
     normal: NDArray[np.float64],
     right: NDArray[np.float64],
 ) -> tuple[float, float]:
-    """Fill the normal equations of a, b, s, d, rotation and scale, gain and offset about a warp.
-
-    `tilt` is scratch of three rows of an image.
-
-    Returns the number of pixels, and the mean squared difference weighted by the squared gradient.
+    """Fill the normal equations of all unknowns about a warp; return the number of pixels and the noise level.
 
     Parameters
     ----------
-    template, image : numpy.ndarray
-        (n, n) float32 frames: the earlier one, and the later one that is sampled under the warp.
-    first, last : numpy.ndarray
-        (n,) int32: first lit column of each row, and the one after the last.
+    template, image, first, last, warp, tone, samples
+        As of :func:`~.lucas_kanade.accumulate`; `tone` is filled.
     middle_row, middle_col : float
         Bundle's centre.
-    warp : numpy.ndarray
-        (4,) a, b, s, d.
-    tilt : numpy.ndarray
-        (3, n) float32 scratch.
     normal, right : numpy.ndarray
         (8, 8) and (8,) float64, filled.
     """
-    normal[:] = 0.0
-    right[:] = 0.0
-    height = template.shape[0]
-    gain, offset = tone_between(template, image, first, last, middle_row, warp, 4)
-    count, steep, noise_level, sum_ee = 0.0, 0.0, 0.0, 0.0
+    row_step, finely = _SAMPLING
+    tone[0], tone[1] = tone_between(template, image, first, last, middle_row, warp, 4 * row_step)
+    count, of_template, of_image, _, noise = accumulate(
+        template, image, first, last, middle_row, warp, tone, row_step, finely, normal, right, samples
+    )
+    if not (of_template > 0 and of_image > 0):
+        return 0.0, 0.0
+    add_turn(template, image, first, last, middle_row, middle_col, warp, tone, normal, right)
+    contrast = np.sqrt(of_image / of_template)  # what a pixel of motion does to the image, over the template's gradient
+    for m in range(_UNKNOWNS):
+        if m in _OF_TONE:
+            continue
+        right[m] *= contrast
+        for n in range(_UNKNOWNS):
+            normal[m, n] *= contrast
+            normal[n, m] *= contrast
+    return count, noise
+
+
+@lean_kernel
+def add_turn(
+    template: NDArray[np.float32],
+    image: NDArray[np.float32],
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    middle_row: float,
+    middle_col: float,
+    warp: NDArray[np.float64],
+    tone: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    right: NDArray[np.float64],
+) -> None:
+    """Add rotation and scale to the normal equations of :func:`~.lucas_kanade.accumulate`.
+
+    Parameters
+    ----------
+    template, image, first, last, warp, tone
+        As there.
+    middle_row, middle_col : float
+        Bundle's centre.
+    normal, right : numpy.ndarray
+        (8, 8) and (8,) float64, of which the last two rows and columns are filled.
+    """
+    height, half = template.shape[0], np.float32(0.5)
+    gain, offset = np.float32(tone[0]), np.float32(tone[1])
     for row in range(1, height - 1):
         above, down, whole, across, begin, end = row_shift(row, height, middle_row, warp, first, last)
-        if end <= begin:
-            continue
         size = end - begin
         here, corners = template[row, begin:end], neighbours(image, above, begin + whole, size)
         left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
         over, under = template[row - 1, begin:end], template[row + 1, begin:end]
-        weights = bilinear(down, across)
-        rows, cols, miss = tilt[0, :size], tilt[1, :size], tilt[2, :size]
-        x0 = np.float32(begin - middle_col)
-        half, g, o = np.float32(0.5), np.float32(gain), np.float32(offset)
-        zero = np.float32(0)
+        weights, x0, zero = bilinear(down, across), np.float32(begin - middle_col), np.float32(0)
         yy, yx, xx, y1, x1, yt, xt, ye, xe = zero, zero, zero, zero, zero, zero, zero, zero, zero
-        t1, e1, tt, te, ee, gg = zero, zero, zero, zero, zero, zero
+        vyy, vyx, vxx = zero, zero, zero
         for k in range(size):
-            t = here[k]
+            x, t = x0 + np.float32(k), here[k]
             gy, gx = half * (under[k] - over[k]), half * (right_of[k] - left[k])
-            e = between(corners, weights, k) - g * t - o
-            rows[k], cols[k], miss[k] = gy, gx, e
-            yy += gy * gy
-            yx += gy * gx
-            xx += gx * gx
-            y1 += gy
-            x1 += gx
-            yt += gy * t
-            xt += gx * t
-            ye += gy * e
-            xe += gx * e
-            t1 += t
-            e1 += e
-            tt += t * t
-            te += t * e
-            ee += e * e
-            gg += (gy * gy + gx * gx) * e * e
-        uyy, uyx, uxx, uy1, ux1 = zero, zero, zero, zero, zero
-        uyt, uxt, uye, uxe, vyy, vyx, vxx = zero, zero, zero, zero, zero, zero, zero
-        for k in range(size):
-            x = x0 + np.float32(k)
-            gy, gx, e = rows[k], cols[k], miss[k]
+            e = between(corners, weights, k) - gain * t - offset
             uy, ux = x * gy, x * gx
-            uyy += uy * gy
-            uyx += uy * gx
-            uxx += ux * gx
-            uy1 += uy
-            ux1 += ux
-            uyt += uy * here[k]
-            uxt += ux * here[k]
-            uye += uy * e
-            uxe += ux * e
+            yy += uy * gy
+            yx += uy * gx
+            xx += ux * gx
+            y1 += uy
+            x1 += ux
+            yt += uy * t
+            xt += ux * t
+            ye += uy * e
+            xe += ux * e
             vyy += uy * uy
             vyx += uy * ux
             vxx += ux * ux
         y = row - middle_row
-        count += size
-        steep += float(yy) + float(xx)
-        noise_level += float(gg)
-        sum_ee += float(ee)
-        normal[0, 0] += y * y * yy
-        normal[0, 1] += y * yy
-        normal[0, 2] += y * y * yx
-        normal[0, 3] += y * yx
-        normal[0, 4] += y * uyy
-        normal[0, 5] += y * uyx
-        normal[0, 6] += y * yt
-        normal[0, 7] += y * y1
-        normal[1, 1] += yy
-        normal[1, 2] += y * yx
-        normal[1, 3] += yx
-        normal[1, 4] += uyy
-        normal[1, 5] += uyx
-        normal[1, 6] += yt
-        normal[1, 7] += y1
-        normal[2, 2] += y * y * xx
-        normal[2, 3] += y * xx
-        normal[2, 4] += y * uyx
-        normal[2, 5] += y * uxx
-        normal[2, 6] += y * xt
-        normal[2, 7] += y * x1
-        normal[3, 3] += xx
-        normal[3, 4] += uyx
-        normal[3, 5] += uxx
-        normal[3, 6] += xt
-        normal[3, 7] += x1
-        normal[4, 4] += vyy
-        normal[4, 5] += vyx
-        normal[4, 6] += uyt
-        normal[4, 7] += uy1
-        normal[5, 5] += vxx
-        normal[5, 6] += uxt
-        normal[5, 7] += ux1
-        normal[6, 6] += tt
-        normal[6, 7] += t1
-        normal[7, 7] += size
-        right[0] += y * ye
-        right[1] += ye
-        right[2] += y * xe
-        right[3] += xe
-        right[4] += uye
-        right[5] += uxe
-        right[6] += te
-        right[7] += e1
-    if count == 0 or steep == 0:
-        return 0.0, 0.0
-    of_template = normal[6, 6] - normal[6, 7] ** 2 / count
-    of_both = gain * of_template + right[6] - normal[6, 7] * right[7] / count
-    of_image = gain * (2 * of_both - gain * of_template) + sum_ee - right[7] ** 2 / count
-    if not (of_template > 0 and of_image > 0):
-        return 0.0, 0.0
-    contrast = np.sqrt(of_image / of_template)  # what a pixel of motion does to the image, over the template's gradient
-    for m in range(_TONE):
-        right[m] *= contrast
-        for n in range(m, _UNKNOWNS):
-            normal[m, n] *= contrast * contrast if n < _TONE else contrast
-    for m in range(_UNKNOWNS):
+        for unknown, of_rows, of_cols, of_t, of_1 in ((_TURN, yy, yx, yt, y1), (_SCALE, yx, xx, xt, x1)):
+            normal[unknown, 0] += y * of_rows
+            normal[unknown, 1] += of_rows
+            normal[unknown, 2] += y * of_cols
+            normal[unknown, 3] += of_cols
+            normal[unknown, 4] += of_t
+            normal[unknown, 5] += of_1
+        normal[_TURN, _TURN] += vyy
+        normal[_SCALE, _TURN] += vyx
+        normal[_SCALE, _SCALE] += vxx
+        right[_TURN] += ye
+        right[_SCALE] += xe
+    for m in (_TURN, _SCALE):
         for n in range(m):
-            normal[m, n] = normal[n, m]
-    return count, noise_level / steep
+            normal[n, m] = normal[m, n]
