@@ -9,7 +9,7 @@ that no link reaches are predicted for a while, then lost; a new segment starts 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot, inf, isnan, nan, sqrt
+from math import hypot, inf, isnan, nan
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
@@ -338,4 +338,4 @@ class Tracker:
 
 def _reach(motion: MotionPrior) -> float:
     """Return the scale of the prior of the shift, pixels."""
-    return max(_MIN_REACH_PX, sqrt(motion.covariance[1, 1]))
+    return max(_MIN_REACH_PX, motion.shift_sigma)

@@ -12,14 +12,13 @@ Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Nav
 
 from __future__ import annotations
 
-from math import isfinite
+from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Final, NamedTuple
-
-import numpy as np
 
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
@@ -39,8 +38,8 @@ class MotionPrior(NamedTuple):
         Expected velocities of the earlier and the later frame, pixels per frame period.
     displacement : Displacement
         Expected displacement.
-    covariance : numpy.ndarray
-        (3, 3) covariance of earlier velocity, displacement and later velocity, the same for rows and columns.
+    covariance : tuple of tuple of float
+        3 x 3: covariance of earlier velocity, displacement and later velocity, the same for rows and columns.
     shutter : RollingShutter
         Timing of the rows.
     """
@@ -48,7 +47,7 @@ class MotionPrior(NamedTuple):
     before: Velocity
     after: Velocity
     displacement: Displacement
-    covariance: NDArray[np.float64]
+    covariance: tuple[tuple[float, float, float], ...]
     shutter: RollingShutter
 
     @property
@@ -63,6 +62,11 @@ class MotionPrior(NamedTuple):
         rows = self.shutter.line_periods_per_frame
         conditional = max(variance - both * both / of_shift, 0.0) ** 0.5 / rows + _MIN_STRETCH_SIGMA
         return conditional**-2, both / of_shift / rows, 1 / of_shift
+
+    @property
+    def shift_sigma(self) -> float:
+        """Standard deviation of the shift, pixels."""
+        return sqrt(self.covariance[1][1])
 
     @property
     def spread(self) -> tuple[float, float]:
@@ -87,12 +91,13 @@ class MotionPrior(NamedTuple):
         shutter : RollingShutter
             Timing of the rows.
         """
-        covariance = np.diag([velocity_sigma**2, displacement_sigma**2, velocity_sigma**2])
+        of_velocity, of_shift = velocity_sigma**2, displacement_sigma**2
+        covariance = (of_velocity, 0.0, 0.0), (0.0, of_shift, 0.0), (0.0, 0.0, of_velocity)
         return cls(*velocities, displacement, covariance, shutter)
 
     def _of_differences(self) -> tuple[float, float, float]:
         """Variances of the difference of the velocities and of the shift, and their covariance."""
-        (vv, vd, vw), (_, dd, dw), (_, _, ww) = self.covariance.tolist()
+        (vv, vd, vw), (_, dd, dw), (_, _, ww) = self.covariance
         return vv + ww - 2 * vw, dd, dw - vd
 
     def at(self, b: float, d: float) -> Warp:
@@ -118,7 +123,7 @@ class MotionPrior(NamedTuple):
             (4, 4) covariance of a, b, s, d.
         """
         aa, bb, ab = self._of_differences()
-        (_, _, vw), (_, _, dw), (_, _, ww) = self.covariance.tolist()
+        (_, _, vw), (_, _, dw), (_, _, ww) = self.covariance
         rows = self.shutter.line_periods_per_frame
         # regression of the later velocity on the difference of the velocities (earlier - later) and on minus the shift
         with_difference, with_shift = vw - ww, -dw

@@ -9,8 +9,6 @@ from __future__ import annotations
 from math import hypot
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 
@@ -168,9 +166,7 @@ class Motion:
         velocity, variance = (self.velocity, own) if before is None else before
         shift = own * frames**2 + q * frames**3 / 3
         both = own * frames + q * frames**2 / 2
-        covariance = np.array(
-            [[variance, with_shift, with_later], [with_shift, shift, both], [with_later, both, own + q * frames]]
-        )
+        covariance = (variance, with_shift, with_later), (with_shift, shift, both), (with_later, both, own + q * frames)
         return MotionPrior(velocity, self.next_velocity, displacement, covariance, self._shutter)
 
 

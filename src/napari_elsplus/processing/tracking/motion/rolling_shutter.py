@@ -114,19 +114,6 @@ class RollingShutter:
             Velocity(r * (stretch - 1), col),
         )
 
-    def later_velocity(self, warp: Warp, before: Velocity) -> Velocity:
-        """Velocity during the later of two frames, from stretch, shear and the earlier one's; any number apart.
-
-        Parameters
-        ----------
-        warp : Warp
-            From the earlier to the later frame.
-        before : Velocity
-            Of the earlier frame.
-        """
-        r = self.line_periods_per_frame
-        return Velocity(r * ((1 + before.row / r) / warp.a - 1), (before.col - warp.s * r) / warp.a)
-
     def displacement(self, warp: Warp, after: Velocity) -> Displacement:
         """Displacement of the probe over any number of frames, from the warp and the later frame's velocity.
 
