@@ -210,7 +210,7 @@ def axial(
     """Measure the axial response in a scan of depths; the background is taken in the light of the scan."""
     scan = rig.axial_scan(DEPTHS_UM, seed=seed, line_rows=line_rows)
     dark = calibration.model_copy(update={"background": background(scan.instrument, seed=seed + 1)})
-    return measure_axial_response(scan, dark, DEPTHS_UM)
+    return measure_axial_response(list(scan), dark, DEPTHS_UM)  # each frame rendered once
 
 
 class Tracked(NamedTuple):

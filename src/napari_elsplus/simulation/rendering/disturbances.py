@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from napari_elsplus.simulation.rendering.views import views
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.model.bundle import Cores
     from napari_elsplus.simulation.model.imperfections import Imperfections
     from napari_elsplus.simulation.model.instrument import Instrument
 
@@ -52,8 +53,6 @@ class Disturbances:
     ----------
     instrument : Instrument
         The instrument, with its imperfections.
-    cores : Cores
-        The bundle's cores.
     seed : int
         Seed of the camera's noise.
     laser : bool
@@ -62,8 +61,8 @@ class Disturbances:
         False without those of rows and pixels.
     """
 
-    def __init__(self, instrument: Instrument, cores: Cores, seed: int, *, laser: bool, of_camera: bool) -> None:
-        self._instrument, self._cores, self._seed, self._laser = instrument, cores, seed, laser
+    def __init__(self, instrument: Instrument, seed: int, *, laser: bool, of_camera: bool) -> None:
+        self._instrument, self._seed, self._laser = instrument, seed, laser
         given = instrument.imperfections
         self._has_power = laser and bool(given.power_noise_percent or given.power_ripple_percent)
         self._of_camera = of_camera and bool(
@@ -80,7 +79,7 @@ class Disturbances:
         if not self._of_camera:
             return UNDISTURBED
         black = self._rng(_ROW_NOISE, frame_index).normal(0, given.row_noise_dn, rows)
-        return Readout(self._power(frame_index), black.astype(np.float32), *self._pixels)
+        return Readout(self._power(frame_index), black.astype(np.float32), *_pixel_patterns(self._instrument))
 
     def jitter_rows(self, frame_index: int) -> float:
         """Return the rows by which the laser line is lower in a frame, by the frame's index; 0 in a lamp's light."""
@@ -110,7 +109,7 @@ class Disturbances:
             values += of_bundle
         if self._imperfections.bundle_bending_percent:
             moved_um = np.hypot(*positions_um[len(positions_um) // 2])
-            values *= (1 + np.tanh(moved_um / BENT_AT_UM) * self._bending).astype(np.float32)
+            values *= (1 + np.tanh(moved_um / BENT_AT_UM) * _bending_pattern(self._instrument)).astype(np.float32)
 
     def _power(self, frame_index: int) -> Values:
         """Mean power of the laser over each row's exposure, relative to its mean."""
@@ -128,27 +127,30 @@ class Disturbances:
         power = 1 + (given.power_noise_percent * noise + given.power_ripple_percent * ripple) / 100
         return np.asarray(np.maximum(power, 0.0), np.float32)
 
-    @cached_property
-    def _pixels(self) -> tuple[Values, Values]:
-        """Gain and dark signal of each pixel."""
-        given, shape = self._imperfections, self._instrument.frame_shape
-        gain = self._pattern_rng(_PRNU).normal(1, given.prnu_percent / 100, shape).astype(np.float32)
-        rng = self._pattern_rng(_HOT)
-        hot = rng.random(shape, np.float32) < given.hot_pixels_percent / 100
-        return np.maximum(gain, 0), np.where(hot, rng.uniform(*HOT_DN, shape), 0).astype(np.float32)
-
-    @cached_property
-    def _bending(self) -> Rows:
-        """Relative change of each core's transmission by a bent bundle: one half from core to core, one half smooth."""
-        cores, rng = self._cores, self._pattern_rng(_BENDING)
-        places = np.stack([cores.rows_um, cores.cols_um]) / self._instrument.bundle.radius_um
-        waves = np.cos(rng.uniform(-3, 3, (_WAVES, 2)) @ places + rng.uniform(0, 2 * np.pi, (_WAVES, 1))).sum(0)
-        alone = rng.normal(size=len(waves))
-        mixed = (waves - waves.mean()) / waves.std() + alone
-        return np.asarray(np.clip(self._imperfections.bundle_bending_percent / 100 * mixed / np.sqrt(2), -0.9, None))
-
     def _rng(self, kind: int, frame_index: int) -> np.random.Generator:
         return np.random.default_rng((kind, self._seed, frame_index))
 
-    def _pattern_rng(self, kind: int) -> np.random.Generator:
-        return np.random.default_rng((kind, self._instrument.bundle.seed))
+
+@lru_cache(maxsize=2)
+def _pixel_patterns(instrument: Instrument) -> tuple[Values, Values]:
+    """Return gain and dark signal of each pixel, (rows, cols)."""
+    given, shape = instrument.imperfections, instrument.frame_shape
+    gain = _pattern_rng(instrument, _PRNU).normal(1, given.prnu_percent / 100, shape).astype(np.float32)
+    rng = _pattern_rng(instrument, _HOT)
+    hot = rng.random(shape, np.float32) < given.hot_pixels_percent / 100
+    return np.maximum(gain, 0), np.where(hot, rng.uniform(*HOT_DN, shape), 0).astype(np.float32)
+
+
+@lru_cache(maxsize=2)
+def _bending_pattern(instrument: Instrument) -> Rows:
+    """Return the relative change of each core's transmission by a bent bundle: one half by core, one half smooth."""
+    (cores, *_), rng = views(instrument), _pattern_rng(instrument, _BENDING)
+    places = np.stack([cores.rows_um, cores.cols_um]) / instrument.bundle.radius_um
+    waves = np.cos(rng.uniform(-3, 3, (_WAVES, 2)) @ places + rng.uniform(0, 2 * np.pi, (_WAVES, 1))).sum(0)
+    alone = rng.normal(size=len(waves))
+    mixed = (waves - waves.mean()) / waves.std() + alone
+    return np.asarray(np.clip(instrument.imperfections.bundle_bending_percent / 100 * mixed / np.sqrt(2), -0.9, None))
+
+
+def _pattern_rng(instrument: Instrument, kind: int) -> np.random.Generator:
+    return np.random.default_rng((kind, instrument.bundle.seed))

@@ -79,9 +79,7 @@ class Renderer:
         self._cores, *self._views = views(instrument)
         self._disturbances: Disturbances | None = None
         if instrument.imperfections != IDEAL:
-            self._disturbances = Disturbances(
-                instrument, self._cores, seed, laser=not scene.transmission, of_camera=noise
-            )
+            self._disturbances = Disturbances(instrument, seed, laser=not scene.transmission, of_camera=noise)
         self._scan = Scan(instrument, scene, self._cores)
         reach_um = instrument.bundle.radius_um + abs(instrument.offset_um) / 2
         self._layers = [Layer(term.plane.texture, term.blur, reach_um) for term in self._scan.terms]
