@@ -98,12 +98,13 @@ class RowProfile:
     lit : numpy.ndarray
         True in the rows of either view that are far enough from the rim, (2, rows).
     bowed_rows : float
-        Rows by which a bowed line lies lower in the mean over the bundle than over the middles of its chords.
+        Rows by which the middle of a bowed line, at which the galvo map holds, lies below
+        its mean over the middles of the chords.
     """
 
     def __init__(self, bundle: BundleSection, shape: tuple[int, int], bow_rows: float = 0.0) -> None:
         # The mean square distance from the middle is a quarter of the squared radius, that of the middles their part.
-        self.bowed_rows = bow_rows * (1 - MIDDLE_SHARE**2) / 4
+        self.bowed_rows = -bow_rows * MIDDLE_SHARE**2 / 4
         self.offset_rows = bundle.residual_centre[0] - bundle.confocal_centre[0]
         self._views = [
             _chords(centre, bundle.diameter_px, shape) for centre in (bundle.confocal_centre, bundle.residual_centre)
