@@ -161,3 +161,17 @@ def test_power_noise_from_frame_to_frame_is_in_the_stated_distances() -> None:
     inside = [float(np.mean(np.abs(off) < sigmas * np.array(stated))) for sigmas in (1, 3)]
     assert 0.5 < inside[0] < 0.85
     assert inside[1] > 0.95
+
+
+def test_jitter_of_the_line_from_frame_to_frame_is_in_the_stated_distances() -> None:
+    """Two frames at each depth: the light of the residual view scatters; 96 % were within three standard deviations."""
+    depths, random = there_and_back(), np.random.default_rng(7312)
+    off, stated = [], []
+    for _ in range(200):
+        ls, residual = falling(depths)
+        response = axial_response(depths, ls, residual * random.normal(1, 0.03, len(depths)))
+        off.append((response.els_3db.um - 30, response.els_10db.um - 90))
+        stated.append((response.els_3db.uncertainty_um, response.els_10db.uncertainty_um))
+    pulls = np.abs(off) / np.array(stated)
+    assert np.all(np.mean(pulls < 3, axis=0) >= 0.98)
+    assert np.all(np.mean(pulls < 1, axis=0) > 0.5)

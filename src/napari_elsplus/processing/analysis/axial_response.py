@@ -14,7 +14,12 @@ from scipy.optimize import isotonic_regression
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.processing.analysis.bleaching import light_loss
-from napari_elsplus.processing.analysis.curve_noise import MIN_POINTS, noise_of_curve
+from napari_elsplus.processing.analysis.curve_noise import (
+    MIN_POINTS,
+    noise_of_curve,
+    relative_variance,
+    variance_of_means,
+)
 from napari_elsplus.processing.analysis.rounding import pixel_noise_dn, rounding_bias_dn
 from napari_elsplus.processing.images.sectioning import Sectioner
 
@@ -265,13 +270,16 @@ def axial_response(
     depths, *signals = _checked(depths_um, ls, residual)
     loss = light_loss(depths, signals[0])
     gains = np.ones(len(depths)) if loss is None else loss.gains()
-    depth, ls_mean, residual_mean = _by_depth(depths, *(signal * gains for signal in signals))
+    ls, residual = (signal * gains for signal in signals)
+    depth, ls_mean, residual_mean = _by_depth(depths, ls, residual)
     els_mean = ls_mean - residual_mean
     contact = _peak(ls_mean)
     beyond = slice(contact, None)
-    ls_fall = _Fall(depth[beyond], ls_mean[beyond], systematic.ls_zero_dn, 0 * depth[beyond])
+    ls_variance, els_variance = (variance_of_means(depths, signal)[beyond] for signal in (ls, ls - residual))
+    ls_fall = _Fall(depth[beyond], ls_mean[beyond], ls_variance, systematic.ls_zero_dn, 0 * depth[beyond])
     els_zero_dn = float(np.hypot(systematic.ls_zero_dn, systematic.residual_zero_dn))
-    els_fall = _Fall(depth[beyond], els_mean[beyond], els_zero_dn, systematic.gain * residual_mean[beyond])
+    together_dn = systematic.gain * residual_mean[beyond]
+    els_fall = _Fall(depth[beyond], els_mean[beyond], els_variance, els_zero_dn, together_dn)
     if not (ls_fall.contact > _MIN_SIGNAL_SIGMAS * ls_fall.noise and ls_fall.contact > 0):
         raise MeasurementError(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
@@ -304,11 +312,13 @@ def axial_response(
 class _Fall:
     """Curve that decreases from its first point, by isotonic regression of noisy signals.
 
-    Its zero has the standard deviation `zero_dn`; `together_dn` (depths,) is a fully correlated error of all depths.
+    Its zero has the standard deviation `zero_dn`; `together_dn` (depths,) is a fully correlated error of all depths,
+    `variance` (depths,) that of each depth by repeated frames.
     """
 
-    def __init__(self, depth: Curve, signal: Curve, zero_dn: float, together_dn: Curve) -> None:
+    def __init__(self, depth: Curve, signal: Curve, variance: Curve, zero_dn: float, together_dn: Curve) -> None:
         self._all_depths, self._together_dn, self._zero_dn = depth, together_dn, zero_dn
+        self._means, self._variance = signal, variance
         fitted = isotonic_regression(signal, increasing=False)
         first, last = fitted.blocks[:-1], fitted.blocks[1:]
         self._signal: Curve = fitted.x[first]
@@ -326,11 +336,20 @@ class _Fall:
         slope = (share[below] - share[below - 1]) / (self._depth[below] - self._depth[below - 1])
         at = self._depth[below - 1] + (level - share[below - 1]) / slope
         together = np.interp(at, self._all_depths, self._together_dn) - level * self._together_dn[0]
-        unsteady = level * self._relative * self.contact  # in contact, and again at the drop-off
-        error_dn = np.linalg.norm(
-            [self.noise, level * self.noise, (1 - level) * self._zero_dn, together, unsteady, unsteady]
-        )
+        error_dn = np.linalg.norm([self._random_dn(level), (1 - level) * self._zero_dn, together])
         return DropOff(float(at - self._start), float(error_dn / self.contact / abs(slope)))
+
+    def _random_dn(self, level: float) -> float:
+        """Return the standard deviation of the signal at a level less that share of the signal in contact.
+
+        Scatter about a smooth curve and that of repeated frames are independent estimates, of which the mean is taken.
+        """
+        unsteady = level * self._relative * self.contact  # in contact, and again at the drop-off
+        along_curve = float(np.linalg.norm([self.noise, level * self.noise, unsteady, unsteady]))
+        share = self._means / self.contact
+        relative = [relative_variance(share, self._variance, at) for at in (level, 1.0)]
+        of_repeats = level * np.sqrt(sum(relative))
+        return along_curve if np.isnan(of_repeats) else float(np.hypot(along_curve, of_repeats) / np.sqrt(2))
 
 
 def _checked(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[Curve, Curve, Curve]:

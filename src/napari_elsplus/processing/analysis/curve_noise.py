@@ -1,4 +1,4 @@
-"""Noise on a smooth curve that was measured once, without a model of the curve."""
+"""Noise on a smooth curve without a model of it: from neighbouring points, and from points measured more than once."""
 
 from __future__ import annotations
 
@@ -19,6 +19,11 @@ _BRIGHT: Final = 0.2
 """Of the signal in contact, above which points show the noise that is proportional to the signal; chosen."""
 _MIN_BRIGHT: Final = 5
 """Smallest number of such points; chosen: the median of fewer is no standard deviation."""
+_NEAR: Final = 2.5
+"""Ratio of shares of the signal up to which points have noise of a kind; chosen: several points of a scan, and no more
+than a decade of signal."""
+_MIN_NEAR: Final = 3
+"""Smallest number of such points; chosen: fewer do not show their own scatter."""
 
 
 def noise_of_curve(depth: Curve, signal: Curve) -> tuple[float, float]:
@@ -49,3 +54,43 @@ def noise_of_curve(depth: Curve, signal: Curve) -> tuple[float, float]:
     steps = np.diff(departure[bright] / level)
     excess = float(robust_sigma(steps - np.median(steps))) ** 2 / (10 / 3) - float(np.median(np.square(noise / level)))
     return noise, float(np.sqrt(max(excess, 0.0)))
+
+
+def variance_of_means(depth: Curve, signal: Curve) -> Curve:
+    """Return the variance of the mean signal at each different depth, by the scatter of the frames recorded there.
+
+    Parameters
+    ----------
+    depth, signal : numpy.ndarray
+        (T,) of each frame, in any order.
+
+    Returns
+    -------
+    numpy.ndarray
+        (depths,) in increasing order of depth; NaN of a depth that was recorded once.
+
+    Examples
+    --------
+    >>> variance_of_means(np.array([0.0, 5.0, 0.0]), np.array([3.0, 1.0, 5.0])).tolist()
+    [1.0, nan]
+    """
+    _, place, count = np.unique(depth, return_inverse=True, return_counts=True)
+    mean = np.bincount(place, signal) / count
+    square = np.bincount(place, np.square(signal - mean[place]))
+    return np.where(count > 1, square / np.maximum(count * (count - 1), 1), np.nan)
+
+
+def relative_variance(share: Curve, variance: Curve, level: float) -> float:
+    """Return the mean variance of points near a level, over their squared share of the signal; NaN of too few points.
+
+    Parameters
+    ----------
+    share, variance : numpy.ndarray
+        (depths,) signal over that in contact, and its variance, NaN where unknown.
+    level : float
+        Share of the signal in contact.
+    """
+    near = np.isfinite(variance) & (share > level / _NEAR) & (share < level * _NEAR)
+    if np.count_nonzero(near) < _MIN_NEAR:
+        return float("nan")
+    return float(np.mean(variance[near] / np.square(share[near])))
