@@ -46,7 +46,10 @@ def live_script(rig: str, settings: Settings, view: LiveView, plan: RecordingPla
     seconds = plan.seconds if plan.seconds or plan.frames else SECONDS
     calibrated = "" if calibration is None else f", calibration=elsplus.load_calibration({str(calibration)!r})"
     body = f"""
-view = LiveView({view.background}, {view.flat_field}, CoreFilter.{view.cores.name}, {view.average})
+view = LiveView(
+    {view.background}, {view.flat_field}, CoreFilter.{view.cores.name}, {view.average},
+    row_reference={view.row_reference},
+)
 plan = elsplus.RecordingPlan(
     Path({str(plan.path)!r}), frames={plan.frames}, seconds={seconds}, earlier_s={plan.earlier_s}
 )

@@ -8,6 +8,7 @@ from napari_elsplus.acquisition.engine.live_images import LiveImages, LiveView, 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.images.cores import CoreFilter
+from napari_elsplus.processing.images.fused import FusedSections
 from napari_elsplus.processing.images.sectioning import Mode, disc
 from napari_elsplus.workflows.sectioning import section
 
@@ -76,6 +77,33 @@ def test_live_images_are_those_of_the_pipeline(mode: str, cores: CoreFilter) -> 
     live.fill(raw[1], slot)
     expected = section(raw, CALIBRATION, mode, cores=cores)[-1]
     np.testing.assert_array_equal(slot[mode], expected)
+
+
+@pytest.mark.parametrize("row_reference", [True, False])
+@pytest.mark.parametrize("row_noise_dn", [0, 6])
+def test_live_images_lose_their_row_noise_as_recordings_do(row_noise_dn: int, row_reference: bool) -> None:
+    random = np.random.default_rng(4)
+    rows = random.normal(0, row_noise_dn, (100, 1))
+    raw = np.clip(30 + rows + random.normal(0, 1, SHAPE), 0, 255).astype(np.uint8)[None]
+    live = LiveImages(SHAPE, CALIBRATION, LiveView(row_reference=row_reference))
+    slot = slot_of(live)
+    live.add(raw[0], 0)
+    live.fill(raw[0], slot)
+    np.testing.assert_array_equal(slot["ls"], section(raw, CALIBRATION, "ls", row_reference=row_reference)[0])
+    along_rows = np.asarray(slot["ls"][21:61, 21:61]).mean(axis=1).std()
+    assert (along_rows > 3) == (row_noise_dn > 0 and not row_reference)
+
+
+def test_kernels_for_frames_with_row_noise_are_compiled_before_the_first_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    kinds, called = [], FusedSections.__call__
+
+    def watched(fused: FusedSections, raw: NDArray[np.generic], *rest: object) -> None:
+        kinds.append(raw.dtype)
+        called(fused, raw, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(FusedSections, "__call__", watched)
+    LiveImages(SHAPE, CALIBRATION, LiveView())
+    assert set(kinds) == {np.dtype(np.uint8), np.dtype(np.float32)}
 
 
 def test_elsa_keeps_its_parity_across_missing_frames() -> None:

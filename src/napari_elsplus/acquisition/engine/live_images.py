@@ -49,6 +49,8 @@ class LiveView:
         Recursive averaging: the weight of a frame is one over this; 1 displays single frames.
     modes : frozenset of Mode
         Image types that are made; none where nobody looks at them.
+    row_reference : bool
+        Take the camera's row noise off frames whose dark pixels show it, as recordings are processed.
 
     Raises
     ------
@@ -61,6 +63,7 @@ class LiveView:
     cores: CoreFilter = CoreFilter.NONE
     average: int = 1
     modes: frozenset[Mode] = frozenset(Mode)
+    row_reference: bool = True
 
     def __post_init__(self) -> None:
         if self.average < 1:
@@ -133,7 +136,9 @@ class LiveImages:
             return
         if not view.background:
             calibration = calibration.model_copy(update={"background": None})
-        self._sectioner = sectioner = Sectioner(calibration, frame_shape, on_camera_grid=True)
+        self._sectioner = sectioner = Sectioner(
+            calibration, frame_shape, on_camera_grid=True, row_reference=view.row_reference
+        )
         calibration = _on_camera_grid(calibration, sectioner)
         self._finish = finishing(calibration, sectioner, cores=view.cores, flat_field=view.flat_field)
         self._weight = 1 / view.average
@@ -198,12 +203,13 @@ class LiveImages:
         return Measures(saturated, focus(arrays[Mode.ELS.value]) if Mode.ELS in self._modes else np.nan)
 
     def _warm_up(self, frame_shape: tuple[int, int]) -> None:
-        """Compile all kernels and touch all memory before the first frames."""
+        """Compile all kernels and touch all memory before the first frames, of which the second has row noise."""
         blank = np.zeros(frame_shape, np.uint8)
+        noisy = blank + np.random.default_rng(0).integers(0, 9, (len(blank), 1), np.uint8)
         slot = {name: np.empty(shape, dtype) for name, shape, dtype in self.layout.fields}
-        for number in range(2):
-            self.add(blank, number)
-            self.fill(blank, slot)
+        for number, frame in enumerate((blank, noisy)):
+            self.add(frame, number)
+            self.fill(frame, slot)
         self._first, self._confocal_number, self._last_number = True, None, None
 
 

@@ -68,6 +68,10 @@ class LiveForm:
         self.flat_field = CheckBox(
             value=last.get("flat_field", False), text="flat field", tooltip="Divide by the calibration's flat field"
         )
+        self.row_reference = CheckBox(
+            value=last.get("row_reference", True), text="row reference",
+            tooltip="Subtract the camera's row noise where the dark pixels beside the bundle show it",
+        )  # fmt: skip
         self.cores = ComboBox(
             choices=[kind.value for kind in CoreFilter], value=last.get("cores", CoreFilter.NONE.value),
             label="core filter",
@@ -133,7 +137,10 @@ class LiveForm:
     @property
     def view(self) -> LiveView:
         """Processing of live images as set in the form."""
-        return LiveView(self.background.value, self.flat_field.value, CoreFilter(self.cores.value), self.average.value)
+        return LiveView(
+            self.background.value, self.flat_field.value, CoreFilter(self.cores.value), self.average.value,
+            row_reference=self.row_reference.value,
+        )  # fmt: skip
 
     def next_path(self, kind: str) -> Path:
         """Return the path of a new file in the folder, with the present time in its name.
@@ -150,8 +157,8 @@ class LiveForm:
         """Save the values for the next session."""
         remember(
             SECTION, folder=str(self.folder.value), cores=self.cores.value, background=self.background.value,
-            flat_field=self.flat_field.value, average=self.average.value, kinds=self.chosen,
-            side_by_side=self.side_by_side.value, seconds=self.seconds.value,
+            flat_field=self.flat_field.value, row_reference=self.row_reference.value, average=self.average.value,
+            kinds=self.chosen, side_by_side=self.side_by_side.value, seconds=self.seconds.value,
         )  # fmt: skip
 
     def connect(self, slots: Mapping[str, Callable[[], Any]], view: Callable[[], Any]) -> None:
@@ -167,7 +174,7 @@ class LiveForm:
         for slot, button in zip(slots.values(), (self.start, self.record, self.snapping), strict=True):
             button.clicked.connect(slot)
         bind_keys(self._panel, slots)
-        for choice in (self.background, self.flat_field, self.cores, self.average):
+        for choice in (self.background, self.flat_field, self.row_reference, self.cores, self.average):
             choice.changed.connect(view)
         for box in (*self.kinds.values(), self.side_by_side):
             box.changed.connect(self.remember)
@@ -196,7 +203,8 @@ class LiveForm:
         layout = panel_layout(self._panel)
         layout.addLayout(button_row(self.start, self.record, self.snapping))
         layout.addLayout(button_row(*self.kinds.values()))
-        layout.addLayout(button_row(self.side_by_side, self.background, self.flat_field))
+        layout.addLayout(button_row(self.side_by_side, self.row_reference))
+        layout.addLayout(button_row(self.background, self.flat_field))
         layout.addLayout(
             form_layout(
                 self.contrast, self.cores, self.average, self.folder, self.seconds, self.frames, self.pretrigger_s
