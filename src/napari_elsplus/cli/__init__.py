@@ -1,6 +1,7 @@
 """The command line: a module per command, each a thin layer over one public function.
 
-A command's module is imported when the command is run, so that ``napari-elsplus --help`` takes a tenth of a second.
+A command's module is imported when the command is run, so that ``napari-elsplus --help`` takes a tenth of a second; and
+what computes is imported when the command is executed, so that a wrong option is refused as soon.
 """
 
 from __future__ import annotations

@@ -64,6 +64,47 @@ class LazyChoice(click.Choice):  # type: ignore[type-arg, unused-ignore] # gener
         return tuple(self._values())
 
 
+def image_types() -> list[str]:
+    """Return the names of the image types."""
+    from napari_elsplus.processing.images.modes import Mode
+
+    return [mode.value for mode in Mode]
+
+
+class LazyHelp(click.Option):
+    """An option whose help is computed when it is displayed.
+
+    Parameters
+    ----------
+    *declarations : Any
+        As of :class:`click.Option`.
+    describe : callable
+        Returns the help.
+    **attributes : Any
+        As of :class:`click.Option`.
+    """
+
+    def __init__(self, *declarations: Any, describe: Callable[[], str], **attributes: Any) -> None:
+        super().__init__(*declarations, **attributes)
+        self._describe = describe
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Return names and help; see :meth:`click.Option.get_help_record`."""
+        self.help = self._describe()
+        return super().get_help_record(ctx)
+
+
+class ReadingCommand(click.Command):
+    """A command that reads recordings: its help lists their formats, which are imported for that alone."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the formats below the options; see :meth:`click.Command.format_epilog`."""
+        from napari_elsplus.io.formats.registry import supported_recordings
+
+        self.epilog = f"{self.params[0].human_readable_name} is one of: {supported_recordings()}."
+        super().format_epilog(ctx, formatter)
+
+
 FILE = _Named(path_type=Path)
 NUMBER, POSITIVE = _Number(), _Number(positive=True)
 SEED = click.IntRange(0, (1 << 31) - 1)

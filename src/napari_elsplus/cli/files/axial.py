@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
-from napari_elsplus.cli.options import FILE, force_option, output_option, progress, refuse_outputs
-from napari_elsplus.io import open_recording, read_calibration, read_depths_um, replacing
-from napari_elsplus.io.formats.registry import supported_recordings
-from napari_elsplus.workflows.axial import measure_axial_response
+from napari_elsplus.cli.options import FILE, ReadingCommand, force_option, output_option, progress, refuse_outputs
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,9 +17,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.analysis.axial_response import AxialResponse, DropOff
 
 
-@click.command(
-    epilog=f"SCAN is one of: {supported_recordings()}.",
-)
+@click.command(cls=ReadingCommand)
 @click.argument("scan", type=FILE)
 @click.option("-c", "--calibration", type=FILE, help="Calibration; by default the one in or beside the scan.")
 @click.option("--depths", type=FILE, help="CSV with header `depth_um`, a line per frame; by default beside the scan.")
@@ -33,6 +28,9 @@ def command(
     scan: Path, calibration: Path | None, depths: Path | None, output: Path, plot: Path | None, force: bool
 ) -> None:
     """Measure 3 dB and 10 dB drop-offs of LS and ELS+, and the in-focus signal kept, from SCAN."""
+    from napari_elsplus.io import open_recording, read_calibration, read_depths_um, replacing
+    from napari_elsplus.workflows.axial import measure_axial_response
+
     refuse_outputs(output, plot, force=force, inputs=(scan, calibration, depths))
     if plot is not None:
         from napari_elsplus.workflows.pictures.files import refuse_format
@@ -69,4 +67,4 @@ def _summary(response: AxialResponse) -> Iterator[str]:
 
 
 def _distance(drop: DropOff) -> str:
-    return f"{drop.um:.1f} +- {drop.uncertainty_um:.1f} um" if np.isfinite(drop.um) else "beyond the scan"
+    return f"{drop.um:.1f} +- {drop.uncertainty_um:.1f} um" if isfinite(drop.um) else "beyond the scan"

@@ -6,16 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.cli.options import FILE, LazyChoice, progress
+from napari_elsplus.cli.options import FILE, LazyChoice, image_types, progress
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-def _modes() -> list[str]:
-    from napari_elsplus.processing.images.modes import Mode
-
-    return [mode.value for mode in Mode]
 
 
 def _formats() -> list[str]:
@@ -29,7 +23,7 @@ def _formats() -> list[str]:
 @click.option(
     "-c", "--calibration", type=FILE, help="Calibration for all; by default that beside or in each recording."
 )
-@click.option("--mode", type=LazyChoice(_modes), default="els", show_default=True, help="Image type.")
+@click.option("--mode", type=LazyChoice(image_types), default="els", show_default=True, help="Image type.")
 @click.option("--mosaic", is_flag=True, help="Also track the probe and make a mosaic of each recording.")
 @click.option(
     "--format", "file_format", type=LazyChoice(_formats), default="ome-tiff", show_default=True,

@@ -6,19 +6,20 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.cli.options import FILE, calibration_option, force_option, output_option, refuse_outputs
-from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.io.formats.registry import supported_recordings
-from napari_elsplus.workflows.pictures.comparison import TITLES, compare
-from napari_elsplus.workflows.pictures.files import refuse_format
+from napari_elsplus.cli.options import (
+    FILE,
+    ReadingCommand,
+    calibration_option,
+    force_option,
+    output_option,
+    refuse_outputs,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-@click.command(
-    epilog=f"RAW is one of: {supported_recordings()}.",
-)
+@click.command(cls=ReadingCommand)
 @click.argument("raw", type=FILE)
 @calibration_option
 @click.option("--frame", default=0, show_default=True, help="Index of the raw frame; ELSA also takes the next.")
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
 @force_option
 def command(raw: Path, calibration: Path, frame: int, output: Path, force: bool) -> None:
     """Draw LS, ELSA and ELS+ of one frame of RAW with a line profile, scaled as in the paper."""
+    from napari_elsplus.io import open_recording, read_calibration
+    from napari_elsplus.workflows.pictures.comparison import TITLES, compare
+    from napari_elsplus.workflows.pictures.files import refuse_format
+
     refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
     refuse_format(output)
     record = read_calibration(calibration)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from napari_elsplus.cli.options import FILE, force_option, progress
-from napari_elsplus.workflows.demo import FILES, run_demo
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,6 +18,8 @@ if TYPE_CHECKING:
 @force_option
 def command(out: Path, force: bool) -> None:
     """Calibrate the simulated rig, acquire, section and mosaic; report the errors relative to the simulated truth."""
+    from napari_elsplus.workflows.demo import FILES, run_demo
+
     report = run_demo(out, force=force, progress=progress)
     for line in _summary(report):
         click.echo(line)

@@ -5,31 +5,51 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
-from napari_elsplus.cli.options import FILE, force_option, output_option, progress, refuse_outputs
+from napari_elsplus.cli.options import (
+    FILE,
+    LazyChoice,
+    LazyHelp,
+    ReadingCommand,
+    force_option,
+    image_types,
+    output_option,
+    progress,
+    refuse_outputs,
+)
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.io.formats.registry import format_to_write, supported_recordings
-from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.processing.mosaicing.mosaic import Insertion
-from napari_elsplus.processing.tracking.registry import Method, tracking_methods
-from napari_elsplus.workflows.mosaicing import mosaic as make_mosaic
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import numpy as np
     from numpy.typing import NDArray
 
 
-@click.command(
-    epilog=f"RAW is one of: {supported_recordings()}.",
-)
+def _methods() -> list[str]:
+    from napari_elsplus.processing.tracking.registry import tracking_methods
+
+    return list(tracking_methods())
+
+
+def _described_methods() -> str:
+    from napari_elsplus.processing.tracking.registry import tracking_methods
+
+    return "; ".join(f"{name}: {method.description}" for name, method in tracking_methods().items()) + "."
+
+
+def _insertions() -> list[str]:
+    from napari_elsplus.processing.mosaicing.mosaic import Insertion
+
+    return [insertion.value for insertion in Insertion]
+
+
+@click.command(cls=ReadingCommand)
 @click.argument("raw", type=FILE)
 @click.option("-c", "--calibration", type=FILE, help="Calibration of the rig that recorded RAW (JSON).")
 @click.option(
     "--mode",
-    type=click.Choice([m.value for m in Mode]),
+    type=LazyChoice(image_types),
     help="Image type to track and insert.  [default: els]",
 )
 @click.option(
@@ -37,11 +57,11 @@ if TYPE_CHECKING:
     help="RAW are finished images of any microscope: no calibration, tracked and inserted at their own resolution.",
 )  # fmt: skip
 @click.option(
-    "--method", type=click.Choice(list(tracking_methods())), default=Method.ELSPLUS.value, show_default=True,
-    help="; ".join(f"{name}: {method.description}" for name, method in tracking_methods().items()) + ".",
+    "--method", cls=LazyHelp, type=LazyChoice(_methods), default="elsplus", show_default=True,
+    describe=_described_methods,
 )  # fmt: skip
 @click.option(
-    "--insertion", type=click.Choice([i.value for i in Insertion]), default="dead-leaf", show_default=True,
+    "--insertion", type=LazyChoice(_insertions), default="dead-leaf", show_default=True,
     help="Rule by which overlapping images are combined; cores: finer than the cores, where the probe moved.",
 )  # fmt: skip
 @click.option(
@@ -64,6 +84,10 @@ def command(
     force: bool,
 ) -> None:
     """Track the probe through RAW and insert its images into a mosaic."""
+    from napari_elsplus.io import open_recording, read_calibration
+    from napari_elsplus.io.formats.registry import format_to_write
+    from napari_elsplus.workflows.mosaicing import mosaic as make_mosaic
+
     if finished and (calibration is not None or mode is not None):
         given = "-c" if calibration is not None else "--mode"
         raise InputError(f"--finished excludes {given}", "finished images have neither a calibration nor a mode")
@@ -90,5 +114,9 @@ def command(
 
 
 def _mean_frame(path: Path) -> NDArray[np.float32]:
+    import numpy as np
+
+    from napari_elsplus.io import open_recording
+
     with open_recording(path) as frames:
         return np.asarray(np.mean([frames[k] for k in range(len(frames))], axis=0), np.float32)

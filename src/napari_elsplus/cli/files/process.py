@@ -1,7 +1,4 @@
-"""``process``: raw frames to LS, residual, ELS+ or ELSA images.
-
-What computes is imported when the command is executed, so that a wrong option is refused at once.
-"""
+"""``process``: raw frames to LS, residual, ELS+ or ELSA images."""
 
 from __future__ import annotations
 
@@ -12,23 +9,17 @@ import click
 from napari_elsplus.cli.options import (
     FILE,
     LazyChoice,
+    ReadingCommand,
     calibration_option,
     force_option,
+    image_types,
     output_option,
     progress,
     refuse_outputs,
 )
-from napari_elsplus.io import open_recording, read_calibration
-from napari_elsplus.io.formats.registry import format_to_write, supported_recordings
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-def _modes() -> list[str]:
-    from napari_elsplus.processing.images.modes import Mode
-
-    return [mode.value for mode in Mode]
 
 
 def _core_filters() -> list[str]:
@@ -37,14 +28,12 @@ def _core_filters() -> list[str]:
     return [kind.value for kind in CoreFilter]
 
 
-@click.command(
-    epilog=f"RAW is one of: {supported_recordings()}.",
-)
+@click.command(cls=ReadingCommand)
 @click.argument("raw", type=FILE)
 @calibration_option
 @click.option(
     "--mode",
-    type=LazyChoice(_modes),
+    type=LazyChoice(image_types),
     default="els",
     show_default=True,
     help="Image type: confocal (ls), aligned residual, their difference in one frame (els) or in two (elsa).",
@@ -82,6 +71,8 @@ def command(
     force: bool,
 ) -> None:
     """Section the raw frames of RAW: float32 grey levels, signed, written as OME-TIFF or OME-Zarr (T, n, n)."""
+    from napari_elsplus.io import open_recording, read_calibration
+    from napari_elsplus.io.formats.registry import format_to_write
     from napari_elsplus.workflows.sectioning import section
 
     refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))

@@ -9,8 +9,6 @@ import click
 
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, refuse_outputs
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import read_calibration, replacing
-from napari_elsplus.workflows.recommendation.recommend import recommend
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,6 +28,9 @@ def command(
     depth_um: float, keep: float, calibration: Path, plate: Path | None, output: Path | None, force: bool
 ) -> None:
     """Recommend slit and offset that suppress haze from a depth and keep enough of the signal."""
+    from napari_elsplus.io import read_calibration, replacing
+    from napari_elsplus.workflows.recommendation.recommend import recommend
+
     refuse_outputs(output, force=force, inputs=(calibration, plate))
     measured = None
     if plate is not None:

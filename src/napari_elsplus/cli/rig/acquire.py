@@ -9,12 +9,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.acquisition.calibrating.simulated import use_simulated_calibration
-from napari_elsplus.acquisition.engine.live_images import LiveView
-from napari_elsplus.acquisition.engine.status import Settings
-from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
-from napari_elsplus.acquisition.session import live_engine
-from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import DeviceError, InputError
@@ -22,15 +16,13 @@ from napari_elsplus.hardware.parking import ParkStage
 from napari_elsplus.hardware.priority import keep_pace, settle_memory
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.optics import PRESETS
-from napari_elsplus.io import beside, read_calibration, replacing, write_mosaic, write_track
-from napari_elsplus.io.formats.registry import format_to_write
-from napari_elsplus.processing.mosaicing.montage import montage
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.acquisition.engine.engine import Engine
     from napari_elsplus.acquisition.engine.status import Status
+    from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.workflows.tracking import Pipeline
 
 _STEP_S = 0.1
@@ -65,6 +57,15 @@ def command(
     force: bool,
 ) -> None:
     """Run the live engine for some seconds: section every frame, record, track, insert into the mosaic, report."""
+    from napari_elsplus.acquisition.calibrating.simulated import use_simulated_calibration
+    from napari_elsplus.acquisition.engine.live_images import LiveView
+    from napari_elsplus.acquisition.engine.status import Settings
+    from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
+    from napari_elsplus.acquisition.session import live_engine
+    from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
+    from napari_elsplus.io import beside, read_calibration, replacing
+    from napari_elsplus.io.formats.registry import format_to_write
+
     beside_record = () if record is None else [beside(record, f".calibration{ending}") for ending in (".json", ".npz")]
     refuse_outputs(record, *beside_record, mosaic, track, report, force=force)
     if mosaic is not None:
@@ -124,6 +125,9 @@ def _stream(engine: Engine, seconds: float, plan: RecordingPlan | None) -> None:
 
 
 def _write(pipeline: Pipeline, engine: Engine, mosaic: Path | None, track: Path | None, force: bool) -> None:
+    from napari_elsplus.io import write_mosaic, write_track
+    from napari_elsplus.processing.mosaicing.montage import montage
+
     calibration = engine.calibration
     assert calibration is not None
     if track is not None:

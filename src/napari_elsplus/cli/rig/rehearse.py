@@ -8,9 +8,6 @@ from typing import TYPE_CHECKING
 import click
 
 from napari_elsplus.cli.options import FILE, force_option, progress, refuse_outputs
-from napari_elsplus.diagnosis.rehearsal.rehearse import faults
-from napari_elsplus.diagnosis.rehearsal.row import heading, line
-from napari_elsplus.io import replacing
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,6 +22,10 @@ def command(names: tuple[str, ...], report: Path | None, force: bool) -> None:
 
     Exits 0 when every promise was held, 1 when one was not. Software replaces no hardware interlock.
     """
+    from napari_elsplus.diagnosis.rehearsal.rehearse import faults
+    from napari_elsplus.diagnosis.rehearsal.row import heading, line
+    from napari_elsplus.io import replacing
+
     refuse_outputs(report, force=force)
     chosen = faults(names)
     click.echo(heading())
