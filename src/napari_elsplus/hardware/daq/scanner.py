@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 
-WATCH_EVERY_S: Final = 0.02
-"""Seconds between two checks of the card; chosen: a small part of the 0.5 s in which the galvo has to park."""
+WATCH_EVERY_S: Final = 0.04
+"""Seconds between two checks of the card; chosen: half of the shortest time after which a strobe counts as lost, and a
+small part of the 0.5 s in which the galvo has to park."""
 COMPARE_EVERY_S: Final = 0.2
 """Seconds between two checks of the parked output; chosen: parked again within 0.5 s, at a hundredth of the card's
 time (a check takes some calls, 1 to 2 ms)."""
