@@ -1,6 +1,7 @@
 """Lateness, losses and processor time of ``acquire``, each run a process of its own: ``python3 run.py bench acquire``.
 
 For a machine with nothing else on it: how late a thread wakes that has nothing to do with the engine is printed beside.
+It has a higher priority than the engine, where the system allows it, so that what delays it is the machine alone.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Final
@@ -31,9 +32,13 @@ WAKE_S: Final = 0.004
 """Interval of the thread that only wakes: about a frame period at 240 Hz."""
 MAIN_THREAD: Final = "MainThread"
 """Thread of ``acquire`` itself: before the stream it starts the rig, and then sleeps."""
+WAKE_PRIORITY: Final = 50
+"""Real-time priority of that thread; chosen: above the engine's, below that of the system's own threads."""
+RECORDING: Final = ("recorder", "recording-flush")
+"""Threads of a recording: one writes, the other flushes."""
 TITLES: Final = (
-    "run", "frames", "lost", "median_ms", "p99_ms", "largest_ms", "wake_p99_ms", "engine_us_per_frame",
-    "recorder_us_per_frame", "simulator_us_per_frame", "started_s", "load",
+    "run", "frames", "lost", "median_ms", "p99_ms", "largest_ms", "wake_p99_ms", "wake_largest_ms",
+    "engine_us_per_frame", "recorder_us_per_frame", "simulator_us_per_frame", "started_s", "load", "causes",
 )  # fmt: skip
 
 
@@ -47,17 +52,20 @@ class _Wakes(Thread):
 
     def run(self) -> None:
         """Wake until :meth:`end`."""
+        if sys.platform == "linux":
+            with suppress(PermissionError):
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(WAKE_PRIORITY))
         due_s = time.perf_counter()
         while not self._ended.is_set():
             due_s = max(due_s + WAKE_S, time.perf_counter())
             time.sleep(max(0.0, due_s - time.perf_counter()))
             self.late_s.append(time.perf_counter() - due_s)
 
-    def end(self) -> float:
-        """Return the lateness, in seconds, that one wake in a hundred exceeds."""
+    def end(self) -> tuple[float, float]:
+        """Return the lateness, in seconds, that one wake in a hundred exceeds, and the largest."""
         self._ended.set()
         self.join()
-        return float(np.quantile(self.late_s, 0.99))
+        return float(np.quantile(self.late_s, 0.99)), max(self.late_s)
 
 
 @contextmanager
@@ -82,9 +90,9 @@ def _run(folder: Path, seconds: float, busy: bool) -> dict[str, Any]:
         command = [*COMMAND_LINE, "acquire", "--seconds", str(seconds), *options, "--force"]
         environment = {**os.environ, "PYTHONPATH": str(HERE / "src")}
         subprocess.run(command, check=True, capture_output=True, env=environment)
-        wake_s = wakes.end()
+        wakes_ms = [1e3 * late_s for late_s in wakes.end()]
     result: dict[str, Any] = json.loads(report.read_text("utf-8"))
-    return {**result, "wake_p99_ms": 1e3 * wake_s}
+    return {**result, "wakes_ms": wakes_ms}
 
 
 def _row(name: str, result: dict[str, Any]) -> tuple[str, ...]:
@@ -92,11 +100,14 @@ def _row(name: str, result: dict[str, Any]) -> tuple[str, ...]:
     threads: dict[str, float] = result["cpu_us_per_frame"]
     simulator = sum(us for thread, us in threads.items() if thread.startswith("simulated "))
     engine = sum(us for thread, us in threads.items() if thread != MAIN_THREAD) - simulator
+    recorder = sum(threads.get(thread, 0.0) for thread in RECORDING)
     numbers = (
-        latency["p50"], latency["p99"], latency["max"], result["wake_p99_ms"], engine, threads.get("recorder", 0.0),
-        simulator, result["started_s"], os.getloadavg()[0],
+        latency["p50"], latency["p99"], latency["max"], *result["wakes_ms"], engine, recorder, simulator,
+        result["started_s"], os.getloadavg()[0],
     )  # fmt: skip
-    return name, str(frames["acquired"]), str(sum(frames["dropped"].values())), *(f"{each:.2f}" for each in numbers)
+    counts = str(frames["acquired"]), str(sum(frames["dropped"].values()))
+    causes = "; ".join(f"{count} {cause}" for cause, count in frames["dropped"].items())
+    return name, *counts, *(f"{each:.2f}" for each in numbers), causes or "-"
 
 
 @click.command(name="acquire")
