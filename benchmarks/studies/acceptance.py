@@ -298,7 +298,8 @@ def tracked(recording: TruePath, grid: Grid) -> Counts:
     for earlier, later, moved, _link in tracker.links:
         miss = np.array(moved) - (true[later] - true[earlier])
         errors.append(float(np.hypot(*miss)) * grid.binning)
-        normalised.append(float(np.hypot(*miss)) / max(poses[later].sigma, 1e-6))
+        if poses[later].state is TrackingState.TRACKED:  # one that waited for the next has no standard deviation
+            normalised.append(float(np.hypot(*miss)) / max(poses[later].sigma, 1e-6))
         if later == earlier + 1 and errors[-1] <= WRONG_PX:
             right.add(earlier)
     places = np.array([(pose.row, pose.col) for pose in poses])

@@ -73,6 +73,16 @@ def test_sparse_fibres_are_tracked_where_they_can_be_and_nowhere_else() -> None:
     assert drift < 0.5
 
 
+def test_a_start_of_low_odds_is_kept_once_the_next_registration_agrees() -> None:
+    """One fibre or two in view: by the odds of single pairs 7 frames are tracked, none of the first nine."""
+    truth = record(fibres(700, 8, 6), smooth_path(16, 20, 700, 6))
+    pipeline = track(truth)
+    tracked = [pose.state is TrackingState.TRACKED for pose in pipeline.poses]
+    assert sum(tracked) >= 10
+    assert any(tracked[:9])
+    assert errors(pipeline, truth)[0].max() < 2.0
+
+
 def blinded(truth: Truth, first: int, last: int, level: int = 4) -> Truth:
     frames = truth.frames.copy()
     frames[first:last] = level

@@ -24,6 +24,7 @@ from napari_elsplus.processing.tracking.registration.pair_registration import (
     PreparedFrame,
     Registrar,
 )
+from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,6 +52,8 @@ _TEST_EVERY: Final = 4
 """Frames between two score tests for rotation, as long as none is found."""
 _TEST_AT_REST: Final = 32
 """The same, while one key frame serves."""
+_WAITING_ODDS_NATS: Final = 0.0
+"""Odds from which a first registration waits for the next one; derived: it is more probable than not."""
 _MIN_REACH_PX: Final = 8.0
 """Smallest scale of the heavy-tailed prior of a searched shift; chosen, a jerk of a hand."""
 
@@ -68,6 +71,15 @@ class _Placed:
     scale: float = 1.0
     velocity_variance: float = 0.0
     sigma: float = nan
+
+
+@dataclass(slots=True)
+class _Start:
+    """A registration that begins a segment if the next one agrees with it."""
+
+    found: tuple[int, int, Displacement, PairRegistration]
+    later: _Placed
+    motion: Motion
 
 
 class Tracker:
@@ -97,11 +109,12 @@ class Tracker:
         self._began = self._covered = 0
         self._turned = 0.0
         self._turning = Turning()
-        self._motion = Motion(grid.shutter, FIELD * grid.diameter)
+        self._motion = self._unknown_motion()
         self._key: _Placed | None = None
         self._last: _Placed | None = None
         self._previous: _Placed | None = None
         self._usual = nan
+        self._start: _Start | None = None
         self._segment = 0
         self._frames = 0
         self._coming = self._free()
@@ -135,14 +148,16 @@ class Tracker:
     def _register(self, here: _Placed) -> Pose | None:
         """Register a frame to the segment, else to the frame before; once the track is lost, to either in turn.
 
-        So a lost frame costs one search, not two, and the track is found again half a frame later on average.
+        So a lost frame costs one search, not two, and the track is found again half a frame later on average. Where a
+        start waits, it is tested first.
         """
         last = self._last
         assert last is not None
         if here.index - last.index <= PATIENCE_FRAMES:
             return self._continue(here) or self._restart(here)
         reachable = hypot(*self._expected(last, here.index)) <= self._max_displacement_px
-        return self._continue(here) if here.index % 2 and reachable else self._restart(here)
+        continues = here.index % 2 and reachable and self._start is None
+        return self._continue(here) if continues else self._restart(here)
 
     def _continue(self, here: _Placed) -> Pose | None:
         """Register a frame to the key frame of the segment, or to the last frame that was."""
@@ -166,19 +181,55 @@ class Tracker:
         return self._track(here, link) if self._place(key, here, link, motion) else None
 
     def _restart(self, here: _Placed) -> Pose | None:
-        """Start a new segment from the frame before, which itself has no place, if the two can be linked."""
-        previous, last = self._previous, self._last
+        """Begin a segment with a frame once it can be registered to the one before, which itself has no place."""
+        previous, start = self._previous, self._start
         assert previous is not None
-        if previous is last:
+        self._start = None
+        if previous is self._last and self._motion.known:
             return None
-        before = self._motion
-        self._motion = Motion(self.grid.shutter, FIELD * self.grid.diameter)
+        before = self._motion, self._key, self._last
+        pose = self._confirm(start, here) if start is not None and start.later is previous else None
+        pose = pose or self._start_at(previous, here)
+        if pose is None:
+            self._motion, self._key, self._last = before
+        return pose
+
+    def _start_at(self, previous: _Placed, here: _Placed) -> Pose | None:
+        """Begin a segment under the widest prior; where the odds do not suffice the registration waits for the next."""
+        self._motion = self._unknown_motion()
         origin = _Placed(previous.view, previous.index)
-        motion = self._prior(origin, here, self._expected(origin, here.index))
-        link = self._link(origin, here, motion)
+        motion = self._prior(origin, here, Displacement(0.0, 0.0))
+        link = self._link(origin, here, motion, _WAITING_ODDS_NATS)
         if link is None or not self._place(origin, here, link, motion):
-            self._motion = before
             return None
+        if link.observed:
+            return self._begin(here, link)
+        self._motion.follow(here.velocity, here.velocity_variance, successive=False)
+        self._start = _Start(self.links.pop(), here, self._motion)
+        return None
+
+    def _confirm(self, start: _Start, here: _Placed) -> Pose | None:
+        """Begin a segment with a registration that waited, if this frame's, by its motion, raises its odds enough.
+
+        They rise by how much more probable the shift is by that motion than under the widest prior.
+        """
+        self._motion, self._key, self._last = start.motion, start.later, start.later
+        motion = self._prior(start.later, here, self._expected(start.later, here.index))
+        link = self._link(start.later, here, motion)
+        if link is None:
+            return None
+        widest = self._unknown_motion().prior(Displacement(0.0, 0.0), 1)
+        rise = motion.log_density(link.warp) - widest.log_density(link.warp)
+        if start.found[-1].odds + rise < MIN_ODDS_NATS or not self._place(start.later, here, link, motion):
+            return None
+        self.links.insert(-1, start.found)
+        return self._begin(here, link)
+
+    def _unknown_motion(self) -> Motion:
+        return Motion(self.grid.shutter, FIELD * self.grid.diameter)
+
+    def _begin(self, here: _Placed, link: PairRegistration) -> Pose:
+        """Begin a segment with a frame."""
         here.row = here.col = here.angle = 0.0
         here.scale = 1.0
         self._key = here
@@ -247,7 +298,9 @@ class Tracker:
         before = None if earlier is last else (earlier.velocity, earlier.velocity_variance)
         return self._motion.prior(ahead, here.index - last.index, before, min_share)
 
-    def _link(self, earlier: _Placed, here: _Placed, motion: MotionPrior) -> PairRegistration | None:
+    def _link(
+        self, earlier: _Placed, here: _Placed, motion: MotionPrior, min_odds_nats: float = MIN_ODDS_NATS
+    ) -> PairRegistration | None:
         """Register two frames, first at the expected shift, else over all; None if no shift is accepted."""
         if self.model is not MotionModel.TRANSLATION:
             return self._turned_link(earlier, here, motion, self.model)
@@ -258,8 +311,8 @@ class Tracker:
             turned = self._suddenly_turned(earlier, here, motion, link)
             if turned is not None:
                 return turned
-        found = self.registrar.search(earlier.view, here.view, motion, _reach(motion), MIN_ODDS_NATS)
-        if found is None or not self._accepted(found):
+        found = self.registrar.search(earlier.view, here.view, motion, _reach(motion), min_odds_nats)
+        if found is None or not self._accepted(found, min_odds_nats):
             return None
         turned = None if found.correlation > SURE_CORRELATION else self._suddenly_turned(earlier, here, motion, found)
         return turned or found
@@ -294,9 +347,13 @@ class Tracker:
                 return link
         return None
 
-    def _accepted(self, link: PairRegistration) -> bool:
+    def _accepted(self, link: PairRegistration, min_odds_nats: float = MIN_ODDS_NATS) -> bool:
         """Return True if the odds suffice and the frames correlate about as well as frames did so far."""
-        return link.observed and not link.correlation < self._usual - FALL_OF_CORRELATION
+        return (
+            link.overlap >= LEAST_OVERLAP
+            and link.odds >= min_odds_nats
+            and not link.correlation < self._usual - FALL_OF_CORRELATION
+        )
 
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose and velocity; return False if the probe moved too unevenly within the frames."""

@@ -66,3 +66,12 @@ def test_a_global_shutter_has_no_stretch() -> None:
     velocity, variance = prior.later_velocity(shutter.warp(*prior[:3]), np.diag([1e-18, 1e-2, 1e-18, 1e-2]))
     assert velocity == pytest.approx((3.0, 1.0))
     assert np.isfinite(variance)
+
+
+def test_a_shift_as_expected_is_more_probable_by_a_known_motion_than_by_an_unknown_one() -> None:
+    known, unknown = settled(), Motion(SHUTTER, 210.0)
+    narrow, wide = known.prior(known.ahead(1), 1), unknown.prior(Displacement(0.0, 0.0), 1)
+    expected = narrow.warp
+    elsewhere = expected._replace(b=expected.b + 40.0)
+    assert narrow.log_density(expected) - wide.log_density(expected) > 4
+    assert narrow.log_density(elsewhere) - wide.log_density(elsewhere) < -4

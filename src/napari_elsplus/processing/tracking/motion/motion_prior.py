@@ -12,7 +12,7 @@ Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Nav
 
 from __future__ import annotations
 
-from math import isfinite, sqrt
+from math import isfinite, log, log1p, sqrt
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
@@ -111,6 +111,12 @@ class MotionPrior(NamedTuple):
         a, b0, s, d0 = self.warp
         slope = self.terms[1]
         return self.warp._replace(a=a + slope * (b - b0), b=b, s=s + slope * (d - d0), d=d)
+
+    def log_density(self, warp: Warp) -> float:
+        """Return the logarithm of the probability density of a warp's shift, up to a constant, nats."""
+        variance, expected = self.covariance[1][1], self.warp
+        miss = ((warp.b - expected.b) ** 2 + (warp.d - expected.d) ** 2) / variance
+        return -log(variance) - 0.5 * (DEGREES_OF_FREEDOM + 2) * log1p(miss / DEGREES_OF_FREEDOM)
 
     def later_velocity(self, warp: Warp, covariance: NDArray[np.float64]) -> tuple[Velocity, float]:
         """Return the later frame's velocity given a registered warp, and its variance (larger axis).

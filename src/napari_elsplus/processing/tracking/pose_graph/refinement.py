@@ -184,10 +184,10 @@ def with_origins(poses: Sequence[Pose], links: Links, shutter: RollingShutter) -
         Timing of the rows.
     """
     result = list(poses)
-    for earlier, later, moved, link in links:
+    for earlier, later, moved, link in reversed(links):  # two of them begin a segment where the first had to wait
         first, after = result[earlier], result[later]
         begins = first.state is TrackingState.TRACKED and np.isnan(first.score)
-        alone = earlier == 0 or result[earlier - 1].state is TrackingState.LOST
+        alone = earlier == 0 or np.isnan(result[earlier - 1].score)
         if later != earlier + 1 or after.state is not TrackingState.TRACKED:
             continue
         if begins or (first.state is TrackingState.LOST and alone):
