@@ -25,7 +25,7 @@ def made(jitter_rows: float, scene, state: str = "b") -> Renderer:
 def test_a_frame_is_that_of_a_line_on_the_jittered_rows(jitter_rows: float, standing: bool) -> None:
     jittering, steady = made(jitter_rows, fibres(2)), made(0.0, fibres(2))
     rows = np.full(524, 260.0) if standing else np.arange(524.0) + 0.7
-    known = Disturbances(jittering.instrument, jittering.instrument.bundle.cores(), 3, laser=True, of_camera=True)
+    known = Disturbances(jittering.instrument, 3, laser=True, of_camera=True)
     for frame in (1, 2):
         expected = steady.core_values(frame, line_rows=rows + known.jitter_rows(frame))
         found = jittering.core_values(frame, line_rows=rows)
