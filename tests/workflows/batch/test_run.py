@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -196,6 +197,13 @@ def test_a_stage_computes_on_one_thread(recordings: Path, tmp_path: Path, monkey
     tasks.run_stage("section", BatchItem("a", str(recordings / "a.tif")), job)
     assert threads == [1]
     assert cv2.getNumThreads() == before
+
+
+def test_local_workers_have_one_thread_and_keep_their_memory() -> None:
+    with run._client(None, 1) as client:
+        (environment,) = client.run(lambda: dict(os.environ)).values()
+    assert environment["OMP_NUM_THREADS"] == "1"
+    assert "MALLOC_TRIM_THRESHOLD_" not in environment
 
 
 def test_the_process_that_submits_tasks_imports_no_kernels() -> None:

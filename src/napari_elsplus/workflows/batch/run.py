@@ -30,6 +30,9 @@ COLUMNS: Final = (
 SCHEDULER_TIMEOUT_S: Final = 10.0
 """Time for an existing scheduler to answer, seconds; chosen: a busy one answers within one."""
 LOCAL: Final = "127.0.0.1"
+WORKER_ENVIRONMENT: Final = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), 1)
+"""Environment of local workers. Dask's own also lowers malloc's trim threshold to 64 kB, by which the memory of every
+image is returned to the system and mapped anew."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +142,7 @@ def _require_format(name: str) -> None:
 @contextmanager
 def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     with extra_needed("batch", "batches"):
+        import dask
         from distributed import Client, LocalCluster
     if scheduler is not None:
         try:
@@ -152,7 +156,11 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
             yield client
         return
     local = {"host": LOCAL, "dashboard_address": f"{LOCAL}:0", "threads_per_worker": 1, "preload": [STAGES_MODULE]}
-    with LocalCluster(n_workers=workers, silence_logs="ERROR", **local) as cluster, Client(cluster) as client:
+    with (
+        dask.config.set({"distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT}),
+        LocalCluster(n_workers=workers, silence_logs="ERROR", **local) as cluster,
+        Client(cluster) as client,
+    ):
         yield client
 
 
