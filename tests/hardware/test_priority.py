@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from napari_elsplus.hardware.priority import full_collections_deferred, keep_pace, ordinary_priority
+from napari_elsplus.hardware.priority import full_collections_deferred, keep_pace, ordinary_priority, settle_memory
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="policies of scheduling are those of Linux")
@@ -33,14 +33,17 @@ def test_only_young_garbage_is_collected_while_frames_stream() -> None:
             collected.append(info["generation"])
 
     before = gc.get_threshold()
-    gc.callbacks.append(note)
+    settle_memory()
+    gc.collect()  # no object is old now: new ones of a quarter of the old make a full collection
     try:
         gc.set_threshold(10, 2, 2)
         with full_collections_deferred():
+            gc.callbacks.append(note)
             kept = [[k] for k in range(5000)]
+            gc.callbacks.remove(note)
         assert set(collected) == {0, 1}
         assert gc.get_threshold() == (10, 2, 2)
     finally:
-        gc.callbacks.remove(note)
         gc.set_threshold(*before)
+        gc.unfreeze()
     assert len(kept) == 5000
