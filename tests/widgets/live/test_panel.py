@@ -217,6 +217,7 @@ def test_the_rig_panel_connects_sets_up_parks_and_remembers(viewer, qtbot, tmp_p
     log = tmp_path / "mirror.log"
     qtbot.waitUntil(lambda: log.exists() and log.read_text().split()[-1:] == ["park"], timeout=30_000)
     assert recall("rig")["slit_rows"] == 5
+    qtbot.waitUntil(lambda: panel.connect.enabled, timeout=30_000)  # the mirror moves before the answer comes
     panel.connect.native.click()
     qtbot.waitUntil(lambda: not exists(small_engine[0].pid), timeout=30_000)
     qtbot.waitUntil(lambda: not panel.requests.busy, timeout=30_000)
