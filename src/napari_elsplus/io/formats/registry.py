@@ -78,7 +78,7 @@ class FileFormat:
     writer : ImageWriter, optional
         None where images cannot be written.
     pyramid_writer : PyramidWriter, optional
-        None where mosaics cannot be written.
+        None where the format has no pyramid; `writer` then writes mosaics.
     written_suffixes : tuple of str
         Suffixes that the writers write, the usual one first.
     folder_markers : tuple of str, optional

@@ -24,7 +24,6 @@ from napari_elsplus.processing.tracking.registration.pair_registration import (
     PreparedFrame,
     Registrar,
 )
-from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP
 
 if TYPE_CHECKING:
     import numpy as np
@@ -349,11 +348,7 @@ class Tracker:
 
     def _accepted(self, link: PairRegistration, min_odds_nats: float = MIN_ODDS_NATS) -> bool:
         """Return True if the odds suffice and the frames correlate about as well as frames did so far."""
-        return (
-            link.overlap >= LEAST_OVERLAP
-            and link.odds >= min_odds_nats
-            and not link.correlation < self._usual - FALL_OF_CORRELATION
-        )
+        return link.reaches(min_odds_nats) and not link.correlation < self._usual - FALL_OF_CORRELATION
 
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose and velocity; return False if the probe moved too unevenly within the frames."""

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
 
@@ -145,7 +146,7 @@ class FinishedField:
         logarithms = [self.coarse_logarithm(_window(image, self.grid)) for image in stack]
         passed = np.array([(a - cv2.GaussianBlur(a * mask, (0, 0), scale) / weight) * mask for a in logarithms])
         median = np.median(passed, axis=0)
-        scatter = 1.4826 * np.median(np.abs(passed - median), axis=0)
+        scatter = robust_sigma(passed - median, axis=0)
         found = (np.abs(median) > np.maximum(_STATIC_CONTRAST, _STATIC_RATIO * scatter)).astype(np.uint8)
         grown = cv2.dilate(found, np.ones((5, 5), np.uint8)).astype(bool)
         return grown if grown[mask > 0].mean() < _MAX_STATIC else nothing

@@ -100,7 +100,11 @@ class PairRegistration(NamedTuple):
     @property
     def observed(self) -> bool:
         """Return True if the shift is accepted."""
-        return self.overlap >= LEAST_OVERLAP and self.odds >= MIN_ODDS_NATS
+        return self.reaches(MIN_ODDS_NATS)
+
+    def reaches(self, odds_nats: float) -> bool:
+        """Return True if the frames overlap enough and the odds are at least so many nats."""
+        return self.overlap >= LEAST_OVERLAP and self.odds >= odds_nats
 
     @property
     def certainty(self) -> float:

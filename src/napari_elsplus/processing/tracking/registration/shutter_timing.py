@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def estimate_line_periods_per_frame(
         for _ in range(_ROUNDS):
             inverse = float((weight * gained * bent).sum() / (weight * gained * gained).sum())
             miss = bent - inverse * gained
-            scale = 1.4826 * float(np.median(np.abs(miss))) + 1e-12
+            scale = float(robust_sigma(miss)) + 1e-12
             weight = 1 / (1 + (miss / (3 * scale)) ** 2)
         sigma = scale / float(np.sqrt((gained * gained).sum()))
         if not inverse > sigma / _TRUSTED:
