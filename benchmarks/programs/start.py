@@ -82,8 +82,8 @@ def _help(here: Checkout) -> float:
     return here.elsplus("--help")
 
 
-def _wrong_option(here: Checkout) -> float:
-    return here.elsplus("process", "--wrong", code=2)
+def _wrong_option(*command: str) -> Callable[[Checkout], float]:
+    return lambda here: here.elsplus(*command, "--wrong", code=2)
 
 
 def _first_frame(here: Checkout, *more: str) -> float:
@@ -133,7 +133,9 @@ class Start(NamedTuple):
 STARTS: Final = (
     Start("import napari_elsplus", 0.1, _import),
     Start("napari-elsplus --help", 0.4, _help),
-    Start("a wrong option", 0.4, _wrong_option),
+    Start("a wrong option, process", 0.4, _wrong_option("process")),
+    Start("a wrong option, simulate", 0.4, _wrong_option("simulate", "recording")),
+    Start("a wrong option, calibrate", 0.4, _wrong_option("calibrate")),
     Start("acquire, first frame", 4.0, _first_frame),
     Start("acquire with a track, first frame", 4.0, _first_tracked),
     Start(f"mosaic of {FRAMES} frames", 4.0, _mosaic),

@@ -99,16 +99,17 @@ def test_version_help_and_errors_load_nothing_heavy(argument: str, code: int) ->
         assert done.stdout.startswith(f"napari-elsplus, version {napari_elsplus.__version__}\n")
 
 
-QUICK = [name for name in COMMANDS if name not in {"calibrate", "simulate", "doctor"}]
-"""Commands whose options need nothing that computes; those of the others are made of its tables."""
+GROUPS = {"simulate": ["recording", "axial", "calibration"]}
+"""Commands that have commands of their own."""
+QUICK = [words for name in COMMANDS for words in ([name], *([name, sub] for sub in GROUPS.get(name, [])))]
 
 
 def test_wrong_options_are_refused_before_numerics_are_imported() -> None:
     run = (
         "import sys; from napari_elsplus.cli import main\n"
-        f"for name in {QUICK}:\n"
-        "    try: main([name, '--wrong'])\n"
-        "    except SystemExit as end: assert end.code == 2, name\n"
+        f"for words in {QUICK}:\n"
+        "    try: main([*words, '--wrong'])\n"
+        "    except SystemExit as end: assert end.code == 2, words\n"
         "print([m for m in ('napari', 'qtpy', 'cv2', 'numba', 'numpy', 'scipy') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, check=False)

@@ -153,7 +153,7 @@ def test_the_simulated_rig_is_calibrated_live(
     elsplus: Elsplus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "napari_elsplus.cli.rig.calibrate.SWEEP_VOLTAGES", 100
+        "napari_elsplus.acquisition.calibrating.live.SWEEP_VOLTAGES", 100
     )  # the camera is no faster than a real one
     out = tmp_path / "live.json"
     run = elsplus("calibrate", "--rig", "simulated", "-o", out)

@@ -3,12 +3,13 @@ from __future__ import annotations
 import pytest
 from click.testing import CliRunner
 
+from napari_elsplus import diagnosis
 from napari_elsplus.cli.rig import doctor
 from napari_elsplus.diagnosis.finding import Finding, ok, problem, warning
 
 
 def told(monkeypatch: pytest.MonkeyPatch, *findings: Finding) -> tuple[int, list[str]]:
-    monkeypatch.setattr(doctor, "diagnose", lambda: iter(findings))
+    monkeypatch.setattr(diagnosis, "diagnose", lambda: iter(findings))
     result = CliRunner().invoke(doctor.command)
     return result.exit_code, result.output.splitlines()
 
@@ -26,6 +27,6 @@ def test_a_problem_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_here_every_finding_that_is_not_ok_has_a_remedy() -> None:
-    findings = list(doctor.diagnose())
+    findings = list(diagnosis.diagnose())
     assert len(findings) >= 10
     assert [finding for finding in findings if finding.level != "ok" and not finding.remedy] == []

@@ -6,17 +6,23 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from napari_elsplus.cli.options import FILE, NUMBER, POSITIVE, SEED, force_option, output_option, progress
+from napari_elsplus.cli.options import (
+    FILE,
+    NUMBER,
+    POSITIVE,
+    SEED,
+    LazyChoice,
+    LazyHelp,
+    force_option,
+    output_option,
+    progress,
+)
 from napari_elsplus.instrument.optics import PRESETS
-from napari_elsplus.simulation.model.axial_response import LINE_MODELS
-from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
-from napari_elsplus.simulation.specimen.scenes import SCENES
-from napari_elsplus.simulation.specimen.trajectories import PATHS
-from napari_elsplus.workflows.simulated import simulate_axial_scan, simulate_calibration, simulate_recording
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from napari_elsplus.simulation.model.imperfections import Imperfections
     from napari_elsplus.workflows.simulated import SimulatedRecording
 
 
@@ -26,7 +32,27 @@ class _ImperfectionsType(click.ParamType):  # type: ignore[type-arg, unused-igno
     name = "imperfections"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Imperfections:
+        from napari_elsplus.simulation.model.imperfections import Imperfections
+
         return value if isinstance(value, Imperfections) else Imperfections.parse(value)
+
+
+def _line_models() -> list[str]:
+    from napari_elsplus.simulation.model.axial_response import LINE_MODELS
+
+    return list(LINE_MODELS)
+
+
+def _described_scenes() -> str:
+    from napari_elsplus.simulation.specimen.scenes import SCENES
+
+    return f"{', '.join(SCENES)}, plate:DEPTH_UM, or an image file."
+
+
+def _described_paths() -> str:
+    from napari_elsplus.simulation.specimen.trajectories import PATHS
+
+    return f"{', '.join(PATHS)}, or a CSV file with columns time_s, row_um, col_um."
 
 
 preset_option = click.option(
@@ -49,7 +75,7 @@ imperfect_option = click.option(
     "--imperfect",
     "imperfections",
     type=_ImperfectionsType(),
-    default=IDEAL,
+    default="",
     metavar="NAME=VALUE,...",
     help="Departures from the ideal instrument: galvo-resonance=800,row-noise=0.5 for instance.",
 )
@@ -57,7 +83,7 @@ imperfect_option = click.option(
 
 state_option = click.option(
     "--state",
-    type=click.Choice(list(LINE_MODELS)),
+    type=LazyChoice(_line_models),
     default="a",
     show_default=True,
     help="Line model: of the paper's panels a and b, or the sharper one of c and d.",
@@ -74,17 +100,19 @@ def command() -> None:
 @click.option(
     "--scene",
     "scene_name",
+    cls=LazyHelp,
     default="fibres",
     show_default=True,
-    help=f"{', '.join(SCENES)}, plate:DEPTH_UM, or an image file.",
+    describe=_described_scenes,
 )
 @click.option("--scene-um-per-px", type=POSITIVE, help="Scale of an image file; a camera pixel's by default.")
 @click.option(
     "--path",
     "path_name",
+    cls=LazyHelp,
     default="hand",
     show_default=True,
-    help=f"{', '.join(PATHS)}, or a CSV file with columns time_s, row_um, col_um.",
+    describe=_described_paths,
 )
 @click.option("--speed-um-s", type=NUMBER, default=2000.0, show_default=True, help="Speed of the probe.")
 @click.option("--frames", type=click.IntRange(min=1), default=240, show_default=True, help="Number of frames.")
@@ -101,6 +129,8 @@ def recording(
     output: Path, force: bool,
 ) -> None:  # fmt: skip
     """Simulate a moving probe: raw frames, NAME.truth.json, NAME.calibration.json."""
+    from napari_elsplus.workflows.simulated import simulate_recording
+
     simulated = simulate_recording(
         preset=preset, scene_name=scene_name, scene_um_per_px=scene_um_per_px, path=path_name, speed_um_s=speed_um_s,
         frames=frames, rate_hz=rate_hz, offset_um=offset_um, slit_um=slit_um, seed=seed, imperfections=imperfections,
@@ -120,6 +150,8 @@ def axial(
     slit_um: float, offset_um: float, state: str, seed: int, imperfections: Imperfections, output: Path, force: bool
 ) -> None:
     """Simulate a scan of depths of a stained plate: raw frames, NAME.{depths.csv,calibration.json,truth.json}."""
+    from napari_elsplus.workflows.simulated import simulate_axial_scan
+
     simulated = simulate_axial_scan(
         slit_um=slit_um, offset_um=offset_um, state=state, seed=seed, imperfections=imperfections
     )
@@ -140,6 +172,8 @@ def calibration(
     output: Path, force: bool,
 ) -> None:  # fmt: skip
     """Simulate the recordings of a calibration: line, sweep, transmission, background; and the truth, into a folder."""
+    from napari_elsplus.workflows.simulated import simulate_calibration
+
     simulated = simulate_calibration(
         preset=preset, offset_um=offset_um, slit_um=slit_um, state=state, seed=seed, imperfections=imperfections
     )

@@ -2,41 +2,41 @@
 
 from __future__ import annotations
 
+from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from napari_elsplus.acquisition.calibrating.live import SWEEP_VOLTAGES, calibrate_rig, engine_setup
-from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
-from napari_elsplus.acquisition.engine.status import Settings
-from napari_elsplus.acquisition.session import live_engine
 from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
 from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.optics import PRESETS
-from napari_elsplus.io import write_calibration
-from napari_elsplus.processing.calibration.draft import Setup
-from napari_elsplus.processing.calibration.steps import calibration_steps
-from napari_elsplus.workflows.calibration import calibrate
-from napari_elsplus.workflows.calibration_report.history import calibration_history
-from napari_elsplus.workflows.calibration_report.report import refuse_other_than_pdf, save_calibration_report
+from napari_elsplus.processing.calibration.file_options import ENTRY_POINTS, FILE_OPTIONS, FileOption
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from napari_elsplus.processing.calibration.draft import Draft
+    from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.step import Target
 
 PLAIN: Final = str.maketrans({"±": "+-", "µ": "u", "°": " deg", "²": "^2", "Ø": "diameter", "\n": " "})
 """Characters of a summary that not every terminal can print."""
 
 
+def _file_options() -> dict[str, FileOption]:
+    """Return the options for recorded frames by the key of their step, those of installed packages included."""
+    if not entry_points(group=ENTRY_POINTS):
+        return FILE_OPTIONS
+    from napari_elsplus.processing.calibration.steps import calibration_steps
+
+    return {step.key: FileOption(step.option, step.option_help) for step in calibration_steps() if step.option}
+
+
 def _step_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add an option to the command for each step that can be measured from a file; its parameter is the step's key."""
-    for step in reversed(calibration_steps()):
-        if step.option:
-            command = click.option(f"--{step.option}", step.key, type=FILE, help=step.option_help)(command)
+    for key, option in reversed(_file_options().items()):
+        command = click.option(f"--{option.name}", key, type=FILE, help=option.help)(command)
     return command
 
 
@@ -79,22 +79,29 @@ def command(
     **files: Path | None,
 ) -> None:
     """Measure a calibration from any subset of the inputs, or live on a rig; print the results with uncertainties."""
-    options = {step.option: files[step.key] for step in calibration_steps() if step.option}
-    given = {option: path for option, path in options.items() if path}
-    outputs = (output, output.with_suffix(".npz"), *((report,) if report is not None else ()))
-    refuse_outputs(*outputs, force=force, inputs=(volts, *given.values()))
-    if report is not None:
-        refuse_other_than_pdf(report)
+    names = {key: option.name for key, option in _file_options().items()}
+    given = {names[key]: path for key, path in files.items() if path}
+    refuse_outputs(output, output.with_suffix(".npz"), report, force=force, inputs=(volts, *given.values()))
     if rig is not None:
         if given:
             raise InputError(f"both --rig and --{next(iter(given))}", "measure live or from files, not both")
         if um_per_px is not None:
             raise InputError(f"--um-per-px {um_per_px:g} with --rig", "give the bundle's diameter, --bundle-um")
-        draft, setup = _live(rig, preset, bundle_um)
     elif not given:
         raise InputError(
-            "there is nothing to measure", f"give one of {', '.join('--' + name for name in options)}, or --rig"
+            "there is nothing to measure", f"give one of {', '.join('--' + name for name in names.values())}, or --rig"
         )
+
+    from napari_elsplus.io import write_calibration
+    from napari_elsplus.processing.calibration.draft import Setup
+    from napari_elsplus.workflows.calibration import calibrate
+    from napari_elsplus.workflows.calibration_report.history import calibration_history
+    from napari_elsplus.workflows.calibration_report.report import refuse_other_than_pdf, save_calibration_report
+
+    if report is not None:
+        refuse_other_than_pdf(report)
+    if rig is not None:
+        draft, setup = _live(rig, preset, bundle_um)
     else:
         draft = calibrate(
             **given,
@@ -118,6 +125,10 @@ def command(
 
 def _live(rig_name: str, preset: str, bundle_um: float | None) -> tuple[Draft, Setup]:
     """Calibrate on a rig, its user placing each target; the line is parked on every way out."""
+    from napari_elsplus.acquisition.calibrating.live import SWEEP_VOLTAGES, calibrate_rig, engine_setup
+    from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
+    from napari_elsplus.acquisition.engine.status import Settings
+    from napari_elsplus.acquisition.session import live_engine
 
     def confirm(target: Target) -> None:
         click.confirm(f"Please {target.value}. Is it so?", abort=True, err=True, default=True)
@@ -133,6 +144,8 @@ def _live(rig_name: str, preset: str, bundle_um: float | None) -> tuple[Draft, S
 
 def summary(draft: Draft, setup: Setup) -> Iterator[str]:
     """Yield the results of a draft and its setup in words, some lines a step."""
+    from napari_elsplus.processing.calibration.steps import calibration_steps
+
     for step in calibration_steps():
         if step.key in draft.found:
             found = step.summary(draft, draft.found[step.key], setup)

@@ -6,11 +6,6 @@ from collections import Counter
 
 import click
 
-from napari_elsplus.diagnosis import diagnose
-from napari_elsplus.diagnosis.finding import Level
-
-COLOURS = {Level.OK: "green", Level.WARNING: "yellow", Level.PROBLEM: "red"}
-
 
 @click.command()
 def command() -> None:
@@ -18,10 +13,14 @@ def command() -> None:
 
     Exits 0 when the software can be used, 1 when it cannot.
     """
+    from napari_elsplus.diagnosis import diagnose
+    from napari_elsplus.diagnosis.finding import Level
+
+    colours = {Level.OK: "green", Level.WARNING: "yellow", Level.PROBLEM: "red"}
     found: Counter[Level] = Counter()
     for finding in diagnose():
         level, _, rest = str(finding).partition(" ")
-        click.echo(click.style(level, fg=COLOURS[finding.level]) + " " + rest)
+        click.echo(click.style(level, fg=colours[finding.level]) + " " + rest)
         found[finding.level] += 1
     usable = not found[Level.PROBLEM]
     counts = ", ".join(

@@ -7,7 +7,8 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.calibration import sections, summaries
+from napari_elsplus.processing.calibration import file_options, sections, summaries
+from napari_elsplus.processing.calibration.file_options import ENTRY_POINTS
 from napari_elsplus.processing.calibration.measurements import (
     map_galvo,
     measure_background,
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.step import StepInputs
 
 register_step = register
-ENTRY_POINTS: Final = "napari_elsplus.calibration_steps"
-"""Group of the entry points by which installed packages add steps; each names a CalibrationStep."""
 
 
 @cache
@@ -147,8 +146,8 @@ OFFSET: Final = register(
         summarize=summaries.summarize_offset,
         section="offset",
         outdates=_outdated_by_offset,
-        option="line",
-        option_help="Frames of the laser line standing near the middle of the bundle.",
+        option=file_options.OFFSET.name,
+        option_help=file_options.OFFSET.help,
     )
 )
 GALVO: Final = register(
@@ -164,8 +163,8 @@ GALVO: Final = register(
         summarize=summaries.summarize_galvo,
         section="galvo",
         outdates=_outdated_by_galvo,
-        option="sweep",
-        option_help="A frame per voltage, the line standing.",
+        option=file_options.GALVO.name,
+        option_help=file_options.GALVO.help,
     )
 )
 PAIR: Final = register(
@@ -181,8 +180,8 @@ PAIR: Final = register(
         apply=sections.apply_pair,
         summarize=summaries.summarize_pair,
         section="bundle",
-        option="bundle",
-        option_help="Frames of the bundle lit from its far end.",
+        option=file_options.PAIR.name,
+        option_help=file_options.PAIR.help,
     )
 )
 LAG: Final = register(
@@ -215,8 +214,8 @@ BACKGROUND: Final = register(
         apply=sections.apply_background,
         summarize=summaries.summarize_background,
         section="background",
-        option="background",
-        option_help="Frames of a dark tube, laser on; the paper takes 50.",
+        option=file_options.BACKGROUND.name,
+        option_help=file_options.BACKGROUND.help,
     )
 )
 FLAT: Final = register(
@@ -234,7 +233,7 @@ FLAT: Final = register(
         apply=sections.apply_flat_field,
         summarize=summaries.summarize_flat_field,
         section="flat",
-        option="flat",
-        option_help="Frames of a uniform scene; the bundle's image serves if it is not given.",
+        option=file_options.FLAT.name,
+        option_help=file_options.FLAT.help,
     )
 )
