@@ -1,7 +1,8 @@
 """Lateness, losses and processor time of ``acquire``, each run a process of its own: ``python3 run.py bench acquire``.
 
-For a machine with nothing else on it: how late a thread wakes that has nothing to do with the engine is printed beside.
-It has a higher priority than the engine, where the system allows it, so that what delays it is the machine alone.
+For a machine with nothing else on it: how late threads wake that have nothing to do with the engine is printed beside.
+There is one on each core, of a higher priority than the engine where the system allows it, so that what delays them is
+the machine alone: a virtual one stops a core at times. Their delays while the rig is calibrated do not count.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ WAKE_PRIORITY: Final = 50
 """Real-time priority of that thread; chosen: above the engine's, below that of the system's own threads."""
 RECORDING: Final = ("recorder", "recording-flush")
 """Threads of a recording: one writes, the other flushes."""
+SMALL_US: Final = 5.0
+"""Threads that take less for a frame are not printed; chosen."""
 TITLES: Final = (
     "run", "frames", "lost", "median_ms", "p99_ms", "largest_ms", "wake_p99_ms", "wake_largest_ms",
     "engine_us_per_frame", "recorder_us_per_frame", "simulator_us_per_frame", "started_s", "load", "causes",
@@ -43,29 +46,37 @@ TITLES: Final = (
 
 
 class _Wakes(Thread):
-    """Wakes every few milliseconds, and measures how late."""
+    """Wakes every few milliseconds on a core, and measures how late."""
 
-    def __init__(self) -> None:
+    def __init__(self, core: int | None) -> None:
         super().__init__(name="wakes", daemon=True)
-        self.late_s: list[float] = []
+        self._core = core
+        self._wakes_s: list[tuple[float, float]] = []
         self._ended = Event()
 
     def run(self) -> None:
         """Wake until :meth:`end`."""
         if sys.platform == "linux":
+            if self._core is not None:
+                os.sched_setaffinity(0, {self._core})
             with suppress(PermissionError):
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(WAKE_PRIORITY))
         due_s = time.perf_counter()
         while not self._ended.is_set():
             due_s = max(due_s + WAKE_S, time.perf_counter())
             time.sleep(max(0.0, due_s - time.perf_counter()))
-            self.late_s.append(time.perf_counter() - due_s)
+            self._wakes_s.append((due_s, time.perf_counter() - due_s))
 
-    def end(self) -> tuple[float, float]:
-        """Return the lateness, in seconds, that one wake in a hundred exceeds, and the largest."""
+    def end(self, begin_s: float, end_s: float) -> list[float]:
+        """End, and return the lateness of each wake between two times, in seconds."""
         self._ended.set()
         self.join()
-        return float(np.quantile(self.late_s, 0.99)), max(self.late_s)
+        return [late_s for due_s, late_s in self._wakes_s if begin_s <= due_s < end_s]
+
+
+def _cores() -> list[int | None]:
+    """Return the cores of this process; None, for any, where the system does not tell them apart."""
+    return [*os.sched_getaffinity(0)] if sys.platform == "linux" else [None]
 
 
 @contextmanager
@@ -84,15 +95,18 @@ def _run(folder: Path, seconds: float, busy: bool) -> dict[str, Any]:
     report = folder / "report.json"
     files = {"--report": report, "--record": folder / "raw.ome.tif", "--mosaic": folder / "mosaic.ome.tif"}
     options = [word for option, file in files.items() for word in (option, str(file))]
-    wakes = _Wakes()
+    wakes = [_Wakes(core) for core in _cores()]
     with _busy_core(busy):
-        wakes.start()
+        for each in wakes:
+            each.start()
         command = [*COMMAND_LINE, "acquire", "--seconds", str(seconds), *options, "--force"]
         environment = {**os.environ, "PYTHONPATH": str(HERE / "src")}
+        begun_s = time.perf_counter()
         subprocess.run(command, check=True, capture_output=True, env=environment)
-        wakes_ms = [1e3 * late_s for late_s in wakes.end()]
     result: dict[str, Any] = json.loads(report.read_text("utf-8"))
-    return {**result, "wakes_ms": wakes_ms}
+    first_s = begun_s + result["started_s"]
+    late_ms = [1e3 * late_s for each in wakes for late_s in each.end(first_s, first_s + seconds)]
+    return {**result, "wakes_ms": (float(np.quantile(late_ms, 0.99)), max(late_ms))}
 
 
 def _row(name: str, result: dict[str, Any]) -> tuple[str, ...]:
@@ -124,10 +138,17 @@ def acquire(out: Path, runs: int, seconds: float, force: bool) -> None:
         rows = csv.writer(file)
         rows.writerow(TITLES)
         click.echo("  ".join(TITLES))
+        threads: list[dict[str, float]] = []
         for busy in (False, True):
             for run in range(runs):
                 with tempfile.TemporaryDirectory(dir=out) as folder:
                     name = f"{'beside a busy core' if busy else 'alone'}, {run + 1}"
-                    row = _row(name, _run(Path(folder), seconds, busy))
+                    result = _run(Path(folder), seconds, busy)
+                threads.append(result["cpu_us_per_frame"])
+                row = _row(name, result)
                 rows.writerow(row)
                 click.echo("  ".join(row))
+    names = sorted({name for run in threads for name in run})
+    medians = {name: float(np.median([run.get(name, 0.0) for run in threads])) for name in names}
+    shown = (f"{name} {us:.0f}" for name, us in medians.items() if us >= SMALL_US)
+    click.echo(f"microseconds a frame by thread, medians: {', '.join(shown)}")
