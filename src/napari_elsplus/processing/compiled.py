@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 import numba
 from llvmlite import ir
 from numba.core import cgutils, event
-from numba.extending import intrinsic
+from numba.extending import intrinsic, register_jitable
 
 from napari_elsplus.processing.compilation import report_compilation
 
@@ -41,6 +41,11 @@ def lean_kernel(function: Function) -> Function:
     most of their time on.
     """
     return _cached(partial(numba.njit, _nrt=False, **_OPTIONS), function)
+
+
+def compilable(function: Function) -> Function:
+    """Return a function of numbers as it is, and let kernels call it, compiled as :func:`lean_kernel` does."""
+    return register_jitable(_nrt=False, **_OPTIONS)(function)
 
 
 def _cached(compile_with: Callable[..., Any], function: Function) -> Function:

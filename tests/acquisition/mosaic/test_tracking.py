@@ -70,7 +70,7 @@ from napari_elsplus.workflows.tracking import Pipeline
 rig = simulated_rig()
 warm_up(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)
 called = (
-    pyramid_descent.descend, pyramid.fill_levels, odds.weakest_direction, odds.log_odds, odds.log_likelihood,
+    pyramid_descent.register, pyramid_descent.descend, pyramid.fill_levels, odds.weakest_direction, odds.log_likelihood,
     motion_models.fill_equations, model_selection.score_statistics,
 )
 print([kernel.__name__ for kernel in called if not kernel.signatures])

@@ -129,7 +129,8 @@ class Tracker:
 
     def add(self) -> Pose:
         """Track the image in the current slot."""
-        here = _Placed(self.registrar.prepare(self._coming), self._frames)
+        self._coming.renew()
+        here = _Placed(self._coming, self._frames)
         self._frames += 1
         if self._key is None:
             self._key = self._last = here
@@ -288,14 +289,15 @@ class Tracker:
             gone = float(row), float(col)
         return Displacement(gone[0] + ahead.row, gone[1] + ahead.col)
 
-    def _prior(self, earlier: _Placed, here: _Placed, ahead: Displacement, min_share: float = 0.0) -> MotionPrior:
+    def _prior(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> MotionPrior:
         """Return the prior of the motion from a placed frame."""
         last = self._last
         assert last is not None
         if not self._motion.known:
-            return self._motion.prior(ahead, here.index - earlier.index)
+            return self._motion.prior(ahead, here.index - earlier.index, min_share=0.0)
         before = None if earlier is last else (earlier.velocity, earlier.velocity_variance)
-        return self._motion.prior(ahead, here.index - last.index, before, min_share)
+        share = MIN_SHARE if self.model is MotionModel.TRANSLATION else MIN_SHARE_TURNING
+        return self._motion.prior(ahead, here.index - last.index, before, share)
 
     def _link(
         self, earlier: _Placed, here: _Placed, motion: MotionPrior, min_odds_nats: float = MIN_ODDS_NATS
@@ -352,10 +354,8 @@ class Tracker:
 
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose and velocity; return False if the probe moved too unevenly within the frames."""
-        shutter, expected = self.grid.shutter, motion.displacement
-        share = MIN_SHARE if self.model is MotionModel.TRANSLATION else MIN_SHARE_TURNING
-        motion = self._prior(earlier, here, expected, share)
-        after, here.velocity_variance = motion.later_velocity(link.warp, link.warp_covariance)
+        shutter, expected, after = self.grid.shutter, motion.displacement, link.velocity
+        here.velocity_variance = link.velocity_variance
         by_velocity = hypot(link.warp.b, link.warp.d) / shutter.line_periods_per_frame
         moved = shutter.displacement(link.warp, after)
         missed_px = hypot(moved.row - expected.row, moved.col - expected.col)

@@ -9,7 +9,7 @@ from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
 from napari_elsplus.processing.tracking.registration.pyramid import (
     HIGH_PASS_PX,
-    LEVELS,
+    Levels,
     Pyramid,
     fill_levels,
     high_pass,
@@ -18,11 +18,11 @@ from napari_elsplus.processing.tracking.registration.pyramid import (
 GRID = Grid(236, 1, (0, 0), (117.3, 118.1), 232.0, RollingShutter(300.0))
 
 
-def _filled(image: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray, Pyramid]:
-    levels = image, *(np.zeros((GRID.side >> level,) * 2, np.float32) for level in range(1, LEVELS))
-    smooth, pyramid = np.zeros_like(levels[1]), Pyramid.of(GRID, 1.0)
-    fill_levels(levels, smooth, pyramid)
-    return levels, smooth, pyramid
+def _filled(image: np.ndarray) -> tuple[Levels, Pyramid]:
+    frame, pyramid = Levels.of(GRID.side), Pyramid.of(GRID, 1.0)
+    frame.images[0][:] = image
+    fill_levels(frame, pyramid)
+    return frame, pyramid
 
 
 def _halved(image: np.ndarray) -> np.ndarray:
@@ -33,7 +33,8 @@ def test_what_is_smooth_within_the_disc_is_subtracted() -> None:
     """Against OpenCV's Gaussian and bilinear interpolation of the same part of the image."""
     lit = lit_pixels(*GRID.spans(1.0)).astype(np.float32)
     image = lit * np.random.default_rng(0).normal(100, 30, lit.shape).astype(np.float32)
-    levels, smooth, pyramid = _filled(image)
+    frame, pyramid = _filled(image)
+    levels = frame.images
 
     half = _halved(image)
     inside = lit_pixels(*GRID.spans(1.0, 2)).astype(np.float32)
@@ -43,11 +44,11 @@ def test_what_is_smooth_within_the_disc_is_subtracted() -> None:
     )
     expected = cv2.resize(blurred / np.maximum(weight, 1e-3), half.shape, interpolation=cv2.INTER_LINEAR)
     inside = lit_pixels(*GRID.spans(1.0, 1))
-    assert np.abs(smooth - expected)[inside].max() < 1e-3
+    assert np.abs(frame.smooth - expected)[inside].max() < 1e-3
     assert np.abs(levels[1] - np.where(inside, half - expected, 0)).max() < 1e-3
     assert np.abs(levels[2] - _halved(levels[1])).max() < 1e-3
 
-    fine = np.zeros_like(image)
-    high_pass(image, smooth, pyramid, fine)
+    high_pass(frame, pyramid)
+    fine = frame.high_passed
     assert abs(fine[lit > 0].mean()) < 1
     assert not fine[lit == 0].any()

@@ -12,16 +12,20 @@ Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Nav
 
 from __future__ import annotations
 
-from math import isfinite, log, log1p, sqrt
+from math import inf, log, log1p, sqrt
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
+from napari_elsplus.processing.compiled import compilable
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp, warp_between
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
+
+    Covariance = tuple[tuple[float, float, float], ...]
+    Terms = tuple[float, float, float]
 
 _MIN_STRETCH_SIGMA: Final = 1e-9
 """Smallest standard deviation of stretch and shear: that of a global shutter."""
@@ -40,28 +44,28 @@ class MotionPrior(NamedTuple):
         Expected displacement.
     covariance : tuple of tuple of float
         3 x 3: covariance of earlier velocity, displacement and later velocity, the same for rows and columns.
-    shutter : RollingShutter
-        Timing of the rows.
+    cautious : tuple of tuple of float
+        The same by which velocities are estimated: the earlier velocity may be trusted less.
+    line_periods_per_frame : float
+        Rows of the grid per frame period; infinite for a global shutter.
     """
 
     before: Velocity
     after: Velocity
     displacement: Displacement
-    covariance: tuple[tuple[float, float, float], ...]
-    shutter: RollingShutter
+    covariance: Covariance
+    cautious: Covariance
+    line_periods_per_frame: float
 
     @property
     def warp(self) -> Warp:
         """Expected warp."""
-        return self.shutter.warp(self.before, self.after, self.displacement)
+        return expected_warp(self)
 
     @property
-    def terms(self) -> tuple[float, float, float]:
+    def terms(self) -> Terms:
         """Information on stretch (and shear) at a given shift, its slope with the shift, and 1 / variance of that."""
-        variance, of_shift, both = self._of_differences()
-        rows = self.shutter.line_periods_per_frame
-        conditional = max(variance - both * both / of_shift, 0.0) ** 0.5 / rows + _MIN_STRETCH_SIGMA
-        return conditional**-2, both / of_shift / rows, 1 / of_shift
+        return terms_of(self)
 
     @property
     def shift_sigma(self) -> float:
@@ -91,14 +95,9 @@ class MotionPrior(NamedTuple):
         shutter : RollingShutter
             Timing of the rows.
         """
-        of_velocity, of_shift = velocity_sigma**2, displacement_sigma**2
+        of_velocity, of_shift = float(velocity_sigma) ** 2, float(displacement_sigma) ** 2
         covariance = (of_velocity, 0.0, 0.0), (0.0, of_shift, 0.0), (0.0, 0.0, of_velocity)
-        return cls(*velocities, displacement, covariance, shutter)
-
-    def _of_differences(self) -> tuple[float, float, float]:
-        """Variances of the difference of the velocities and of the shift, and their covariance."""
-        (vv, vd, vw), (_, dd, dw), (_, _, ww) = self.covariance
-        return vv + ww - 2 * vw, dd, dw - vd
+        return cls(*velocities, displacement, covariance, covariance, shutter.line_periods_per_frame)
 
     def at(self, b: float, d: float) -> Warp:
         """Return the expected warp at another shift.
@@ -110,7 +109,7 @@ class MotionPrior(NamedTuple):
         """
         a, b0, s, d0 = self.warp
         slope = self.terms[1]
-        return self.warp._replace(a=a + slope * (b - b0), b=b, s=s + slope * (d - d0), d=d)
+        return Warp(a + slope * (b - b0), b, s + slope * (d - d0), d)
 
     def log_density(self, warp: Warp) -> float:
         """Return the logarithm of the probability density of a warp's shift, up to a constant, nats."""
@@ -128,30 +127,71 @@ class MotionPrior(NamedTuple):
         covariance : numpy.ndarray
             (4, 4) covariance of a, b, s, d.
         """
-        aa, bb, ab = self._of_differences()
-        (_, _, vw), (_, _, dw), (_, _, ww) = self.covariance
-        rows = self.shutter.line_periods_per_frame
-        # regression of the later velocity on the difference of the velocities (earlier - later) and on minus the shift
-        with_difference, with_shift = vw - ww, -dw
-        if not isfinite(rows):
-            ab = with_difference = rows = 0.0
-        aa += 1e-12
-        determinant = aa * bb - ab * ab
-        p = (bb * with_difference - ab * with_shift) / determinant
-        q = (aa * with_shift - ab * with_difference) / determinant
-        # displacement and difference are linear in the later velocity
-        own, per_velocity = warp.a - 1 if rows else 0.0, warp.b / self.shutter.line_periods_per_frame
-        found, surprise = [], 0.0
-        for axis, gained, shift in ((0, warp.a - 1, warp.b), (1, warp.s, warp.d)):
-            x = rows * gained - self.before[axis] + self.after[axis] if rows else 0.0
-            y = self.displacement[axis] + shift
-            velocity = (self.after[axis] + p * x + q * y) / (1 - p * own - q * per_velocity)
-            x, y = x + own * velocity, y + per_velocity * velocity
-            surprise += (bb * x * x - 2 * ab * x * y + aa * y * y) / determinant
-            found.append(velocity)
-        scaled = p * rows
+        velocity, variance, of_stretch, of_shift = velocity_given(self, warp)
         s = covariance.tolist()
-        spread = max(scaled**2 * s[k][k] + 2 * scaled * q * s[k][k + 1] + q * q * s[k + 1][k + 1] for k in (0, 2))
-        left = max(ww - p * with_difference - q * with_shift, 0.0)
-        left *= (DEGREES_OF_FREEDOM + surprise) / (DEGREES_OF_FREEDOM + 4)
-        return Velocity(*found), left + spread
+        return velocity, variance + max(
+            of_stretch**2 * s[k][k] + 2 * of_stretch * of_shift * s[k][k + 1] + of_shift**2 * s[k + 1][k + 1]
+            for k in (0, 2)
+        )
+
+
+@compilable
+def expected_warp(prior: MotionPrior) -> Warp:
+    """Return the expected warp of a `prior`."""
+    return warp_between(prior.before, prior.after, prior.displacement, prior.line_periods_per_frame)
+
+
+@compilable
+def terms_of(prior: MotionPrior) -> Terms:
+    """Return what the information of a prior consists of: :attr:`MotionPrior.terms`."""
+    variance, of_shift, both = _of_differences(prior.covariance)
+    rows = prior.line_periods_per_frame
+    conditional = max(variance - both * both / of_shift, 0.0) ** 0.5 / rows + _MIN_STRETCH_SIGMA
+    return conditional**-2, both / of_shift / rows, 1 / of_shift
+
+
+@compilable
+def _of_differences(covariance: Covariance) -> Terms:
+    """Return variances of the difference of the velocities and of the shift, and their covariance."""
+    variance = covariance[0][0] + covariance[2][2] - 2 * covariance[0][2]
+    return variance, covariance[1][1], covariance[1][2] - covariance[0][1]
+
+
+@compilable
+def velocity_given(prior: MotionPrior, warp: Warp) -> tuple[Velocity, float, float, float]:
+    """Return the later velocity given an exact warp, its variance, and its change with stretch (or shear) and shift.
+
+    By regression of the later velocity on the difference of the velocities (earlier - later) and on minus the shift.
+
+    Parameters
+    ----------
+    prior : MotionPrior
+        Of the motion between the frames.
+    warp : Warp
+        From the earlier to the later frame.
+    """
+    covariance, rows = prior.cautious, prior.line_periods_per_frame
+    aa, bb, ab = _of_differences(covariance)
+    with_difference, with_shift = covariance[0][2] - covariance[2][2], -covariance[1][2]
+    before, after, displacement = prior.before, prior.after, prior.displacement
+    stretch, of_row, of_col = warp.a - 1, rows * (warp.a - 1), rows * warp.s
+    if rows == inf:  # no stretch: the shift alone
+        ab = with_difference = stretch = rows = 0.0
+        of_row, of_col = before.row - after.row, before.col - after.col
+    aa += 1e-12
+    determinant = aa * bb - ab * ab
+    p = (bb * with_difference - ab * with_shift) / determinant
+    q = (aa * with_shift - ab * with_difference) / determinant
+    # displacement and difference are linear in the later velocity
+    per_velocity = warp.b / prior.line_periods_per_frame
+    own = 1 - p * stretch - q * per_velocity
+    x_row, x_col = of_row - before.row + after.row, of_col - before.col + after.col
+    y_row, y_col = displacement.row + warp.b, displacement.col + warp.d
+    row, col = (after.row + p * x_row + q * y_row) / own, (after.col + p * x_col + q * y_col) / own
+    x_row, x_col = x_row + stretch * row, x_col + stretch * col
+    y_row, y_col = y_row + per_velocity * row, y_col + per_velocity * col
+    xx, xy, yy = x_row**2 + x_col**2, x_row * y_row + x_col * y_col, y_row**2 + y_col**2
+    surprise = (bb * xx - 2 * ab * xy + aa * yy) / determinant
+    left = max(covariance[2][2] - p * with_difference - q * with_shift, 0.0)
+    left *= (DEGREES_OF_FREEDOM + surprise) / (DEGREES_OF_FREEDOM + 4)
+    return Velocity(row, col), left, p * rows, q

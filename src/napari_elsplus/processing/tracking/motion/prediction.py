@@ -13,6 +13,7 @@ from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 
 if TYPE_CHECKING:
+    from napari_elsplus.processing.tracking.motion.motion_prior import Covariance
     from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
 
 AT_REST: Final = Velocity(0.0, 0.0)
@@ -145,7 +146,7 @@ class Motion:
         displacement: Displacement,
         frames: int,
         before: tuple[Velocity, float] | None = None,
-        min_share: float = 0.0,
+        min_share: float = MIN_SHARE,
     ) -> MotionPrior:
         """Return the prior of the motion from an earlier frame to one so many frames after the last registered one.
 
@@ -158,16 +159,34 @@ class Motion:
         before : tuple, optional
             Velocity of the earlier frame and its variance, if that is another than the last registered one.
         min_share : float
-            Smallest variance of the last velocity over that of the next one: :data:`MIN_SHARE` to estimate velocities.
+            Smallest variance of the last velocity over that of the next one by which velocities are estimated.
         """
         q = self.spread**2
-        own = max(self.variance, min_share * q)
-        with_shift, with_later = (own * frames, own) if before is None else (0.0, 0.0)
-        velocity, variance = (self.velocity, own) if before is None else before
-        shift = own * frames**2 + q * frames**3 / 3
-        both = own * frames + q * frames**2 / 2
-        covariance = (variance, with_shift, with_later), (with_shift, shift, both), (with_later, both, own + q * frames)
-        return MotionPrior(velocity, self.next_velocity, displacement, covariance, self._shutter)
+        velocity, variance = (self.velocity, None) if before is None else before
+        covariance = _of_random_walk(self.variance, q, frames, variance)
+        cautious = _of_random_walk(max(self.variance, min_share * q), q, frames, variance)
+        rows = self._shutter.line_periods_per_frame
+        return MotionPrior(velocity, self.next_velocity, displacement, covariance, cautious, rows)
+
+
+def _of_random_walk(last: float, q: float, frames: int, earlier: float | None) -> Covariance:
+    """Return the covariance of earlier velocity, displacement and later velocity (3 x 3).
+
+    Parameters
+    ----------
+    last : float
+        Variance of the last velocity.
+    q : float
+        Variance that a velocity gains in a frame period.
+    frames : int
+        Frame periods since the last velocity.
+    earlier : float or None
+        Variance of the earlier velocity, if that is another one than the last.
+    """
+    shift = last * frames**2 + q * frames**3 / 3
+    both = last * frames + q * frames**2 / 2
+    variance, with_shift, with_later = (last, last * frames, last) if earlier is None else (earlier, 0.0, 0.0)
+    return (variance, with_shift, with_later), (with_shift, shift, both), (with_later, both, last + q * frames)
 
 
 class Turning:

@@ -16,6 +16,7 @@ from math import isfinite
 from typing import NamedTuple
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.processing.compiled import compilable
 
 
 class Velocity(NamedTuple):
@@ -39,6 +40,24 @@ class Displacement(NamedTuple):
 
     row: float
     col: float
+
+
+@compilable
+def warp_between(before: Velocity, after: Velocity, displacement: Displacement, line_periods_per_frame: float) -> Warp:
+    """Return the warp from one frame to another: :meth:`RollingShutter.warp`."""
+    stretch = 1 + after.row / line_periods_per_frame
+    a = (1 + before.row / line_periods_per_frame) / stretch
+    b = -displacement.row / stretch
+    shear = (before.col - a * after.col) / line_periods_per_frame
+    return Warp(a, b, shear, -displacement.col - after.col / line_periods_per_frame * b)
+
+
+@compilable
+def displacement_under(warp: Warp, after: Velocity, line_periods_per_frame: float) -> Displacement:
+    """Return the displacement of the probe that a warp means: :meth:`RollingShutter.displacement`."""
+    return Displacement(
+        -warp.b * (1 + after.row / line_periods_per_frame), -warp.d - after.col / line_periods_per_frame * warp.b
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +112,7 @@ class RollingShutter:
         displacement : Displacement
             Between their middle rows.
         """
-        r = self.line_periods_per_frame
-        stretch = 1 + after.row / r
-        a = (1 + before.row / r) / stretch
-        b = -displacement.row / stretch
-        return Warp(a, b, (before.col - a * after.col) / r, -displacement.col - after.col / r * b)
+        return warp_between(before, after, displacement, self.line_periods_per_frame)
 
     def velocities(self, warp: Warp) -> tuple[Velocity, Velocity]:
         """Velocities of both of two successive frames, from the warp between them alone.
@@ -124,8 +139,7 @@ class RollingShutter:
         after : Velocity
             Of the later frame.
         """
-        r = self.line_periods_per_frame
-        return Displacement(-warp.b * (1 + after.row / r), -warp.d - after.col / r * warp.b)
+        return displacement_under(warp, after, self.line_periods_per_frame)
 
     def steady(self, warp: Warp, frames_apart: int = 1) -> Velocity:
         """Velocity of a steady motion that explains a shift between frames that lie so many frame periods apart.

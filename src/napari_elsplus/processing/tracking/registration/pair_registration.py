@@ -6,25 +6,19 @@ Lucas-Kanade steps to full resolution; then against competing shifts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from math import exp, hypot, inf, log
+from dataclasses import dataclass
+from math import exp, hypot, inf, log, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, overlap_of_discs
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
 from napari_elsplus.processing.tracking.registration.candidates import log_likelihoods
-from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
-from napari_elsplus.processing.tracking.registration.odds import (
-    CORRELATED_PX,
-    blocks,
-    log_odds,
-    weakest_direction,
-)
-from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Pyramid, fill_levels, high_pass
-from napari_elsplus.processing.tracking.registration.pyramid_descent import descend
+from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, weakest_direction
+from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, fill_levels
+from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, descend, register
 from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP, CoarseImage, ShiftSearch, prior
 
 if TYPE_CHECKING:
@@ -48,21 +42,27 @@ _SMALL_TURN: Final = 0.004
 
 @dataclass(slots=True)
 class PreparedFrame:
-    """A tracking image, high-passed at half and quarter resolution, and its spectra once needed.
+    """A tracking image with its pyramid, and its spectra once needed.
 
-    The arrays belong to the view and are filled by :meth:`Registrar.prepare`.
+    The arrays belong to the frame and are filled again and again, by :meth:`Registrar.prepare` or when first needed.
     """
 
-    levels: tuple[NDArray[np.float32], ...]
-    high_passed: NDArray[np.float32]
-    smooth: NDArray[np.float32]
-    coarse: CoarseImage | None = field(default=None, repr=False)
-    is_high_passed: bool = False
+    arrays: Levels
+    coarse: CoarseImage | None = None
 
     @property
     def image(self) -> NDArray[np.float32]:
         """The image at full resolution."""
-        return self.levels[0]
+        return self.arrays.images[0]
+
+    @property
+    def levels(self) -> tuple[NDArray[np.float32], ...]:
+        """The image, and its high-passed halves and quarters."""
+        return self.arrays.images
+
+    def renew(self) -> None:
+        """Mark everything but the image as missing: the image has changed."""
+        self.coarse, self.arrays.filled[:] = None, False
 
 
 class PairRegistration(NamedTuple):
@@ -80,6 +80,10 @@ class PairRegistration(NamedTuple):
         Part of the disc that both frames show.
     odds : float
         Log posterior odds against competing shifts and unrelated frames, nats.
+    velocity : Velocity
+        Of the probe during the later frame, pixels per frame period.
+    velocity_variance : float
+        Larger axis of its covariance.
     turn : float
         Angle of the later frame less that of the earlier one, radians.
     zoom : float
@@ -93,6 +97,8 @@ class PairRegistration(NamedTuple):
     correlation: float
     overlap: float
     odds: float = 0.0
+    velocity: Velocity = Velocity(nan, nan)
+    velocity_variance: float = inf
     turn: float = 0.0
     zoom: float = 1.0
     turn_sigma: float = inf
@@ -150,21 +156,14 @@ class Registrar:
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
         self._spans = [grid.spans(level=level) for level in range(LEVELS)]
-        self._lit = np.zeros((LEVELS + 1, 2, grid.side), np.int32)
-        for columns, spans in zip(self._lit, (*self._spans, grid.spans(INNER_FIELD)), strict=True):
-            columns[:, : len(spans[0])] = spans
-        self._middles = tuple(grid.middle(level) for level in range(LEVELS))
-        self._centre = self._middles[1], (grid.centre[1] - 0.5) / 2
-        self.work = Workspace.of(grid.side)
-        self._sums = blocks(grid.side)
+        self._centre = grid.middle(1), (grid.centre[1] - 0.5) / 2
         self._everywhere = ShiftSearch(*self._spans[-1], 2.0 ** (LEVELS - 1))
-        self._pyramid = Pyramid.of(grid, lit)
+        self._tools = Tools.of(grid, lit)
+        self._found = np.empty(9)
 
     def view(self) -> PreparedFrame:
         """Return an empty view, to be filled again and again."""
-        side = self.grid.side
-        levels = tuple(np.zeros((side >> level, side >> level), np.float32) for level in range(LEVELS))
-        return PreparedFrame(levels, np.zeros_like(levels[0]), np.zeros_like(levels[1]))
+        return PreparedFrame(Levels.of(self.grid.side))
 
     def prepare(self, view: PreparedFrame) -> PreparedFrame:
         """Fill the high-passed coarser levels from the image.
@@ -174,16 +173,9 @@ class Registrar:
         view : PreparedFrame
             Of which the image was filled.
         """
-        view.coarse, view.is_high_passed = None, False
-        fill_levels(view.levels, view.smooth, self._pyramid)
+        view.renew()
+        fill_levels(view.arrays, self._tools.pyramid)
         return view
-
-    def _fine(self, view: PreparedFrame) -> tuple[NDArray[np.float32], ...]:
-        """Return the levels high-passed at full resolution, too; made when they are needed."""
-        if not view.is_high_passed:
-            high_pass(view.image, view.smooth, self._pyramid, view.high_passed)
-            view.is_high_passed = True
-        return view.high_passed, *view.levels[1:]
 
     def link(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> PairRegistration:
         """Register two frames from the expected warp.
@@ -200,26 +192,11 @@ class Registrar:
     def _refined(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp, coarsest: int
     ) -> PairRegistration:
-        expected, terms = np.array(motion.warp), motion.terms
-        warp, information = np.array(start, float), np.empty((4, 4))
-        correlation, count, sharp = descend(
-            earlier.levels, later.levels, self._lit, self._middles, coarsest, 0, expected, terms, warp,
-            information, self.work,
-        )  # fmt: skip
-        odds = 0.0
-        if sharp:
-            odds = min(-0.5 * count / CORRELATED_PX * log(max(1 - correlation**2, 1e-12)), 700.0)
-        elif correlation > 0:
-            correlation, _, _ = descend(
-                self._fine(earlier), self._fine(later), self._lit, self._middles, 0, 0, expected, terms, warp,
-                information, self.work,
-            )  # fmt: skip
-            odds = log_odds(
-                earlier.levels[1], later.levels[1], *self._spans[1], self._middles[1], warp, information, expected,
-                terms, self._sums, self.work,
-            )  # fmt: skip
-        overlap = overlap_of_discs(hypot(warp[1], warp[3]) / (FIELD * self.grid.diameter))
-        return PairRegistration(Warp(*warp.tolist()), information, correlation, overlap, odds)
+        information = np.empty((4, 4))
+        register(earlier.arrays, later.arrays, motion, start, coarsest, self._tools, information, self._found)
+        a, b, s, d, correlation, odds, row, col, variance = self._found.tolist()
+        overlap = overlap_of_discs(hypot(b, d) / (FIELD * self.grid.diameter))
+        return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
 
     def search(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, reach_px: float,
@@ -238,19 +215,23 @@ class Registrar:
         min_odds_nats : float
             Odds that are needed: None also where competing shifts alone leave less, before any is refined.
         """
+        for view in (earlier, later):
+            fill_levels(view.arrays, self._tools.pyramid)
         warps: list[Warp] = []
         expected, scratch = np.array(motion.warp), np.empty((4, 4))
         for b, d in self._everywhere.peaks(self._coarse(earlier), self._coarse(later), motion.warp, reach_px):
             warp = np.array(motion.at(b, d))
             correlation, _, _ = descend(
-                earlier.levels, later.levels, self._lit, self._middles, 1, 1, expected, motion.terms, warp, scratch,
-                self.work,
+                earlier.levels, later.levels, self._tools.lit, self._tools.middles, 1, 1, expected, motion.terms, warp,
+                scratch, self._tools.work,
             )  # fmt: skip
             if correlation > 0:
                 warps.append(Warp(*warp.tolist()))
         if not warps:
             return None
-        nats = log_likelihoods(earlier.levels[1], later.levels[1], self._spans[1], self._middles[1], warps, self._sums)
+        nats = log_likelihoods(
+            earlier.levels[1], later.levels[1], self._spans[1], self._centre[0], warps, self._tools.sums
+        )
         priors = [float(prior(warp.b - expected[1], warp.d - expected[3], reach_px)) for warp in warps]
         found = [(like + before, warp) for like, before, warp in zip(nats, priors, warps, strict=True)]
         highest, best = max(found)
@@ -346,7 +327,7 @@ class Registrar:
         PairRegistration or None
             Its warp is the one that frames of the same orientation would have had. None where nothing was found.
         """
-        shutter, before = self.grid.shutter, motion.before
+        shutter, before, own = self.grid.shutter, motion.before, motion
         turn, zoom = rotation
         motion = motion._replace(before=_AT_REST)
         start = motion.warp
@@ -369,7 +350,10 @@ class Registrar:
         assert link is not None
         stretch, shear = 1 + before.row / shutter.line_periods_per_frame, before.col / shutter.line_periods_per_frame
         warp = Warp(start.a * stretch, start.b, start.s * stretch + shear, start.d)
-        return link._replace(warp=warp, turn=turn, zoom=zoom, turn_sigma=sigma)
+        velocity, variance = own.later_velocity(warp, link.warp_covariance)
+        return link._replace(
+            warp=warp, velocity=velocity, velocity_variance=variance, turn=turn, zoom=zoom, turn_sigma=sigma
+        )
 
     def _coarse(self, view: PreparedFrame) -> CoarseImage:
         if view.coarse is None:

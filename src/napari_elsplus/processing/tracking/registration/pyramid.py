@@ -30,6 +30,33 @@ _REACH: Final = 5
 """Pixels of quarter resolution to which it extends: two and a half standard deviations."""
 
 
+class Levels(NamedTuple):
+    """Arrays of a frame; those beside the image are filled when a registration first needs them.
+
+    Parameters
+    ----------
+    images : tuple of numpy.ndarray
+        (n, n) float32 at full, half and quarter resolution; the latter two are high-passed.
+    smooth : numpy.ndarray
+        (n, n) float32: what is smooth at half resolution.
+    high_passed : numpy.ndarray
+        (n, n) float32: the image, high-passed.
+    filled : numpy.ndarray
+        (2,) bool: the coarser images, and the high-passed one, are filled.
+    """
+
+    images: tuple[Image, ...]
+    smooth: Image
+    high_passed: Image
+    filled: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, side: int) -> Levels:
+        """Return those of an image of so many rows and columns, `side`."""
+        images = tuple(np.zeros((side >> level, side >> level), np.float32) for level in range(LEVELS))
+        return cls(images, np.zeros_like(images[1]), np.zeros_like(images[0]), np.zeros(2, np.bool_))
+
+
 class Pyramid(NamedTuple):
     """What filling the levels of frames on one grid needs; one for each thread.
 
@@ -76,40 +103,36 @@ class Pyramid(NamedTuple):
 
 
 @lean_kernel
-def fill_levels(levels: tuple[Image, ...], smooth: Image, pyramid: Pyramid) -> None:
-    """Fill half and quarter resolution, high-passed, from full resolution.
+def fill_levels(frame: Levels, pyramid: Pyramid) -> None:
+    """Fill half and quarter resolution, high-passed, if they are not.
 
     Parameters
     ----------
-    levels : tuple of numpy.ndarray
-        Image at full, half and quarter resolution, (n, n) float32.
-    smooth : numpy.ndarray
-        (n, n) float32: what is smooth at half resolution, filled.
+    frame : Levels
+        Of which the image is given.
     pyramid : Pyramid
         For frames on this grid.
     """
-    image, half, quarter = levels
+    if frame.filled[0]:
+        return
+    image, half, quarter = frame.images
     halve(image, half)
     halve(half, quarter)
     smooth_within(quarter, pyramid)
-    double(pyramid.coarse, pyramid.lines, smooth)
-    subtract_within(half, smooth, pyramid.lit[1], half)
+    double(pyramid.coarse, pyramid.lines, frame.smooth)
+    subtract_within(half, frame.smooth, pyramid.lit[1], half)
     halve(half, quarter)
+    frame.filled[0] = True
 
 
 @lean_kernel
-def high_pass(image: Image, smooth: Image, pyramid: Pyramid, out: Image) -> None:
-    """Write an image of full resolution, high-passed.
-
-    Parameters
-    ----------
-    image, out : numpy.ndarray
-        (n, n) float32.
-    smooth, pyramid
-        As in :func:`fill_levels`, which filled the former.
-    """
-    double(smooth, pyramid.lines, out)
-    subtract_within(image, out, pyramid.lit[0], out)
+def high_pass(frame: Levels, pyramid: Pyramid) -> None:
+    """Fill the high-passed image of full resolution if it is not; parameters as of :func:`fill_levels`."""
+    if frame.filled[1]:
+        return
+    double(frame.smooth, pyramid.lines, frame.high_passed)
+    subtract_within(frame.images[0], frame.high_passed, pyramid.lit[0], frame.high_passed)
+    frame.filled[1] = True
 
 
 @lean_kernel

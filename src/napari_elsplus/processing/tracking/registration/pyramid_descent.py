@@ -1,27 +1,38 @@
-"""Registration down a pyramid of two frames, from coarse to full resolution; each level starts where the last ended."""
+"""Registration of a frame on an earlier one: the step that is made for every frame, compiled as a whole.
+
+Down the pyramid of both, from coarse to full resolution, each level starting where the last ended; then the odds of the
+warp, and the velocity that it means.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.registration.lucas_kanade import align
+from napari_elsplus.processing.tracking.front_end.grid import INNER_FIELD
+from napari_elsplus.processing.tracking.motion.motion_prior import expected_warp, terms_of, velocity_given
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+from napari_elsplus.processing.tracking.registration.lucas_kanade import PARAMETERS, Workspace, align, solve
 from napari_elsplus.processing.tracking.registration.odds import (
     CORRELATED_PX,
+    blocks,
     in_pixels_of,
+    log_odds,
     prior_terms,
     weakest_direction,
     write_prior,
 )
-from napari_elsplus.processing.tracking.registration.pyramid import LEVELS
+from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, Pyramid, fill_levels, high_pass
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 
-    Levels = tuple[NDArray[np.float32], ...]
+    Images = tuple[NDArray[np.float32], ...]
 
 SHARP_PX: Final = 0.04
 """Uncertainty of a shift at half resolution, pixels, below which structure constrains it in every direction; noise
@@ -36,10 +47,120 @@ _STAGES: Final = (
 smallest step in the level's own pixels."""
 
 
+class Tools(NamedTuple):
+    """What the registration of frames on one grid needs; one for each thread.
+
+    Parameters
+    ----------
+    lit : numpy.ndarray
+        (LEVELS + 1, 2, n) int32: first lit column of each row, and the one after the last, at each level; and at full
+        resolution without the rim.
+    middles : tuple of float
+        Row of the bundle's centre at each level.
+    pyramid : Pyramid
+        Fills the levels of frames.
+    sums : numpy.ndarray
+        Scratch of the odds.
+    work : Workspace
+        Scratch of Lucas-Kanade.
+    """
+
+    lit: NDArray[np.int32]
+    middles: tuple[float, ...]
+    pyramid: Pyramid
+    sums: NDArray[np.float64]
+    work: Workspace
+
+    @classmethod
+    def of(cls, grid: Grid, field: float) -> Tools:
+        """Return those for frames on a grid that are lit in a part of the diameter, `field`."""
+        lit = np.zeros((LEVELS + 1, 2, grid.side), np.int32)
+        spans = *(grid.spans(level=level) for level in range(LEVELS)), grid.spans(INNER_FIELD)
+        for columns, span in zip(lit, spans, strict=True):
+            columns[:, : len(span[0])] = span
+        middles = tuple(grid.middle(level) for level in range(LEVELS))
+        return cls(lit, middles, Pyramid.of(grid, field), blocks(grid.side), Workspace.of(grid.side))
+
+
 @lean_kernel
-def descend(
+def register(
     earlier: Levels,
     later: Levels,
+    prior: MotionPrior,
+    start: Warp,
+    coarsest: int,
+    tools: Tools,
+    information: NDArray[np.float64],
+    found: NDArray[np.float64],
+) -> None:
+    """Register two frames: descend the pyramid, compare with competing shifts, and derive the velocity.
+
+    Parameters
+    ----------
+    earlier, later : Levels
+        Frames; levels that are missing are filled.
+    prior : MotionPrior
+        Of the motion between them.
+    start : Warp
+        Where to start.
+    coarsest : int
+        Level at which to start.
+    tools : Tools
+        For frames on this grid.
+    information : numpy.ndarray
+        (4, 4) float64, filled: inverse covariance of a, b, s, d.
+    found : numpy.ndarray
+        (9,) float64, filled: a, b, s, d of the warp; correlation; log odds, nats; velocity (rows, cols) of the later
+        frame, pixels per frame period, and its variance.
+    """
+    lit, middles, pyramid, sums, work = tools
+    fill_levels(earlier, pyramid)
+    fill_levels(later, pyramid)
+    warp, expected, terms = found[:PARAMETERS], work.equations[6, 1], terms_of(prior)
+    warp[0], warp[1], warp[2], warp[3] = start
+    expected[0], expected[1], expected[2], expected[3] = expected_warp(prior)
+    correlation, count, sharp = descend(
+        earlier.images, later.images, lit, middles, coarsest, 0, expected, terms, warp, information, work
+    )
+    odds = 0.0
+    if sharp:
+        odds = min(-0.5 * count / CORRELATED_PX * np.log(max(1 - correlation * correlation, 1e-12)), 700.0)
+    elif correlation > 0:
+        # noise is more than what does not move at the rim: all that is lit, without what is smooth
+        high_pass(earlier, pyramid)
+        high_pass(later, pyramid)
+        (_, half, quarter), (_, later_half, later_quarter) = earlier.images, later.images
+        correlation, _, _ = descend(
+            (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), lit, middles, 0, 0,
+            expected, terms, warp, information, work,
+        )  # fmt: skip
+        side = len(half)
+        odds = log_odds(
+            half, later_half, lit[1, 0, :side], lit[1, 1, :side], middles[1], warp, information, expected, terms, sums,
+            work,
+        )  # fmt: skip
+    velocity, variance, of_stretch, of_shift = velocity_given(prior, Warp(warp[0], warp[1], warp[2], warp[3]))
+    found[4], found[5], found[6], found[7] = correlation, odds, velocity.row, velocity.col
+    found[8] = variance + _variance_along(information, of_stretch, of_shift, work)
+
+
+@lean_kernel
+def _variance_along(information: NDArray[np.float64], of_stretch: float, of_shift: float, work: Workspace) -> float:
+    """Return the variance of a sum of stretch and row shift, so weighted, or of shear and column shift if larger."""
+    along, largest = work.equations[1, 0, :PARAMETERS], 0.0
+    for k in (0, 2):
+        along[:] = 0.0
+        along[k], along[k + 1] = of_stretch, of_shift
+        if not solve(information, along, work.equations[2]):
+            return np.inf
+        largest = max(largest, of_stretch * along[k] + of_shift * along[k + 1])
+    return largest
+
+
+@lean_kernel
+def descend(
+    earlier: Images,
+    later: Images,
     lit: NDArray[np.int32],
     middles: tuple[float, ...],
     coarsest: int,
