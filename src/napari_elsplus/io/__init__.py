@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from napari_elsplus.io.atomic import put_in_place as put_in_place
     from napari_elsplus.io.atomic import refuse_existing as refuse_existing
     from napari_elsplus.io.atomic import replacing as replacing
     from napari_elsplus.io.atomic import replacing_all as replacing_all
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from napari_elsplus.io.columns import volts_beside as volts_beside
     from napari_elsplus.io.columns import write_column as write_column
     from napari_elsplus.io.columns import write_table as write_table
+    from napari_elsplus.io.finished_images import allocate_images as allocate_images
+    from napari_elsplus.io.finished_images import fill_images as fill_images
     from napari_elsplus.io.finished_images import write_images as write_images
     from napari_elsplus.io.finished_images import write_mosaic as write_mosaic
     from napari_elsplus.io.formats.ome_tiff import write_stack as write_stack
@@ -38,11 +41,11 @@ if TYPE_CHECKING:
     from napari_elsplus.io.tracks import write_track as write_track
 
 _MODULES = {
-    "atomic": ("refuse_existing", "replacing", "replacing_all"),
+    "atomic": ("put_in_place", "refuse_existing", "replacing", "replacing_all"),
     "calibration_lookup": ("beside", "calibration_beside", "existing_beside"),
     "calibrations": ("read_calibration", "write_calibration"),
     "columns": ("read_depths_um", "read_volts", "volts_beside", "write_column", "write_table"),
-    "finished_images": ("write_images", "write_mosaic"),
+    "finished_images": ("allocate_images", "fill_images", "write_images", "write_mosaic"),
     "formats.ome_tiff": ("write_stack",),
     "formats.registry": ("FileFormat", "register_format"),
     "formats.source": ("FrameSource",),

@@ -79,13 +79,26 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     beside = target.with_name(f".{token_hex(4)}.{target.name}")
     try:
         yield beside
-        _flush(beside)
-        if target.is_dir():
-            shutil.rmtree(target)
-        beside.replace(target)
-        _flush_folder(target.parent)
+        put_in_place(beside, target)
     finally:
         _remove(beside)
+
+
+def put_in_place(finished: Path, target: Path) -> None:
+    """Flush a finished file or folder to the disk and rename it onto its target, in place of what is there.
+
+    Parameters
+    ----------
+    finished : pathlib.Path
+        On the file system of the target.
+    target : pathlib.Path
+        Its new path.
+    """
+    flush(finished)
+    if target.is_dir():
+        shutil.rmtree(target)
+    finished.replace(target)
+    _flush_folder(target.parent)
 
 
 def remove_unfinished(*targets: Path) -> None:
@@ -122,14 +135,20 @@ def replacing_all(*paths: str | os.PathLike[str], force: bool = False) -> Iterat
         yield [stack.enter_context(replacing(path, force=force)) for path in paths]
 
 
-def _flush(path: Path) -> None:
-    """Write a file, or a folder and everything in it, to the disk."""
+def flush(path: Path) -> None:
+    """Write a file, or a folder and everything in it, from the system's memory to the disk.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file or folder.
+    """
     if path.is_file():
         with path.open("rb+") as file:
             os.fsync(file.fileno())
     elif path.is_dir():
         for inside in path.iterdir():
-            _flush(inside)
+            flush(inside)
         _flush_folder(path)
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from napari_elsplus.io.atomic import flush
 from napari_elsplus.io.formats.registry import format_to_write
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterable, Mapping
 
-    from numpy.typing import NDArray
+    from numpy.typing import DTypeLike, NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
 
@@ -62,6 +63,76 @@ def write_images(
         path, images, um_per_px=um_per_px, frame_period_s=frame_period_s, metadata=metadata, calibration=calibration,
         force=force,
     )  # fmt: skip
+
+
+def allocate_images(
+    path: str | os.PathLike[str],
+    shape: tuple[int, int, int],
+    dtype: DTypeLike,
+    *,
+    um_per_px: float | None = None,
+    frame_period_s: float | None = None,
+    metadata: Mapping[str, Any] | None = None,
+    calibration: Calibration | None = None,
+) -> None:
+    """Create the file of a stack of images, whose pixels are 0, in the format that the suffix names.
+
+    Filled by :func:`fill_images`, in any order and by any number of processes, it has the contents that
+    :func:`write_images` writes.
+
+    Parameters
+    ----------
+    path : path-like
+        The file, which does not exist: OME-TIFF or OME-Zarr.
+    shape : tuple of int
+        Number of images, rows, columns.
+    dtype : dtype-like
+        Of the pixels.
+    um_per_px, frame_period_s, metadata, calibration
+        As :func:`write_images`.
+
+    Raises
+    ------
+    InputError
+        If the file exists, or no format writes the suffix.
+    """
+    allocator = format_to_write(Path(path)).allocator
+    assert allocator is not None
+    allocator(
+        path, shape, dtype, um_per_px=um_per_px, frame_period_s=frame_period_s, metadata=metadata,
+        calibration=calibration,
+    )  # fmt: skip
+
+
+def fill_images(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
+    """Write successive images into a file of :func:`allocate_images`, one at a time in memory, and flush it.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    first : int
+        Index of the first image.
+    images : iterable of numpy.ndarray, (rows, cols)
+        Of the shape and type of the file's.
+
+    Returns
+    -------
+    int
+        Number of images written.
+
+    Raises
+    ------
+    InputError
+        If an image differs in shape or type from those of the file.
+    IndexError
+        If there are more images than the file has from the first on.
+    """
+    filler = format_to_write(Path(path)).filler
+    assert filler is not None
+    written = filler(path, first, images)
+    flush(Path(path))
+    return written
 
 
 def write_mosaic(

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.io import write_images
+from napari_elsplus.io import allocate_images, fill_images, write_images
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.row_power import RowPower
@@ -17,7 +17,7 @@ from napari_elsplus.workflows.progress import without_display
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import DTypeLike, NDArray
 
@@ -182,14 +182,40 @@ class SectionedImages:
         InputError
             If no format writes the suffix, or the file exists and `force` is not given.
         """
-        write_images(
-            path,
-            (self[index] for index in progress(range(self._count), self.mode.value)),
-            frame_period_s=self.frame_period_s,
-            metadata={"mode": self.mode.value},
-            calibration=self.calibration,
-            force=force,
-        )
+        write_images(path, self._images(progress(range(self._count), self.mode.value)), **self._known(), force=force)
+
+    def allocate(self, path: str | os.PathLike[str]) -> None:
+        """Create the file that :meth:`save` writes, with pixels of 0; :meth:`fill` writes spans of images into it.
+
+        Parameters
+        ----------
+        path : path-like
+            ``NAME.ome.tif`` or ``NAME.ome.zarr``, which does not exist.
+        """
+        allocate_images(path, self.shape, np.float32, **self._known())
+
+    def fill(self, path: str | os.PathLike[str], span: range) -> None:
+        """Write a span of the images into a file of :meth:`allocate`, one at a time; other processes may write others.
+
+        Parameters
+        ----------
+        path : path-like
+            The file.
+        span : range
+            Indices of successive images.
+        """
+        fill_images(path, span.start, self._images(span))
+
+    def _images(self, indices: Iterable[int]) -> Iterator[NDArray[np.float32]]:
+        return (self[index] for index in indices)
+
+    def _known(self) -> dict[str, Any]:
+        """Return what is written with the images."""
+        return {
+            "frame_period_s": self.frame_period_s,
+            "metadata": {"mode": self.mode.value},
+            "calibration": self.calibration,
+        }
 
 
 def finishing(

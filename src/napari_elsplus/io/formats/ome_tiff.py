@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io.atomic import replacing
+from napari_elsplus.io.atomic import refuse_existing, replacing
 from napari_elsplus.io.formats import ome_xml as ome
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterable, Iterator, Mapping
 
-    from numpy.typing import NDArray
+    from numpy.typing import DTypeLike, NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
 
@@ -97,6 +97,87 @@ def write_stack(
     return count
 
 
+def allocate_stack(
+    path: str | os.PathLike[str],
+    shape: tuple[int, int, int],
+    dtype: DTypeLike,
+    *,
+    um_per_px: float | None = None,
+    frame_period_s: float | None = None,
+    metadata: Mapping[str, Any] | None = None,
+    calibration: Calibration | None = None,
+) -> None:
+    """Create the OME-TIFF (BigTIFF) of a stack whose pixels are 0; :func:`fill_stack` writes images into it.
+
+    Parameters
+    ----------
+    path : path-like
+        The file, which does not exist.
+    shape : tuple of int
+        Number of images, rows, columns.
+    dtype : dtype-like
+        Of the pixels.
+    um_per_px, frame_period_s, metadata, calibration
+        As :func:`write_stack`.
+    """
+    import tifffile
+
+    refuse_existing(path)
+    if calibration is not None:
+        um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
+        frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
+    with tifffile.TiffWriter(path, bigtiff=True) as writer:
+        writer.write(
+            shape=shape, dtype=np.dtype(dtype), contiguous=True, photometric="minisblack", metadata=None,
+            software=ome.SOFTWARE, description=ome.SOFTWARE,
+        )  # fmt: skip
+    ome.put_into_first_page(
+        Path(path), shape, np.dtype(dtype),
+        um_per_px=um_per_px, frame_period_s=frame_period_s, calibration=calibration, settings=metadata,
+    )  # fmt: skip
+
+
+def fill_stack(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
+    """Write successive images into a file of :func:`allocate_stack`; several processes may write different ones.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    first : int
+        Index of the first image.
+    images : iterable of numpy.ndarray, (rows, cols)
+        Of the shape and type of the file's.
+
+    Returns
+    -------
+    int
+        Number of images written.
+
+    Raises
+    ------
+    InputError
+        If an image differs in shape or type from those of the file.
+    IndexError
+        If there are more images than the file has from the first on.
+    """
+    import tifffile
+
+    with tifffile.TiffFile(path) as file:
+        page, count = file.pages.first, len(file.pages)
+    assert page.dtype is not None  # every file of allocate_stack has one
+    written = 0
+    with Path(path).open("rb+") as pixels:
+        pixels.seek(page.dataoffsets[0] + first * page.nbytes)
+        for image in contiguous_images(images):
+            require_alike(image, path, page.shape, page.dtype)
+            if first + written >= count:
+                raise IndexError(f"image {first + written} of {count}")
+            pixels.write(image.data)
+            written += 1
+    return written
+
+
 def contiguous_images(images: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
     """Yield the images of a stack, (rows, cols), each contiguous in memory.
 
@@ -124,6 +205,32 @@ def contiguous_images(images: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
         yield np.ascontiguousarray(image)
     if first is None:
         raise InputError("there is no image to write", "is the recording, the layer, or the range of frames empty?")
+
+
+def require_alike(
+    image: NDArray[Any], path: str | os.PathLike[str], shape: tuple[int, ...], dtype: np.dtype[Any]
+) -> None:
+    """Raise an error if an image differs in shape or type from those of a file.
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        The image.
+    path : path-like
+        The file, named in the message.
+    shape, dtype
+        Rows and columns, and type, of the file's images.
+
+    Raises
+    ------
+    InputError
+        If it does.
+    """
+    if (image.shape, image.dtype) != (shape, dtype):
+        raise InputError(
+            f"an image is {image.shape}, {image.dtype}, those of {path} are {shape}, {dtype}",
+            "write it to a file of its own",
+        )
 
 
 def write_ome_tiff_pyramid(

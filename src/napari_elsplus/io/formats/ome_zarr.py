@@ -13,7 +13,7 @@ import numpy as np
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
 from napari_elsplus.io.formats.extras import extra_needed
-from napari_elsplus.io.formats.ome_tiff import TILE_PX, contiguous_images, pyramid
+from napari_elsplus.io.formats.ome_tiff import TILE_PX, contiguous_images, pyramid, require_alike
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource, positive
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import DTypeLike, NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
 
@@ -146,18 +146,79 @@ def write_ome_zarr(
     with _new_group(path, metadata, calibration, force=force) as group:
         planes = contiguous_images(images)
         first = next(planes)
-        array = group.create_array("0", shape=(0, *first.shape), chunks=(1, *first.shape), dtype=first.dtype)
+        array = _new_array(group, path, (0, *first.shape), first.dtype, um_per_px, frame_period_s)
         count = 0
         for image in chain([first], planes):
             array.resize((count + 1, *first.shape))
             array[count] = image
             count += 1
-        size = um_per_px or 1.0
-        time = _axis("t", "time", "second" if frame_period_s else None)
-        scaled = {"type": "scale", "scale": [frame_period_s or 1.0, size, size]}
-        datasets = [{"path": "0", "coordinateTransformations": [scaled]}]
-        _describe(group, path, [time, *_space(um_per_px)], datasets)
     return count
+
+
+def allocate_ome_zarr(
+    path: str | os.PathLike[str],
+    shape: tuple[int, int, int],
+    dtype: DTypeLike,
+    *,
+    um_per_px: float | None = None,
+    frame_period_s: float | None = None,
+    metadata: Mapping[str, Any] | None = None,
+    calibration: Calibration | None = None,
+) -> None:
+    """Create the OME-Zarr folder of a stack whose pixels are 0; :func:`fill_ome_zarr` writes images into it.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder, NAME.zarr, which does not exist.
+    shape : tuple of int
+        Number of images, rows, columns.
+    dtype : dtype-like
+        Of the pixels.
+    um_per_px, frame_period_s, metadata, calibration
+        As :func:`write_ome_zarr`.
+    """
+    if calibration is not None:
+        um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
+        frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
+    with _new_group(path, metadata, calibration, force=False) as group:
+        _new_array(group, path, shape, np.dtype(dtype), um_per_px, frame_period_s)
+
+
+def fill_ome_zarr(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
+    """Write successive images into a folder of :func:`allocate_ome_zarr`; several processes may write different ones.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder.
+    first : int
+        Index of the first image.
+    images : iterable of numpy.ndarray, (rows, cols)
+        Of the shape and type of the folder's.
+
+    Returns
+    -------
+    int
+        Number of images written.
+
+    Raises
+    ------
+    InputError
+        If an image differs in shape or type from those of the folder.
+    IndexError
+        If there are more images than the folder has from the first on.
+    """
+    with extra_needed("zarr", "OME-Zarr images"):
+        import zarr
+
+    array: Any = zarr.open_group(path, mode="r+")["0"]
+    written = 0
+    for image in contiguous_images(images):
+        require_alike(image, path, array.shape[1:], array.dtype)
+        array[first + written] = image
+        written += 1
+    return written
 
 
 def write_ome_zarr_pyramid(
@@ -234,6 +295,23 @@ def _new_group(
         group.attrs[NOTES] = {"software": SOFTWARE, **(metadata or {}), **kept}
 
 
+def _new_array(
+    group: Any,
+    path: str | os.PathLike[str],
+    shape: tuple[int, int, int],
+    dtype: np.dtype[Any],
+    um_per_px: float | None,
+    frame_period_s: float | None,
+) -> Any:
+    """Return the new array of a stack of images, a chunk each, in a group that has its axes and scale."""
+    size = um_per_px or 1.0
+    time = _axis("t", "time", "second" if frame_period_s else None)
+    scaled = {"type": "scale", "scale": [frame_period_s or 1.0, size, size]}
+    datasets = [{"path": "0", "coordinateTransformations": [scaled]}]
+    _describe(group, path, [time, *_space(um_per_px)], datasets)
+    return group.create_array("0", shape=shape, chunks=(1, *shape[1:]), dtype=dtype)
+
+
 def _describe(
     group: Any, path: str | os.PathLike[str], axes: list[dict[str, str]], datasets: list[dict[str, Any]]
 ) -> None:
@@ -255,6 +333,8 @@ OME_ZARR: Final = FileFormat(
     OmeZarr,
     write_ome_zarr,
     write_ome_zarr_pyramid,
+    allocate_ome_zarr,
+    fill_ome_zarr,
     written_suffixes=(".ome.zarr", ".zarr"),
     folder_markers=("zarr.json", ".zgroup", ".zarray", ".zattrs"),
 )

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from numpy.typing import DTypeLike, NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io.formats.source import FrameSource
@@ -62,6 +62,30 @@ class PyramidWriter(Protocol):
         """Write an image (rows, cols) and return its path."""
 
 
+class ImageAllocator(Protocol):
+    """Creates the file of a stack of images, whose pixels are 0, for an :class:`ImageFiller`."""
+
+    def __call__(
+        self,
+        path: str | os.PathLike[str],
+        shape: tuple[int, int, int],
+        dtype: DTypeLike,
+        *,
+        um_per_px: float | None = None,
+        frame_period_s: float | None = None,
+        metadata: Mapping[str, Any] | None = None,
+        calibration: Calibration | None = None,
+    ) -> None:
+        """Create a file of images (T, rows, cols), with their metadata."""
+
+
+class ImageFiller(Protocol):
+    """Writes successive images into an allocated file; several processes may write different ones at once."""
+
+    def __call__(self, path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
+        """Write images (rows, cols) from the index `first` on, and return their number."""
+
+
 @dataclass(frozen=True)
 class FileFormat:
     """One format of files.
@@ -79,6 +103,8 @@ class FileFormat:
         None where images cannot be written.
     pyramid_writer : PyramidWriter, optional
         None where the format has no pyramid; `writer` then writes mosaics.
+    allocator, filler : ImageAllocator, ImageFiller, optional
+        None where a file is written from its first image to its last only.
     written_suffixes : tuple of str
         Suffixes that the writers write, the usual one first.
     folder_markers : tuple of str, optional
@@ -92,6 +118,8 @@ class FileFormat:
     opener: Callable[[Path], FrameSource] | None = None
     writer: ImageWriter | None = None
     pyramid_writer: PyramidWriter | None = None
+    allocator: ImageAllocator | None = None
+    filler: ImageFiller | None = None
     written_suffixes: tuple[str, ...] = ()
     folder_markers: tuple[str, ...] | None = None
     signatures: tuple[bytes, ...] = ()
