@@ -6,10 +6,9 @@ import csv
 import os
 import subprocess
 import sys
-from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.request import urlopen
 
 import cv2
 import numpy as np
@@ -20,57 +19,15 @@ from click.testing import CliRunner
 from napari_elsplus.cli import elsplus
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_track, write_calibration
-from napari_elsplus.workflows.batch import run, stages, tasks
+from napari_elsplus.workflows.batch import cluster, stages, tasks
+from napari_elsplus.workflows.batch.cluster import batch_client
 from napari_elsplus.workflows.batch.job import FORMATS, RECORDS, BatchItem, BatchJob, open_output
 from napari_elsplus.workflows.batch.run import batch
 from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.sectioning import section
-from napari_elsplus.workflows.simulated import simulate_recording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-
-@pytest.fixture(scope="module")
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three recordings of four frames, the second of which is no TIFF."""
-    folder = tmp_path_factory.mktemp("season")
-    for name, seed in (("a", 1), ("c", 2)):
-        made = simulate_recording(frames=4, seed=seed)
-        tifffile.imwrite(folder / f"{name}.tif", np.stack(list(made)), photometric="minisblack")
-        write_calibration(folder / f"{name}.calibration.json", made.calibration)
-    (folder / "b.tif").write_bytes(b"not a TIFF at all")
-    return folder
-
-
-class Task:
-    """A future of :class:`InlineClient`."""
-
-    def __init__(self, result: Callable[[], Any]) -> None:
-        self.result = result
-
-    def exception(self) -> None:
-        return None
-
-
-class InlineClient:
-    """Executes tasks in this process, one after the other, as they are waited for."""
-
-    dashboard_link = "http://127.0.0.1:1/status"
-
-    def submit(self, function: Callable[..., Any], *arguments: Any, pure: bool) -> Task:
-        assert not pure
-        return Task(partial(function, *arguments))
-
-
-@pytest.fixture
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    @contextmanager
-    def client(*_: object) -> Iterator[InlineClient]:
-        yield InlineClient()
-
-    monkeypatch.setattr(run, "_client", client)
-    monkeypatch.setattr("distributed.as_completed", list)
+    from collections.abc import Callable
 
 
 def test_a_batch_on_a_worker_gives_what_single_runs_give(recordings: Path, tmp_path: Path) -> None:
@@ -122,11 +79,11 @@ def test_a_batch_is_resumed_without_doing_anything_twice(
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         batch(recordings, out, mosaic=True)
-    assert executed == ["a section", "a mosaic", "c section"]
+    assert executed == ["a mosaic", "a section"]
     left = out / "c" / ".deadbeef.mosaic.ome.tif"
     left.write_bytes(b"what a killed worker left")
     result = batch(recordings, out, mosaic=True)
-    assert executed == ["a section", "a mosaic", "c section", "c mosaic"]
+    assert executed == ["a mosaic", "a section", "c mosaic", "c section"]
     assert [row["name"] for row in result.failed] == ["b"]
     assert not left.exists()
 
@@ -199,9 +156,13 @@ def test_a_stage_computes_on_one_thread(recordings: Path, tmp_path: Path, monkey
     assert cv2.getNumThreads() == before
 
 
-def test_local_workers_have_one_thread_and_keep_their_memory() -> None:
-    with run._client(None, 1) as client:
+def test_local_workers_have_one_thread_keep_their_memory_and_have_a_dashboard() -> None:
+    before = dict(os.environ)
+    with batch_client(None, 1) as client:
         (environment,) = client.run(lambda: dict(os.environ)).values()
+        with urlopen(client.dashboard_link) as page:
+            assert b"bokeh" in page.read()
+    assert dict(os.environ) == before
     assert environment["OMP_NUM_THREADS"] == "1"
     assert "MALLOC_TRIM_THRESHOLD_" not in environment
 
@@ -238,7 +199,7 @@ def test_different_calibrations_are_noted_and_a_missing_one_fails_its_recording(
 def test_a_scheduler_that_is_not_there_is_one_line(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run, "SCHEDULER_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(cluster, "SCHEDULER_TIMEOUT_S", 0.2)
     with pytest.raises(InputError, match=r"no scheduler answers at tcp://127\.0\.0\.1:9"):
         batch(recordings, tmp_path / "out", scheduler="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match="no scheduler answers at nonsense"):

@@ -106,12 +106,12 @@ class BatchItem:
         except (OSError, ValueError):
             return None
         values: Values = record["values"]
-        return values if record.get("input") == self._fingerprint() else None
+        return values if record.get("input") == self.fingerprint() else None
 
     def remember(self, job: BatchJob, stage: str, values: Values) -> None:
         """Write that a stage of a job is finished, with the values that it found."""
         with replacing(self.record(job, stage), force=True) as unfinished:
-            unfinished.write_text(json.dumps({"input": self._fingerprint(), "values": values}), encoding="utf-8")
+            unfinished.write_text(json.dumps({"input": self.fingerprint(), "values": values}), encoding="utf-8")
 
     def record(self, job: BatchJob, stage: str) -> Path:
         """Return the path of the record that a stage of a job is finished."""
@@ -121,7 +121,8 @@ class BatchItem:
         """Return the path of the recording's picture for the contact sheet of a job."""
         return Path(job.output, RECORDS, f"{self.name}.png")
 
-    def _fingerprint(self) -> list[int]:
+    def fingerprint(self) -> list[int]:
+        """Return the size (bytes) and the time (ns) of the recording's file."""
         found = Path(self.recording).stat()
         return [found.st_size, found.st_mtime_ns]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -12,8 +11,10 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io import read_calibration, replacing
 from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.processing.images.modes import Mode
+from napari_elsplus.workflows.batch.cluster import batch_client
 from napari_elsplus.workflows.batch.job import FORMATS, BatchItem, BatchJob, Values, find_items, open_output
-from napari_elsplus.workflows.batch.tasks import ERROR, STAGES_MODULE, run_stage
+from napari_elsplus.workflows.batch.spans import SPANS
+from napari_elsplus.workflows.batch.tasks import ERROR, finish_spans, run_span, run_stage
 from napari_elsplus.workflows.progress import without_display
 
 if TYPE_CHECKING:
@@ -27,12 +28,6 @@ COLUMNS: Final = (
     "warnings", "error",
 )  # fmt: skip
 """Columns of the table; those that a job does not measure stay empty."""
-SCHEDULER_TIMEOUT_S: Final = 10.0
-"""Time for an existing scheduler to answer, seconds; chosen: a busy one answers within one."""
-LOCAL: Final = "127.0.0.1"
-WORKER_ENVIRONMENT: Final = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), 1)
-"""Environment of local workers. Dask's own also lowers malloc's trim threshold to 64 kB, by which the memory of every
-image is returned to the system and mapped anew."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +66,9 @@ def batch(
 ) -> BatchResult:
     """Section many recordings, and make their mosaics, on the workers of a dask scheduler.
 
-    Each stage of each recording is a task of one thread. A batch that was interrupted is resumed by the same call:
-    finished stages are not done again. A recording that fails is reported and does not stop the others.
+    Each stage of each recording is a task of one thread; the images of a long recording are several. A batch that was
+    interrupted is resumed by the same call: what is finished is not done again. A recording that fails is reported and
+    does not stop the others.
 
     Parameters
     ----------
@@ -118,11 +114,12 @@ def batch(
     chosen = None if calibration is None else str(Path(calibration).resolve())
     job = BatchJob(str(Path(output).resolve()), Mode(mode).value, mosaic, chosen, file_format)
     items = [BatchItem(item.name, str(Path(item.recording).resolve())) for item in items]
-    tasks = [(item, stage) for item in items for stage in job.stages]
-    with _client(scheduler, workers) as client:
+    with batch_client(scheduler, workers) as client:
         open_output(job)
         announce(client.dashboard_link)
-        executed = _executed(client, tasks, job, progress)
+        stages = _ordered(items, job, len(client.nthreads()))
+        steps = progress(range(len(stages)), "Batch")
+        executed = {key: found for _, (key, found) in zip(steps, _finished_stages(client, stages, job), strict=False)}
     found = {item.name: [executed[item.name, stage] for stage in job.stages] for item in items}
     rows = [_row(item, found[item.name]) for item in items]
     _write_table(Path(job.output, "table.csv"), rows)
@@ -139,43 +136,41 @@ def _require_format(name: str) -> None:
             import zarr  # noqa: F401
 
 
-@contextmanager
-def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
-    with extra_needed("batch", "batches"):
-        import dask
-        from distributed import Client, LocalCluster
-    if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
-        except (OSError, ValueError, TypeError) as error:  # no answer, or no address
-            raise InputError(
-                f"no scheduler answers at {scheduler} ({type(error).__name__})",
-                "start one with `dask scheduler`, or leave --scheduler out",
-            ) from None
-        with client:
-            yield client
-        return
-    local = {"host": LOCAL, "dashboard_address": f"{LOCAL}:0", "threads_per_worker": 1, "preload": [STAGES_MODULE]}
-    with (
-        dask.config.set({"distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT}),
-        LocalCluster(n_workers=workers, silence_logs="ERROR", **local) as cluster,
-        Client(cluster) as client,
-    ):
-        yield client
+def _ordered(items: list[BatchItem], job: BatchJob, workers: int) -> list[tuple[str, BatchItem]]:
+    """Return the stages of all recordings in the order in which they are begun.
+
+    A mosaic takes longest and cannot be split: those of as many recordings as there are workers precede a recording's
+    images, so that short tasks are left for the end, and the recording is still in the computer's memory.
+    """
+    lag = {"mosaic": 0, "section": workers if job.mosaic else 0}
+    begun = [(place + lag[stage], stage, item) for place, item in enumerate(items) for stage in job.stages]
+    return [(stage, item) for _, stage, item in sorted(begun, key=lambda begin: begin[:2])]
 
 
-def _executed(
-    client: Any, tasks: list[tuple[BatchItem, str]], job: BatchJob, progress: Progress
-) -> dict[tuple[str, str], Values]:
-    """Execute all tasks, and return what each found by the recording's name and the stage."""
+def _finished_stages(
+    client: Any, stages: list[tuple[str, BatchItem]], job: BatchJob
+) -> Iterator[tuple[tuple[str, str], Values]]:
+    """Execute stages, and yield the recording's name and the stage with what was found, as each is finished."""
     from distributed import as_completed
 
-    futures = {client.submit(run_stage, stage, item, job, pure=False): (item.name, stage) for item, stage in tasks}
-    found: dict[tuple[str, str], Values] = {}
-    for _, future in zip(progress(range(len(futures)), "Batch"), as_completed(futures), strict=False):
+    def begin(task: Callable[..., Values], *arguments: Any, priority: int) -> Any:
+        return client.submit(task, *arguments, pure=False, priority=priority)
+
+    begun: dict[Any, tuple[str, BatchItem, int]] = {}
+    for place, (stage, item) in enumerate(stages):
+        begun[begin(run_stage, stage, item, job, priority=-place)] = (stage, item, -place)
+    completed = as_completed(list(begun))
+    for future in completed:
+        stage, item, priority = begun.pop(future)
         error = future.exception()  # a defect, or a worker that was killed again and again
-        found[futures[future]] = future.result() if error is None else {ERROR: f"{type(error).__name__}: {error}"}
-    return found
+        found = future.result() if error is None else {ERROR: f"{type(error).__name__}: {error}"}
+        if SPANS in found:
+            spans = [begin(run_span, span, item, job, priority=priority) for span in found[SPANS]]
+            last = begin(finish_spans, item, job, spans, priority=priority)
+            begun[last] = (stage, item, priority)
+            completed.add(last)
+        else:
+            yield (item.name, stage), found
 
 
 def _row(item: BatchItem, found: list[Values]) -> Values:

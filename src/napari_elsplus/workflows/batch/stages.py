@@ -15,6 +15,7 @@ from napari_elsplus.errors import CalibrationError
 from napari_elsplus.io import Recording, read_calibration
 from napari_elsplus.io.calibrations import format_calibration
 from napari_elsplus.workflows.batch.job import TRACK_NAME
+from napari_elsplus.workflows.batch.spans import SPANS, SpannedImages, split
 from napari_elsplus.workflows.batch.tiles import TILE_UM, write_tile
 from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.sectioning import section
@@ -27,22 +28,54 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackPoint
     from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, Values
+    from napari_elsplus.workflows.sectioning import SectionedImages
 
 
 def _section(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
     calibration, source = _calibration(job, recording)
     images = section(recording, calibration, job.mode)
-    folder = _made(item.folder(job))
-    images.save(folder / job.images_name, force=True)
-    middle = images[len(images) // 2]
-    tile = {} if job.mosaic else {TILE_UM: write_tile(item.tile(job), middle, calibration.um_per_px)}
-    return {"calibration": source, "images": len(images), "contrast": _contrast(middle), **tile}
+    values = {"calibration": source, "images": len(images)}
+    spans = split(len(images))
+    if len(spans) > 1:
+        return {SPANS: SpannedImages(item, job).open(images, spans, values)}
+    images.save(item.folder(job) / job.images_name, force=True)
+    return values | _described(images, spans[0], item, job)
+
+
+def fill_span(span: range, item: BatchItem, job: BatchJob, recording: Recording) -> Values:
+    """Write a span of the images of a long recording into their unfinished file; return what is found in it.
+
+    Parameters
+    ----------
+    span : range
+        Indices of the images.
+    item : BatchItem
+        The recording.
+    job : BatchJob
+        What is made of it.
+    recording : Recording
+        The same, open.
+    """
+    calibration, _ = _calibration(job, recording)
+    images = section(recording, calibration, job.mode)
+    images.fill(SpannedImages(item, job).file, span)
+    return _described(images, span, item, job)
+
+
+def _described(images: SectionedImages, span: range, item: BatchItem, job: BatchJob) -> Values:
+    """Return the contrast of the middle image, if it is in a span, and make it the recording's picture."""
+    place = len(images) // 2
+    if place not in span:
+        return {}
+    middle = images[place]
+    tile = {} if job.mosaic else {TILE_UM: write_tile(item.tile(job), middle, images.calibration.um_per_px)}
+    return {"contrast": _contrast(middle), **tile}
 
 
 def _mosaic(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
     calibration, source = _calibration(job, recording)
     result = mosaic(recording, calibration, job.mode, threads=1)
-    folder = _made(item.folder(job))
+    folder = item.folder(job)
     result.save(folder / job.mosaic_name, folder / TRACK_NAME, force=True)
     um = np.nan if result.um_per_px is None else result.um_per_px
     return {
@@ -87,11 +120,6 @@ def _path_um(track: Sequence[TrackPoint]) -> float:
     tracked: list[Any] = [point for point in track if point.state == "tracked"]
     steps = [np.hypot(b.row_um - a.row_um, b.col_um - a.col_um) for a, b in pairwise(tracked) if a.segment == b.segment]
     return float(np.sum(steps)) if steps else float("nan")
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
 
 
 @contextmanager

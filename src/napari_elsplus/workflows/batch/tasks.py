@@ -1,25 +1,47 @@
-"""A task of a batch: one stage of one recording, unless an earlier run has finished it.
+"""Tasks of a batch: a stage of a recording, or a span of its images, unless an earlier run has finished it.
 
-What computes is imported where a task is executed: the process that submits tasks does without it.
+What computes is imported where a task is executed: the process that submits tasks does without it. A recording that
+cannot be read, or lacks a calibration, is returned as an error, for its row of the table.
 """
 
 from __future__ import annotations
 
+from functools import wraps
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import ElsPlusError, error_message
 from napari_elsplus.io import open_recording
 from napari_elsplus.io.atomic import remove_unfinished
+from napari_elsplus.workflows.batch.spans import SPANS, SpannedImages
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import ParamSpec
+
     from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, Values
 
+    Arguments = ParamSpec("Arguments")
+
 ERROR: Final = "error"
-"""Key of a failed stage's message."""
+"""Key of a failed task's message."""
 STAGES_MODULE: Final = "napari_elsplus.workflows.batch.stages"
 """Imported by local workers when they start."""
 
 
+def _returning_errors(task: Callable[Arguments, Values]) -> Callable[Arguments, Values]:
+    """Return a task that returns the message of a failure under :data:`ERROR`."""
+
+    @wraps(task)
+    def returning(*arguments: Arguments.args, **options: Arguments.kwargs) -> Values:
+        try:
+            return task(*arguments, **options)
+        except (ElsPlusError, OSError) as error:
+            return {ERROR: error_message(error)}
+
+    return returning
+
+
+@_returning_errors
 def run_stage(stage: str, item: BatchItem, job: BatchJob) -> Values:
     """Return what a stage finds in a recording: from an earlier run's record, or by executing it.
 
@@ -35,18 +57,61 @@ def run_stage(stage: str, item: BatchItem, job: BatchJob) -> Values:
     Returns
     -------
     dict
-        Columns of the recording's row in the table; a message under :data:`ERROR` if it failed.
+        Columns of the recording's row in the table; a message under :data:`ERROR` if it failed; of a long recording's
+        images only the spans to be made, under :data:`SPANS`, after which :func:`finish_spans` finishes the stage.
     """
-    try:
-        found = item.recall(job, stage)
-        if found is None:
-            from napari_elsplus.workflows.batch.stages import STAGES, single_threaded
+    found = item.recall(job, stage)
+    if found is None:
+        from napari_elsplus.workflows.batch.stages import STAGES, single_threaded
 
-            written = (item.folder(job) / name for name in job.files(stage))
-            remove_unfinished(item.record(job, stage), item.tile(job), *written)
-            with open_recording(item.recording) as recording, single_threaded():
-                found = STAGES[stage](item, job, recording)
+        folder = item.folder(job)
+        folder.mkdir(parents=True, exist_ok=True)
+        remove_unfinished(item.record(job, stage), item.tile(job), *(folder / name for name in job.files(stage)))
+        with open_recording(item.recording) as recording, single_threaded():
+            found = STAGES[stage](item, job, recording)
+        if SPANS not in found:
             item.remember(job, stage, found)
-    except (ElsPlusError, OSError) as error:
-        return {ERROR: error_message(error)}
     return found
+
+
+@_returning_errors
+def run_span(span: range, item: BatchItem, job: BatchJob) -> Values:
+    """Make a span of the images of a recording; return what it finds, or a message under :data:`ERROR`.
+
+    Parameters
+    ----------
+    span : range
+        Indices of the images.
+    item : BatchItem
+        The recording.
+    job : BatchJob
+        What is made of it.
+    """
+    from napari_elsplus.workflows.batch.stages import fill_span, single_threaded
+
+    with open_recording(item.recording) as recording, single_threaded():
+        found = fill_span(span, item, job, recording)
+    SpannedImages(item, job).remember(span, found)
+    return found
+
+
+@_returning_errors
+def finish_spans(item: BatchItem, job: BatchJob, found: Sequence[Values]) -> Values:
+    """Return what the images of a recording show after all of their spans were made, and rename them into place.
+
+    Parameters
+    ----------
+    item : BatchItem
+        The recording.
+    job : BatchJob
+        What is made of it.
+    found : sequence of dict
+        What the tasks of the spans returned.
+
+    Returns
+    -------
+    dict
+        As :func:`run_stage`; a message under :data:`ERROR` if a span failed.
+    """
+    failed = [values for values in found if ERROR in values]
+    return failed[0] if failed else SpannedImages(item, job).finish()
