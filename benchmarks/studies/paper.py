@@ -11,6 +11,7 @@ from benchmarks.choices.sectioning import Moment, judge
 from benchmarks.rigs.simulated import SimulatedRig, measured
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast
 from napari_elsplus.processing.calibration.bundle.cancellation import AlignmentErrors, measure_alignment_errors
+from napari_elsplus.processing.calibration.bundle.view_alignment import shift_of_centres
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.mosaicing.montage import montage
@@ -105,8 +106,7 @@ def align_by_centres(calibration: Calibration) -> Calibration:
     """Return a calibration whose views are aligned by their centres alone: shifted, neither turned nor scaled."""
     bundle = calibration.bundle
     assert bundle is not None
-    (row, col), (residual_row, residual_col) = bundle.confocal_centre, bundle.residual_centre
-    shifted = ((1.0, 0.0, row - residual_row), (0.0, 1.0, col - residual_col))
+    shifted = tuple(map(tuple, shift_of_centres(bundle.confocal_centre, bundle.residual_centre).tolist()))
     changed = bundle.model_copy(update={"residual_to_confocal": shifted})
     return calibration.model_copy(update={"bundle": changed, "distortion": None})
 

@@ -97,7 +97,14 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
         f"Ø {disc.diameter_px:.2f} ± {disc.diameter_uncertainty_px:.2f} px"
         for name, disc in (("confocal", pair.confocal), ("residual", pair.residual))
     ]
-    lines.append(f"view alignment: {alignment.model} to {alignment.uncertainty_px:.3f} px")
+    if alignment.refusal:
+        lines.append(f"view alignment: by the centres to {alignment.uncertainty_px:.1f} px")
+        warnings.append(
+            f"{alignment.refusal}: the views are aligned by their centres alone, as in the paper, to "
+            f"{alignment.uncertainty_px:.1f} px; focus both views or brighten the light, then measure again"
+        )
+    else:
+        lines.append(f"view alignment: {alignment.model} to {alignment.uncertainty_px:.3f} px")
     lines.append(_gain_text(known.bundle, alignment))
     if known.gain_map is not None:
         spread = float(known.gain_map.std())
@@ -139,7 +146,8 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
         headline = f"alignment error {raw:.2f} %\n{filtered:.2f} % after the {cores} filter"
         lines.append(measure_alignment_errors(pair.image, in_lamp_light(known, pair)).text)
         lines.append(PAPER_TEXT)
-    return StepSummary(headline, lines, warnings, [f"BIC of the models of view alignment: {evidence}"])
+    details = [f"BIC of the models of view alignment: {evidence}"] if evidence else []
+    return StepSummary(headline, lines, warnings, details)
 
 
 def _gain_text(bundle: BundleSection | None, alignment: Alignment) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -14,7 +15,10 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.bundle.core_matching import AlignmentModel
 from napari_elsplus.processing.calibration.bundle.location import locate_pair
 from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
+from napari_elsplus.processing.calibration.calibrate import measure
+from napari_elsplus.processing.calibration.draft import Setup
 from napari_elsplus.processing.calibration.measurements import measure_pair
+from napari_elsplus.processing.calibration.steps import find_step
 
 RIG = Rig(left=(105.0, 103.0), right=(95.5, 318.3), diameter_px=190.0)
 
@@ -86,6 +90,35 @@ def test_views_of_different_bundles_are_refused() -> None:
     image[:, 211:] = other[:, 211:]
     with pytest.raises(MeasurementError, match="do not show the same cores"):
         aligned(RIG, image)
+
+
+def defocused(rig: Rig) -> np.ndarray:
+    """Return the frame of a rig whose residual view shows no cores."""
+    image = rig.bundle()[0].astype(np.float32)
+    column = round((rig.left[1] + rig.right[1]) / 2)
+    image[:, column:] = cv2.GaussianBlur(image[:, column:], (0, 0), 2.5 * rig.pitch_px)
+    return image
+
+
+@pytest.mark.parametrize("seed", range(400, 404))
+def test_where_a_view_resolves_no_cores_the_centres_align_it_within_what_is_stated(seed: int) -> None:
+    rig = Rig.draw(seed)
+    found = aligned(rig, defocused(rig))
+    assert "cores" in found.refusal
+    assert error_px(found, rig) < 3 * np.sqrt(2) * found.uncertainty_px
+    assert 0.3 < found.uncertainty_px < 6
+    assert abs(found.gain / rig.gain - 1) < 0.05
+    sharp = aligned(rig)
+    assert not sharp.refusal
+    assert sharp.uncertainty_px < 0.2 * found.uncertainty_px
+
+
+def test_a_calibration_by_the_centres_alone_is_warned_of() -> None:
+    rig = Rig.draw(404)
+    draft = measure(bundle=[defocused(rig)] * 2, bundle_um=620.0)
+    summary = find_step("pair").summarize(draft.pair, draft, Setup(draft.calibration.frame))
+    assert any("aligned by their centres alone" in warning for warning in summary.warnings)
+    assert draft.calibration.bundle.alignment_uncertainty_px == draft.pair.alignment.uncertainty_px
 
 
 def test_a_view_that_is_half_dark_is_refused() -> None:

@@ -21,7 +21,7 @@ from napari_elsplus.processing.images.resampling import resampled
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from napari_elsplus.processing.calibration.bundle.location import Disc
 
@@ -40,6 +40,14 @@ SHIFT_STEP_PX: Final = 0.75
 """Chosen: a quarter of a core's spacing."""
 SHIFT_STEPS: Final = 4
 """To either side; derived: they cover the spacing of cores."""
+
+
+class DifferentCoresError(MeasurementError):
+    """The cores of the two views do not match."""
+
+
+class UnresolvedCoresError(DifferentCoresError):
+    """A view does not resolve its cores, so that they do not determine how it is aligned."""
 
 
 class AlignmentModel(StrEnum):
@@ -254,7 +262,7 @@ class CoreMatcher:
 
         Raises
         ------
-        MeasurementError
+        DifferentCoresError
             If the steps diverge.
 
         Notes
@@ -268,7 +276,7 @@ class CoreMatcher:
         target = self.confocal[self.inside].astype(np.float64)
         of_target = self._slopes(self.confocal, moves)
         for _ in range(20):
-            moved = self._sample(motion)
+            moved = self.sample(motion)
             found = moved[self.inside].astype(np.float64)
             of_found = self._slopes(moved, moves)
             curvature = of_target.T @ of_found
@@ -278,7 +286,7 @@ class CoreMatcher:
             motion = motion + np.tensordot(step, model.matrices, 1)
             moved_px = float(np.abs(np.tensordot(step, moves, 1)).max())
             if moved_px > self.side / 4:
-                raise MeasurementError(
+                raise DifferentCoresError(
                     f"the two views do not show the same cores: their alignment diverges by {moved_px:.0f} px",
                     "is the bundle lit from its far end, and in focus in both views?",
                 )
@@ -319,8 +327,10 @@ class CoreMatcher:
         down, across = (np.asarray(np.gradient(image, axis=axis))[self.inside] for axis in (0, 1))
         return np.asarray((moves[:, 0] * down + moves[:, 1] * across).T, np.float64)
 
-    def _sample(self, motion: Floats) -> Image:
-        return resampled(self.contrast, self.grid_to_frame(self.residual_centre, motion), self.side)
+    def sample(self, motion: Floats, by: ArrayLike = (0.0, 0.0)) -> Image:
+        """Return the contrast of the residual view on the grid, (side, side), for a motion and a displacement `by`."""
+        moved = motion + np.column_stack([np.zeros((2, 2)), by])
+        return resampled(self.contrast, self.grid_to_frame(self.residual_centre, moved), self.side)
 
     def _at_rim(self, influence: Floats, model: AlignmentModel) -> float:
         rim = float(np.hypot(self.rows, self.cols).max())

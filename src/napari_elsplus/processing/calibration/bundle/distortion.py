@@ -244,6 +244,12 @@ class DistortionMatcher:
         influence = estimator_influence(scores.T, curvature, tile, count)
         return DistortedFit(coefficients, basis, influence, float(np.corrcoef(target, found)[0, 1]))
 
+    def sample(self, coefficients: Floats, by: Floats) -> Image:
+        """Return the contrast of the residual view on the grid, (side, side), for a map (2, 10) and a displacement."""
+        moved = coefficients.copy()
+        moved[:, 0] += by
+        return warped(self.matcher.contrast, self.positions(moved))
+
     def _slopes(self, image: Image, moves: Floats, used: NDArray[np.bool_]) -> Floats:
         """Return the derivative of the image by each parameter, shape (parameters, points)."""
         down, across = (np.asarray(np.gradient(image, axis=axis))[self.matcher.inside][used] for axis in (0, 1))
