@@ -75,12 +75,14 @@ class HotPixels:
 def _stand_out(background: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return the pixels of a background that stand out of their neighbours, (rows, cols) bool."""
     frame, ring = np.asarray(background, np.float32), np.ones((3, 3), np.uint8)
-    lowest = cv2.erode(frame, np.ones((5, 5), np.uint8))
     ring[1, 1] = 0
     brightest = cv2.dilate(frame, ring)
     excess = frame - brightest
     some = excess[::SAMPLED]
     maxima = some[some > 0]
     noise = EXCESS * float(np.median(maxima)) if maxima.size else 0.0
-    hot = excess > np.maximum(max(noise, MIN_EXCESS), PATTERN * (brightest - lowest))
+    hot = np.asarray(excess > max(noise, MIN_EXCESS))
+    if hot.any():
+        lowest = cv2.erode(frame, np.ones((5, 5), np.uint8))
+        hot &= excess > PATTERN * (brightest - lowest)
     return hot if hot.mean() <= MAX_SHARE else np.zeros_like(hot)

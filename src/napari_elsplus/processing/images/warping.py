@@ -69,10 +69,14 @@ def within_frame(grid_to_frame: NDArray[np.float64], side: int, frame_shape: tup
     >>> within_frame(np.array([[1.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), 2, (9, 9)).tolist()
     [[False, False], [True, True]]
     """
-    rows, cols = np.mgrid[:side, :side]
-    points = np.tensordot(grid_to_frame, np.stack([rows, cols, np.ones_like(rows)]), 1)
-    last = np.reshape(frame_shape, (2, 1, 1)) - 1
-    return np.asarray(((points >= 0) & (points <= last)).all(axis=0))
+    at, within = np.arange(side), np.ones((side, side), bool)
+    corners = grid_to_frame @ np.array([(0, 0, 1), (0, side - 1, 1), (side - 1, 0, 1), (side - 1, side - 1, 1)]).T
+    if (corners >= 0).all() and (corners <= np.reshape(frame_shape, (2, 1)) - 1).all():
+        return within
+    for (by_row, by_col, start), size in zip(grid_to_frame, frame_shape, strict=True):
+        points = (by_row * at + start)[:, None] + by_col * at
+        within &= (points >= 0) & (points <= size - 1)
+    return within
 
 
 class WarpedResampler:
