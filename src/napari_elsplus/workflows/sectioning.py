@@ -12,6 +12,7 @@ from napari_elsplus.io import allocate_images, fill_images, write_images
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.row_power import RowPower
+from napari_elsplus.processing.images.row_reference import shows_row_noise
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.workflows.progress import without_display
 
@@ -87,7 +88,7 @@ class SectionedImages:
     flat_field : bool
         Divide by the calibration's flat field.
     row_reference : bool
-        Take the camera's row noise off frames whose dark pixels, beside the bundle, show it.
+        Take the camera's row noise off the frames if the dark pixels beside the bundle show it in some of them.
     row_power : bool
         Divide rows by the laser's power where it differs from row to row, as both views show it; needs a flat field.
 
@@ -118,7 +119,8 @@ class SectionedImages:
         self._raw = raw
         self._count = len(RawPairs(raw, self.mode))
         rows, cols = raw[0].shape
-        self.sectioner = Sectioner(calibration, (rows, cols), row_reference=row_reference)
+        noisy = row_reference and calibration.bundle is not None and shows_row_noise(raw, calibration)
+        self.sectioner = Sectioner(calibration, (rows, cols), row_reference=noisy)
         self._power = RowPower(self.sectioner, calibration) if row_power else None
         self._finish = finishing(calibration, self.sectioner, cores=cores, flat_field=flat_field)
 
@@ -314,7 +316,7 @@ def section(
     flat_field : bool
         Divide by the calibration's flat field.
     row_reference : bool
-        Take the camera's row noise off frames whose dark pixels, beside the bundle, show it.
+        Take the camera's row noise off the frames if the dark pixels beside the bundle show it in some of them.
     row_power : bool
         Divide rows by the laser's power where it differs from row to row, as both views show it; needs a flat field.
 

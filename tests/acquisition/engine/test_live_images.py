@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from napari_elsplus.acquisition.engine.live_images import LiveImages, LiveView, focus
+from napari_elsplus.acquisition.engine.live_images import ROW_TEST_INTERVAL_FRAMES, LiveImages, LiveView, focus
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.images.cores import CoreFilter
@@ -92,6 +92,22 @@ def test_live_images_lose_their_row_noise_as_recordings_do(row_noise_dn: int, ro
     np.testing.assert_array_equal(slot["ls"], section(raw, CALIBRATION, "ls", row_reference=row_reference)[0])
     along_rows = np.asarray(slot["ls"][21:61, 21:61]).mean(axis=1).std()
     assert (along_rows > 3) == (row_noise_dn > 0 and not row_reference)
+
+
+def test_row_noise_that_begins_while_frames_stream_is_taken_off_after_the_next_test() -> None:
+    random = np.random.default_rng(5)
+    live = LiveImages(SHAPE, CALIBRATION, LiveView())
+    slot = slot_of(live)
+    spread = []
+    for number in range(ROW_TEST_INTERVAL_FRAMES + 1):
+        rows = random.normal(0, 6 if number else 0, (100, 1))
+        raw = np.clip(30 + rows + random.normal(0, 1, SHAPE), 0, 255).astype(np.uint8)
+        live.add(raw, number)
+        live.fill(raw, slot)
+        spread.append(np.asarray(slot["ls"][21:61, 21:61]).mean(axis=1).std())
+    assert spread[0] < 1
+    assert min(spread[1:-1]) > 3
+    assert spread[-1] < 3
 
 
 def test_kernels_for_frames_with_row_noise_are_compiled_before_the_first_frame(monkeypatch: pytest.MonkeyPatch) -> None:

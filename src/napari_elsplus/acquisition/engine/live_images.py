@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 DISPLAY_SLOTS: Final = 6
 """Images in the display's ring; chosen: a tenth of a second at 60 Hz for a reader to copy one."""
+ROW_TEST_INTERVAL_FRAMES: Final = 128
+"""Frames from one test for row noise to the next; chosen: half a second, and a hundredth of the cost of a test."""
 RAW: Final = "raw"
 _WHITE: Final = 255
 """Grey level of saturated pixels; derived, the largest of 8 bits."""
@@ -137,7 +139,11 @@ class LiveImages:
         if not view.background:
             calibration = calibration.model_copy(update={"background": None})
         self._sectioner = sectioner = Sectioner(
-            calibration, frame_shape, on_camera_grid=True, row_reference=view.row_reference
+            calibration,
+            frame_shape,
+            on_camera_grid=True,
+            row_reference=view.row_reference,
+            row_test_interval=ROW_TEST_INTERVAL_FRAMES,
         )
         calibration = _on_camera_grid(calibration, sectioner)
         self._finish = finishing(calibration, sectioner, cores=view.cores, flat_field=view.flat_field)
@@ -154,7 +160,7 @@ class LiveImages:
         self._first = True
         self._finished = np.zeros(square, np.float32)
         with ordinary_priority():
-            self._warm_up(frame_shape)
+            self._warm_up(sectioner, frame_shape)
 
     @property
     def averages(self) -> bool:
@@ -202,7 +208,7 @@ class LiveImages:
             np.copyto(arrays[mode.value], self._finish(self._finished))
         return Measures(saturated, focus(arrays[Mode.ELS.value]) if Mode.ELS in self._modes else np.nan)
 
-    def _warm_up(self, frame_shape: tuple[int, int]) -> None:
+    def _warm_up(self, sectioner: Sectioner, frame_shape: tuple[int, int]) -> None:
         """Compile all kernels and touch all memory before the first frames, of which the second has row noise."""
         blank = np.zeros(frame_shape, np.uint8)
         noisy = blank + np.random.default_rng(0).integers(0, 9, (len(blank), 1), np.uint8)
@@ -210,6 +216,7 @@ class LiveImages:
         for number, frame in enumerate((blank, noisy)):
             self.add(frame, number)
             self.fill(frame, slot)
+            sectioner.retest_row_noise()
         self._first, self._confocal_number, self._last_number = True, None, None
 
 

@@ -220,7 +220,8 @@ def measure_offset(
     raw: NDArray[Any] = np.asarray(frames[0]) if alone else mean_frame(frames)
     saturated_share(frames[0], "image of the line")
     reference = RowReference(unlit_pixels(raw, background, _discs(pair), near.lit_columns if near else []), background)
-    frame = reference.without_row_noise(raw)
+    noisy = reference.some_show_noise(frames)
+    frame = reference.without_row_noise(raw) if noisy else raw
     place = near or pair
     if place is None:
         split = column_between_views(np.subtract(frame, 0 if background is None else background, dtype=np.float32))
@@ -243,7 +244,7 @@ def measure_offset(
     if len(frames) < MIN_SCATTER_FRAMES:
         return found
     views = (lines[0], slice(0, split)), (lines[1], slice(split, None))
-    single = (reference.without_row_noise(frames[k]) for k in range(len(frames)))
+    single = (reference.without_row_noise(frames[k]) if noisy else frames[k] for k in range(len(frames)))
     shifts = relative_shifts(views, frame, single, background)
     unsteady_rows = float(np.std(shifts, ddof=1) / np.sqrt(len(frames)))
     uncertainty_rows = float(np.hypot(found.uncertainty_rows, unsteady_rows))
@@ -313,10 +314,10 @@ def map_galvo(
     reference, place = RowReference(dark, background), pair or offset
     collector = None if place is None else LightCollector(painted.shape, place.split, place.view_offset)
     max_chord_px = MAX_CHORD * (split - float(dark[0, :split].sum()) if pair is None else pair.confocal.diameter_px)
-    every = -(-len(frames) // LIT_FRAMES)
+    every, noisy = -(-len(frames) // LIT_FRAMES), reference.some_show_noise(frames)
     lines = []
     for number in progress(range(len(frames))):
-        frame = reference.without_row_noise(frames[number])
+        frame = reference.without_row_noise(frames[number]) if noisy else frames[number]
         line = visible_line(frame[:, :split], None if background is None else background[:, :split])
         lines.append(line)
         if collector is None or line is None or number % every:

@@ -12,10 +12,22 @@ Thrapp and Hughes, J. Biomed. Opt. 26, 056501 (2021), doi:10.1117/1.JBO.26.5.056
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Final
+from typing import TYPE_CHECKING, Final, Protocol
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 FRAMES_PER_IMAGE: Final = 2
 """Raw frames per ELSA image: one for each view (definition of the method)."""
+
+
+class Frames(Protocol):
+    """Sequence of raw frames (rows, cols): an array (T, rows, cols), a list, an open recording."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> NDArray[np.generic]: ...
 
 
 def elsa_frames(index: int) -> tuple[int, int]:

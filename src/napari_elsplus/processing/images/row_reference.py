@@ -7,6 +7,7 @@ beside the laser line may be brighter than the line's rim, and a dark row longer
 from __future__ import annotations
 
 from functools import cached_property
+from math import ceil, floor
 from typing import TYPE_CHECKING, Any, Final
 
 import cv2
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.images.modes import Frames
 
     Image = NDArray[np.float32]
     Mask = NDArray[np.float32]
@@ -43,7 +45,7 @@ DARK_LIGHT: Final = 0.1
 """Part of the brightest columns' light up to which a column counts as dark; chosen."""
 
 
-def dark_pixels(shape: tuple[int, int], discs: Iterable[tuple[tuple[float, float], float]]) -> Mask:
+def dark_pixels(shape: tuple[int, ...], discs: Iterable[tuple[tuple[float, float], float]]) -> Mask:
     """Return 1 in the pixels outside of the discs and of `RIM_MARGIN_PX` around them, 0 inside, (rows, cols) float32.
 
     Parameters
@@ -53,10 +55,14 @@ def dark_pixels(shape: tuple[int, int], discs: Iterable[tuple[tuple[float, float
     discs : iterable of tuple
         Centre (row, col) and diameter in pixels of each.
     """
-    row, col = np.ogrid[: shape[0], : shape[1]]
     dark = np.ones(shape, np.float32)
     for centre, diameter_px in discs:
-        dark[np.hypot(row - centre[0], col - centre[1]) <= diameter_px / 2 + RIM_MARGIN_PX] = 0
+        radius = diameter_px / 2 + RIM_MARGIN_PX
+        rows = np.arange(max(ceil(centre[0] - radius), 0), min(floor(centre[0] + radius) + 1, shape[0]))
+        half = np.sqrt(radius**2 - np.square(rows - centre[0]))
+        first, stop = np.ceil(centre[1] - half), np.floor(centre[1] + half) + 1
+        for row, *lit in zip(rows, *np.clip((first, stop), 0, shape[1]).astype(int), strict=True):
+            dark[row, slice(*lit)] = 0
     return dark
 
 
@@ -72,11 +78,13 @@ def dark_columns(frame: Image) -> Mask:
     return np.broadcast_to((~lit).astype(np.float32), frame.shape)
 
 
+TESTED_FRAMES: Final = 4
+"""Frames of a recording that are tested for row noise; chosen: its amplitude is the camera's, and does not change."""
 STRAY_LIGHT_ROWS: Final = 61
 """Rows of the running median that images keep of their dark pixels; chosen: stray light varies over more."""
 
 
-def reference_of_rows(calibration: Calibration, frame_shape: tuple[int, int]) -> RowReference:
+def reference_of_rows(calibration: Calibration, frame_shape: tuple[int, ...], test_interval: int = 1) -> RowReference:
     """Return the reference for row noise of the frames of a calibrated region.
 
     Parameters
@@ -85,10 +93,26 @@ def reference_of_rows(calibration: Calibration, frame_shape: tuple[int, int]) ->
         With its bundle section.
     frame_shape : tuple of int
         Rows and columns of the raw frames.
+    test_interval : int
+        As of :class:`RowReference`.
     """
     bundle = calibration.measured_bundle
     discs = [(centre, bundle.diameter_px) for centre in (bundle.confocal_centre, bundle.residual_centre)]
-    return RowReference(dark_pixels(frame_shape, discs), calibration.background, STRAY_LIGHT_ROWS)
+    dark = dark_pixels(frame_shape, discs)
+    return RowReference(dark, calibration.background, STRAY_LIGHT_ROWS, test_interval)
+
+
+def shows_row_noise(frames: Frames, calibration: Calibration) -> bool:
+    """Return True if one of a few frames of a recording shows row noise.
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols) of one setting of the camera.
+    calibration : Calibration
+        Of the rig that recorded them; with its bundle section.
+    """
+    return reference_of_rows(calibration, frames[0].shape).some_show_noise(frames)
 
 
 class RowReference:
@@ -102,6 +126,8 @@ class RowReference:
         Mean frame of the dark tube, (rows, cols), which will be taken off: what it contains is left in the frames.
     smooth_rows : int, optional
         Width of a running median of the rows that is left in the frames, as stray light; by default all but the median.
+    test_interval : int
+        Frames from one test for row noise to the next; those between are taken to have it as the last tested one.
 
     Notes
     -----
@@ -119,7 +145,14 @@ class RowReference:
     True
     """
 
-    def __init__(self, dark: Mask, background: Image | None = None, smooth_rows: int | None = None) -> None:
+    def __init__(
+        self,
+        dark: Mask,
+        background: Image | None = None,
+        smooth_rows: int | None = None,
+        test_interval: int = 1,
+    ) -> None:
+        self._test_interval, self._until_test, self._noisy = test_interval, 0, False
         self._dark, self._background, self._smooth_rows = dark, background, smooth_rows
         self._every = max(1, dark.shape[0] // SAMPLED_ROWS)
         some = None if background is None else background[:: self._every]
@@ -130,9 +163,25 @@ class RowReference:
     def _all(self) -> _Columns:
         return _Columns(self._dark, self._background, 1, self._smooth_rows)
 
+    def shows_noise(self, frame: NDArray[np.generic]) -> bool:
+        """Return True if a part of the rows and columns of a frame (rows, cols) shows row noise."""
+        return self._some.row_noise(frame[:: self._every]) is not None
+
+    def some_show_noise(self, frames: Frames) -> bool:
+        """Return True if one of `TESTED_FRAMES` frames (rows, cols) of a series shows row noise."""
+        numbers = np.unique(np.linspace(0, len(frames) - 1, TESTED_FRAMES).round().astype(int)).tolist()
+        return any(self.shows_noise(frames[number]) for number in numbers)
+
+    def retest(self) -> None:
+        """Test the next frame, however many frames ago the last test was."""
+        self._until_test = 0
+
     def without_row_noise(self, frame: NDArray[np.generic]) -> NDArray[np.generic]:
         """Return a frame (rows, cols) less its row noise, float32; the frame itself where it has none."""
-        if self._some.row_noise(frame[:: self._every]) is None:
+        if not self._until_test:
+            self._noisy, self._until_test = self.shows_noise(frame), self._test_interval
+        self._until_test -= 1
+        if not self._noisy:
             return frame
         noise = self._all.row_noise(frame)
         return frame if noise is None else np.subtract(frame, noise[:, None], dtype=np.float32)

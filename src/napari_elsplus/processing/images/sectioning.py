@@ -8,13 +8,14 @@ background.
 from __future__ import annotations
 
 from math import ceil
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.processing.images.fused import FusedSections
 from napari_elsplus.processing.images.hot_pixels import HotPixels
+from napari_elsplus.processing.images.modes import Frames as Frames
 from napari_elsplus.processing.images.modes import Mode as Mode
 from napari_elsplus.processing.images.resampling import Resampler
 from napari_elsplus.processing.images.residual_gain import inverse_gain_map
@@ -30,14 +31,6 @@ if TYPE_CHECKING:
 LINE_FIELD: Final = 0.96
 """Part of the bundle's diameter in which the residual's line must stand where the frame cuts the views; measured on two
 simulated recordings of cut views: between 0.93 and 0.97 correlation and tracking are best."""
-
-
-class Frames(Protocol):
-    """Sequence of raw frames (rows, cols): an array (T, rows, cols), a list, an open recording."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, index: int, /) -> NDArray[np.generic]: ...
 
 
 def side_px(diameter_px: float) -> int:
@@ -89,6 +82,8 @@ class Sectioner:
         Do not resample the confocal view: the grid is the camera's, which takes a third less time.
     row_reference : bool
         Take the camera's row noise off frames whose dark pixels show it.
+    row_test_interval : int
+        Frames from one test for row noise to the next.
 
     Attributes
     ----------
@@ -118,6 +113,7 @@ class Sectioner:
         *,
         on_camera_grid: bool = False,
         row_reference: bool = False,
+        row_test_interval: int = 1,
     ) -> None:
         bundle = calibration.measured_bundle
         _check_fits(calibration, frame_shape)
@@ -147,7 +143,7 @@ class Sectioner:
             self.subtracted = self.seen & _line_within_bundle(calibration, self.side)
         residual_brightness[self.inside & ~self.subtracted] = np.nan
         self._hot_pixels = HotPixels(calibration.background)
-        self._rows = reference_of_rows(calibration, frame_shape) if row_reference else None
+        self._rows = reference_of_rows(calibration, frame_shape, row_test_interval) if row_reference else None
         background = None if calibration.background is None else self._hot_pixels.mended(calibration.background)
         confocal_resampler = Resampler(grid_to_confocal[:2], self.side)
         residual_resampler = self._residual_resampler(calibration, grid_to_residual[:2])
@@ -237,6 +233,11 @@ class Sectioner:
             residual = self._residual.extract(raw_residual, self._scratch if residual is None else residual)
         if els is not None:
             np.subtract(ls, residual, out=els)  # type: ignore[arg-type]
+
+    def retest_row_noise(self) -> None:
+        """Test the next frame for row noise, however many frames ago the last test was."""
+        if self._rows is not None:
+            self._rows.retest()
 
     def _mended(self, raw: NDArray[np.generic]) -> NDArray[np.generic]:
         """Return a raw frame without its hot pixels and row noise; the frame itself if it has none."""

@@ -245,7 +245,15 @@ class DistortionMatcher:
         return DistortedFit(coefficients, basis, influence, float(np.corrcoef(target, found)[0, 1]))
 
     def sample(self, coefficients: Floats, by: Floats) -> Image:
-        """Return the contrast of the residual view on the grid, (side, side), for a map (2, 10) and a displacement."""
+        """Return the contrast of the residual view on the grid, (side, side), for a map.
+
+        Parameters
+        ----------
+        coefficients : numpy.ndarray
+            (2, 10) map, as in :class:`DistortedFit`.
+        by : numpy.ndarray
+            Displacement (row, col) that is added, px.
+        """
         moved = coefficients.copy()
         moved[:, 0] += by
         return warped(self.matcher.contrast, self.positions(moved))
