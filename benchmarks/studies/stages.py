@@ -11,7 +11,7 @@ from benchmarks.harness.running import thread_clock
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
-from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.tracking.front_end.grid import Grid
-    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
     from napari_elsplus.processing.tracking.template_tracking import TemplateTracker
 
     Image = NDArray[np.float32] | NDArray[np.uint8]
@@ -45,18 +44,10 @@ class _TimedRegistrar(Registrar):
         """Begin a frame."""
         self.spent = dict.fromkeys((LINK, SEARCH, MODEL), 0.0)
 
-    def prepare(self, view: PreparedFrame) -> PreparedFrame:
-        """Time the pyramid with the link."""
+    def link(self, *arguments: Any, **options: Any) -> PairRegistration:
+        """Time a registration and its odds, the pyramid included."""
         start = self._clock()
-        super().prepare(view)
-        if not self._searching:
-            self.spent[LINK] += self._clock() - start
-        return view
-
-    def link(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> PairRegistration:
-        """Time a registration and its odds."""
-        start = self._clock()
-        link = super().link(earlier, later, motion)
+        link = super().link(*arguments, **options)
         if not self._searching:
             self.spent[LINK] += self._clock() - start
         return link

@@ -306,13 +306,15 @@ class Tracker:
         if self.model is not MotionModel.TRANSLATION:
             return self._turned_link(earlier, here, motion, self.model)
         if self._motion.known:
-            link = self.registrar.link(earlier.view, here.view, motion)
+            link = self.registrar.link(earlier.view, here.view, motion, SURE_CORRELATION)
             if link.correlation > SURE_CORRELATION and self._accepted(link):
                 return link
             turned = self._suddenly_turned(earlier, here, motion, link)
             if turned is not None:
                 return turned
-        found = self.registrar.search(earlier.view, here.view, motion, _reach(motion), min_odds_nats)
+        found = self.registrar.search(
+            earlier.view, here.view, motion, _reach(motion), min_odds_nats, self._min_correlation
+        )
         if found is None or not self._accepted(found, min_odds_nats):
             return None
         turned = None if found.correlation > SURE_CORRELATION else self._suddenly_turned(earlier, here, motion, found)
@@ -350,7 +352,12 @@ class Tracker:
 
     def _accepted(self, link: PairRegistration, min_odds_nats: float = MIN_ODDS_NATS) -> bool:
         """Return True if the odds suffice and the frames correlate about as well as frames did so far."""
-        return link.reaches(min_odds_nats) and not link.correlation < self._usual - FALL_OF_CORRELATION
+        return link.reaches(min_odds_nats) and not link.correlation < self._min_correlation
+
+    @property
+    def _min_correlation(self) -> float:
+        """Correlation that registrations need: somewhat less than the usual one; 0 before any was accepted."""
+        return 0.0 if isnan(self._usual) else self._usual - FALL_OF_CORRELATION
 
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose and velocity; return False if the probe moved too unevenly within the frames."""

@@ -177,7 +177,9 @@ class Registrar:
         fill_levels(view.arrays, self._tools.pyramid)
         return view
 
-    def link(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> PairRegistration:
+    def link(
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0
+    ) -> PairRegistration:
         """Register two frames from the expected warp.
 
         Parameters
@@ -186,21 +188,34 @@ class Registrar:
             Prepared frames.
         motion : MotionPrior
             Prior of the motion between them.
+        min_correlation : float
+            Correlation that is needed: without it the odds are not computed, and minus infinity.
         """
-        return self._refined(earlier, later, motion, motion.warp, LEVELS - 1)
+        return self._refined(earlier, later, motion, motion.warp, LEVELS - 1, min_correlation)
 
     def _refined(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp, coarsest: int
-    ) -> PairRegistration:
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp, coarsest: int,
+        min_correlation: float,
+    ) -> PairRegistration:  # fmt: skip
         information = np.empty((4, 4))
-        register(earlier.arrays, later.arrays, motion, start, coarsest, self._tools, information, self._found)
+        register(
+            earlier.arrays,
+            later.arrays,
+            motion,
+            start,
+            coarsest,
+            min_correlation,
+            self._tools,
+            information,
+            self._found,
+        )
         a, b, s, d, correlation, odds, row, col, variance = self._found.tolist()
         overlap = overlap_of_discs(hypot(b, d) / (FIELD * self.grid.diameter))
         return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
 
     def search(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, reach_px: float,
-        min_odds_nats: float = -inf,
+        min_odds_nats: float = -inf, min_correlation: float = 0.0,
     ) -> PairRegistration | None:  # fmt: skip
         """Register two frames over all shifts; None where no shift is supported at all.
 
@@ -214,32 +229,32 @@ class Registrar:
             Scale of the heavy-tailed prior of the shift.
         min_odds_nats : float
             Odds that are needed: None also where competing shifts alone leave less, before any is refined.
+        min_correlation : float
+            As in :meth:`link`.
         """
         for view in (earlier, later):
             fill_levels(view.arrays, self._tools.pyramid)
         warps: list[Warp] = []
-        expected, scratch = np.array(motion.warp), np.empty((4, 4))
-        for b, d in self._everywhere.peaks(self._coarse(earlier), self._coarse(later), motion.warp, reach_px):
+        expected, terms, tools, scratch = motion.warp, motion.terms, self._tools, np.empty((4, 4))
+        for b, d in self._everywhere.peaks(self._coarse(earlier), self._coarse(later), expected, reach_px).tolist():
             warp = np.array(motion.at(b, d))
             correlation, _, _ = descend(
-                earlier.levels, later.levels, self._tools.lit, self._tools.middles, 1, 1, expected, motion.terms, warp,
-                scratch, self._tools.work,
+                earlier.levels, later.levels, tools.lit, tools.middles, 1, 1, np.array(expected), terms, warp, scratch,
+                tools.work,
             )  # fmt: skip
             if correlation > 0:
                 warps.append(Warp(*warp.tolist()))
         if not warps:
             return None
-        nats = log_likelihoods(
-            earlier.levels[1], later.levels[1], self._spans[1], self._centre[0], warps, self._tools.sums
-        )
-        priors = [float(prior(warp.b - expected[1], warp.d - expected[3], reach_px)) for warp in warps]
+        nats = log_likelihoods(earlier.levels[1], later.levels[1], self._spans[1], self._centre[0], warps, tools.sums)
+        priors = [prior(warp.b - expected.b, warp.d - expected.d, reach_px) for warp in warps]
         found = [(like + before, warp) for like, before, warp in zip(nats, priors, warps, strict=True)]
         highest, best = max(found)
         others = [nats for nats, warp in found if hypot(warp.b - best.b, warp.d - best.d) > COMPETING_PX]
         competing = sum(exp(max(nats - highest, -700.0)) for nats in others)
         if competing > 0 and -log(competing) < min_odds_nats:
             return None
-        link = self._refined(earlier, later, motion, best, 1)
+        link = self._refined(earlier, later, motion, best, 1, min_correlation)
         against = exp(-min(max(link.odds, -700.0), 700.0)) + competing
         return link._replace(odds=-log(max(against, 1e-300)))
 
@@ -335,7 +350,7 @@ class Registrar:
         sigma = inf
         for _ in range(_TURNS):
             upright = self.turned(earlier, before, turn, zoom, scratch)
-            link = self._refined(upright, later, motion, start, LEVELS - 1)
+            link = self._refined(upright, later, motion, start, LEVELS - 1, 0.0)
             if reach_px is not None and not link.observed:
                 link = self.search(upright, later, motion, reach_px)
             left = turn - rotation[0], turn_spread

@@ -89,6 +89,7 @@ def register(
     prior: MotionPrior,
     start: Warp,
     coarsest: int,
+    min_correlation: float,
     tools: Tools,
     information: NDArray[np.float64],
     found: NDArray[np.float64],
@@ -105,6 +106,8 @@ def register(
         Where to start.
     coarsest : int
         Level at which to start.
+    min_correlation : float
+        Correlation that is needed: without it the odds are not computed, and minus infinity.
     tools : Tools
         For frames on this grid.
     information : numpy.ndarray
@@ -122,7 +125,7 @@ def register(
     correlation, count, sharp = descend(
         earlier.images, later.images, lit, middles, coarsest, 0, expected, terms, warp, information, work
     )
-    odds = 0.0
+    odds = -np.inf
     if sharp:
         odds = min(-0.5 * count / CORRELATED_PX * np.log(max(1 - correlation * correlation, 1e-12)), 700.0)
     elif correlation > 0:
@@ -134,11 +137,12 @@ def register(
             (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), lit, middles, 0, 0,
             expected, terms, warp, information, work,
         )  # fmt: skip
-        side = len(half)
-        odds = log_odds(
-            half, later_half, lit[1, 0, :side], lit[1, 1, :side], middles[1], warp, information, expected, terms, sums,
-            work,
-        )  # fmt: skip
+        if correlation > min_correlation:
+            side = len(half)
+            odds = log_odds(
+                half, later_half, lit[1, 0, :side], lit[1, 1, :side], middles[1], warp, information, expected, terms,
+                sums, work,
+            )  # fmt: skip
     velocity, variance, of_stretch, of_shift = velocity_given(prior, Warp(warp[0], warp[1], warp[2], warp[3]))
     found[4], found[5], found[6], found[7] = correlation, odds, velocity.row, velocity.col
     found[8] = variance + _variance_along(information, of_stretch, of_shift, work)
