@@ -240,7 +240,7 @@ class U3vStream:
         with self._changed:
             if self._wait:
                 self._changed.wait_for(lambda: self._free or self._stopping.is_set())
-            return self._free.popleft() if self._free else self._spill
+            return self._free.pop() if self._free else self._spill  # the last one read is still in the caches
 
     def _read_small(self) -> bytes | None:
         """Return a leader or trailer; None if none came within `POLL_MS`, or the packet was empty."""
