@@ -17,6 +17,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import RecordingWriter, open_recording, read_calibration
 from napari_elsplus.io.formats.tiff_pages import PageLayout
+from napari_elsplus.io.recorder import RESERVED_BYTES
 
 CALIBRATION = Calibration.parse(
     {
@@ -249,3 +250,14 @@ def test_what_is_flushed_leaves_the_systems_memory(tmp_path, monkeypatch):
             writer.append(frame(k), k / 240, k)
         writer._flush()
         assert released == [(0, PageLayout((30, 47), np.dtype(np.uint8)).start(3), os.POSIX_FADV_DONTNEED)]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="space is reserved on Linux alone")
+def test_the_space_that_is_reserved_while_recording_is_given_back(tmp_path):
+    path = tmp_path / "a.ome.tif"
+    with RecordingWriter(path, (20, 30), np.uint8) as writer:
+        writer.append(np.zeros((20, 30), np.uint8), 0.0, 0)
+        size, taken = path.stat().st_size, 512 * path.stat().st_blocks
+        assert size < 10_000
+        assert taken >= RESERVED_BYTES or taken < 100_000  # not every file system can
+    assert 512 * path.stat().st_blocks < 100_000
