@@ -8,13 +8,13 @@ re-rendered one by one.
 from __future__ import annotations
 
 import time
+from functools import lru_cache
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.node_registration import FrameRegistration
-from napari_elsplus.processing.tracking.pose_graph.prepared_frames import RecentFrames
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
 
 if TYPE_CHECKING:
@@ -114,9 +114,9 @@ class LoopClosureThread(Thread):
         super().__init__(name="loops", daemon=True)
         self._track = track
         self._registrar = Registrar(grid)
-        self._graph = PoseGraph(grid, FrameRegistration(self._registrar), self._prepare)
+        self._graph = PoseGraph(grid, FrameRegistration(self._registrar), self._view)
         self._kept: dict[int, Keyframe] = {}
-        self._prepared = RecentFrames(self._registrar, _MAX_PREPARED)
+        self._prepared = lru_cache(_MAX_PREPARED)(self._prepare)
         self._queue: SimpleQueue[NewNode | Event | int | None] = SimpleQueue()
         self._due_s = 0.0
         self._changed = False
@@ -197,8 +197,11 @@ class LoopClosureThread(Thread):
         end_s = time.perf_counter()
         self._due_s = end_s + (end_s - begin_s) * (1 - TIME_SHARE) / TIME_SHARE
 
-    def _prepare(self, number: int) -> PreparedFrame | None:
+    def _view(self, frame: int) -> PreparedFrame | None:
         """Return the prepared frame of a node, if its keyframe is still there."""
-        frame = self._graph.nodes[number].frame
-        prepared, kept = self._prepared.get(frame), self._kept.get(frame)
-        return prepared if prepared is not None or kept is None else self._prepared.add(frame, kept.image)
+        return self._prepared(frame) if frame in self._kept else None
+
+    def _prepare(self, frame: int) -> PreparedFrame:
+        view = self._registrar.view()
+        self._kept[frame].image(view.image)
+        return self._registrar.prepare(view)

@@ -6,14 +6,17 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, line_offset_px
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
-from napari_elsplus.processing.tracking.pose_graph.prepared_frames import RecentFrames
+from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
+from napari_elsplus.processing.tracking.pose_graph.node_registration import FrameRegistration
 from napari_elsplus.processing.tracking.pose_graph.refinement import refine
+from napari_elsplus.processing.tracking.pose_graph.rotation_review import review_rotation
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 from napari_elsplus.processing.tracking.registration.shutter_timing import (
     LinePeriodsPerFrame,
@@ -177,13 +180,17 @@ class RegistrationTracking(FrontEndImages):
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         """Return the poses of the solved pose graph: loops closed, segments joined; see :class:`TrackingMethod`."""
-        registrar = self._tracker.registrar
-        prepared = RecentFrames(registrar, _MAX_PREPARED_FRAMES)
+        registrar, links, model = self._tracker.registrar, self._tracker.links, self._tracker.model
 
+        @lru_cache(_MAX_PREPARED_FRAMES)
         def frame(index: int) -> PreparedFrame:
-            return prepared.get(index) or prepared.add(index, lambda out: np.copyto(out, image(index)))
+            view = registrar.view()
+            view.image[:] = image(index)
+            return registrar.prepare(view)
 
-        return refine(poses, self._tracker.links, registrar, frame, self._tracker.model)
+        if model is MotionModel.TRANSLATION:
+            model = review_rotation(links, registrar, frame)
+        return refine(poses, links, PoseGraph(registrar.grid, FrameRegistration(registrar), frame), model)
 
 
 class WithoutPoseGraph:

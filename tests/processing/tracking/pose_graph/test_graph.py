@@ -46,7 +46,7 @@ def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
     front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
     tracker, trail = Tracker(front_end.grid), KeyframeSelector(front_end.grid)
     registrar, views, images = Registrar(front_end.grid), {}, {}
-    graph = PoseGraph(front_end.grid, FrameRegistration(registrar), lambda number: views[graph.nodes[number].frame])
+    graph = PoseGraph(front_end.grid, FrameRegistration(registrar), views.__getitem__)
     found: list[tuple[int, Pose]] = []
     recognised = 0
     for k, frame in enumerate(truth().frames):

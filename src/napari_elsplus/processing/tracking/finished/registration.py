@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import hypot, log, nan
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
@@ -12,13 +12,12 @@ import numpy as np
 from napari_elsplus.processing.tracking.finished.shift_odds import MIN_ODDS_NATS, ShiftOdds, SpectraOfImage
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
 from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge
-from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
+from napari_elsplus.processing.tracking.pose_graph.node_registration import edge_covariance
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.finished.field import FinishedField
@@ -35,69 +34,47 @@ _REFINED_CELLS: Final = 1.0
 cell, while deforming tissue has no single shift, and a few bright details pull the refined one several pixels away."""
 _SEARCH_SIGMA_CELLS: Final = 0.5
 """Standard deviation of a searched shift; chosen, about what parabolic peaks of soft texture scatter by."""
-_FLOOR_PX: Final = 0.01
-"""Standard deviation of a displacement that no registration undercuts, pixels; chosen, as of raw frames."""
+_RIGID: Final = 1e12
+"""Information on stretch and shear, of which images without a rolling shutter have none."""
 _MARGIN_PX: Final = 4.0
 """Margin of the high-passed images about the field, pixels of its diameter: the slopes at its edge need it."""
 _AT_REST: Final = Velocity(0.0, 0.0)
 
 
 @dataclass(slots=True)
-class FinishedFrame:
-    """A finished image, prepared.
+class FinishedFrame(PreparedFrame):
+    """A finished image, binned as raw frames are for the refinement.
 
     Parameters
     ----------
     index : int
         Number of the frame.
-    view : PreparedFrame
-        Binned as raw frames are, for the refinement.
     spectra : SpectraOfImage
         Of its logarithm, for the search.
     row, col : float
-        Position in its segment, pixels of the images; nan where it has none.
+        Position in its segment, pixels of the binned image; nan where it has none.
     """
 
-    index: int
-    view: PreparedFrame
-    spectra: SpectraOfImage
+    index: int = field(kw_only=True)
+    spectra: SpectraOfImage = field(kw_only=True)
     row: float = nan
     col: float = nan
 
 
-@dataclass(frozen=True, slots=True)
-class FinishedLink:
-    """An accepted registration.
-
-    Parameters
-    ----------
-    edge : Edge
-        Displacement of the probe from the earlier to the later frame, pixels of the images.
-    score : float
-        Correlation of the overlap.
-    sigma : float
-        Larger axis of the covariance, pixels.
-    """
-
-    edge: Edge
-    score: float
-    sigma: float
-
-
 class FinishedRegistration:
-    """Registers finished images of one field.
+    """Registers finished images of one field; implements :class:`~.node_registration.NodeRegistration`.
 
     Parameters
     ----------
-    field : FinishedField
+    stack : FinishedField
         Field of view and static pattern of the stack.
     """
 
-    def __init__(self, field: FinishedField) -> None:
-        self._field = field
-        self._odds = ShiftOdds(field.mask, field.coarse_diameter)
-        self.binning = max(1, round(FIELD * field.grid.diameter / REFINED_DIAMETER_PX))
-        grid = _binned(field.grid, self.binning)
+    def __init__(self, stack: FinishedField) -> None:
+        self._field = stack
+        self._odds = ShiftOdds(stack.mask, stack.coarse_diameter)
+        self.binning = max(1, round(FIELD * stack.grid.diameter / REFINED_DIAMETER_PX))
+        grid = _binned(stack.grid, self.binning)
         self._registrar = Registrar(grid, FIELD + _MARGIN_PX / grid.diameter)
 
     @property
@@ -119,10 +96,11 @@ class FinishedRegistration:
         side, used = len(view.image), len(view.image) * self.binning
         binned = cv2.resize(image[:used, :used], (side, side), interpolation=cv2.INTER_AREA)
         view.image[:] = cv2.sepFilter2D(binned, -1, _BINOMIAL, _BINOMIAL) if self.binning > 1 else binned
+        self._registrar.prepare(view)
         spectra = self._odds.spectra(self._field.coarse_logarithm(image))
-        return FinishedFrame(index, self._registrar.prepare(view), spectra)
+        return FinishedFrame(view.levels, view.high_passed, view.smooth, index=index, spectra=spectra)
 
-    def register(self, earlier: FinishedFrame, later: FinishedFrame, more_odds: float = 0.0) -> FinishedLink | None:
+    def link(self, earlier: FinishedFrame, later: FinishedFrame, more_odds: float = 0.0) -> PairRegistration | None:
         """Register two frames over all shifts; None where the odds are less than needed.
 
         Parameters
@@ -135,81 +113,46 @@ class FinishedRegistration:
         found = self._odds.best(earlier.spectra, later.spectra)
         if found.odds < MIN_ODDS_NATS + more_odds:
             return None
-        px = self._field.pixels_per_cell
-        refined = self.refined(earlier, later, (-found.row * px, -found.col * px))
+        cell_px = self._field.pixels_per_cell / self.binning
+        shift = Warp(b=found.row * cell_px, d=found.col * cell_px)
+        refined = self.refined(earlier, later, shift)
         if refined is not None:
-            return FinishedLink(refined.edge, found.correlation, refined.sigma)
-        sigma = _SEARCH_SIGMA_CELLS * px
-        edge = Edge(earlier.index, later.index, (-found.row * px, -found.col * px), sigma**2 * np.eye(2))
-        return FinishedLink(edge, found.correlation, sigma)
+            return refined._replace(correlation=found.correlation)
+        known = (_SEARCH_SIGMA_CELLS * cell_px) ** -2
+        return PairRegistration(shift, np.diag([_RIGID, known, _RIGID, known]), found.correlation, 1.0, found.odds)
 
-    def refined(
-        self, earlier: FinishedFrame, later: FinishedFrame, displacement: tuple[float, float]
-    ) -> FinishedLink | None:
-        """Refine a displacement by Lucas-Kanade; None if that ends elsewhere, as where tissue deforms.
+    def refined(self, earlier: FinishedFrame, later: FinishedFrame, shift: Warp) -> PairRegistration | None:
+        """Refine a shift by Lucas-Kanade; None if that ends elsewhere, as where tissue deforms.
 
         Parameters
         ----------
         earlier, later : FinishedFrame
             Prepared frames.
-        displacement : tuple of float
-            Rows and columns by which the probe moved, pixels of the images.
+        shift : Warp
+            From the earlier to the later frame, pixels of the binned images.
         """
-        q = self.binning
-        moved = Displacement(displacement[0] / q, displacement[1] / q)
-        motion = MotionPrior.between((_AT_REST, _AT_REST), moved, 0.0, 1.0, self.grid.shutter)
-        fine = self._registrar.link(earlier.view, later.view, motion)
-        row, col = -q * fine.warp.b, -q * fine.warp.d
-        away_px = hypot(row - displacement[0], col - displacement[1])
-        covariance = q**2 * fine.covariance + _FLOOR_PX**2 * np.eye(2)
-        if fine.correlation <= 0 or not np.isfinite(covariance).all():
+        motion = MotionPrior.between(
+            (_AT_REST, _AT_REST), Displacement(-shift.b, -shift.d), 0.0, 1.0, self.grid.shutter
+        )
+        fine = self._registrar.link(earlier, later, motion)
+        away_px = hypot(fine.warp.b - shift.b, fine.warp.d - shift.d) * self.binning
+        if fine.correlation <= 0 or not np.isfinite(fine.covariance).all():
             return None
-        if away_px > _REFINED_CELLS * self._field.pixels_per_cell:
-            return None
-        sigma = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
-        return FinishedLink(Edge(earlier.index, later.index, (row, col), covariance), fine.correlation, sigma)
+        return None if away_px > _REFINED_CELLS * self._field.pixels_per_cell else fine
 
-
-class FinishedNodes:
-    """Registers nodes that are finished images; implements :class:`~.node_registration.NodeRegistration`.
-
-    Parameters
-    ----------
-    registration : FinishedRegistration
-        Registers two frames.
-    frame : callable
-        Returns the prepared frame of a node by its number.
-    pairs : int
-        Number of pairs of nodes that may be compared.
-    """
-
-    def __init__(self, registration: FinishedRegistration, frame: Callable[[int], FinishedFrame], pairs: int) -> None:
-        self._registration, self._frame = registration, frame
-        self._more_odds = log(max(pairs, 1))
-
-    def beside(
-        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: tuple[PreparedFrame, PreparedFrame],
-        expected: Displacement, turn: float, model: MotionModel,
+    def register(
+        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: tuple[Any, Any], expected: Displacement,
+        turn: float, model: MotionModel, *, anywhere: bool,
     ) -> Edge | None:  # fmt: skip
-        """Register two nodes: :meth:`NodeRegistration.beside`; neither velocity nor rotation is modelled."""
-        return self._edge(numbers, 0.0)
+        """Register two nodes: :meth:`~.NodeRegistration.register`; neither velocity nor rotation is modelled.
 
-    def anywhere(
-        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: tuple[PreparedFrame, PreparedFrame],
-        expected: Displacement, turn: float, model: MotionModel,
-    ) -> Edge | None:  # fmt: skip
-        """Register two nodes of different segments, which needs more odds the more pairs there are.
-
-        Parameters are those of :meth:`NodeRegistration.beside`.
+        The more pairs of different segments there are, the more odds are needed.
         """
-        return self._edge(numbers, self._more_odds)
-
-    def _edge(self, numbers: tuple[int, int], more_odds: float) -> Edge | None:
-        link = self._registration.register(self._frame(numbers[0]), self._frame(numbers[1]), more_odds)
-        if link is None:
+        found = self.link(*views, 2 * log(max(numbers)) if anywhere else 0.0)
+        if found is None:
             return None
-        q, (row, col) = self._registration.binning, link.edge.displacement
-        return Edge(*numbers, (row / q, col / q), link.edge.covariance / q**2, sure=more_odds > 0)
+        displacement = -found.warp.b, -found.warp.d
+        return Edge(*numbers, displacement, edge_covariance(found, 0.0), sure=anywhere)
 
 
 def _binned(grid: Grid, binning: int) -> Grid:

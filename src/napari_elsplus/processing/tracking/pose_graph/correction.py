@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import atan2, hypot
+from math import atan2
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -118,7 +118,7 @@ class Corrections:
             return pose
         row, col, cosine, sine = self._between(segment, np.array([frame]))[:, 0].tolist()
         into = self._newest[segment].segment
-        return Correction(into, row, col, atan2(sine, cosine), hypot(cosine, sine)).of(pose)
+        return Correction(into, row, col, atan2(sine, cosine)).of(pose)
 
     def of_frames(
         self,

@@ -69,10 +69,12 @@ class PoseGraph:
     registration : NodeRegistration
         Registers two nodes.
     view : callable
-        Returns the prepared frame of a node by its number, or None if it is no longer kept.
+        Returns the prepared frame of a node by the number of its frame, or None if it is no longer kept.
 
     Attributes
     ----------
+    grid : Grid
+        As given.
     nodes : list of Node
         In the order in which they were added.
     places : list of Pose
@@ -82,7 +84,8 @@ class PoseGraph:
     """
 
     def __init__(self, grid: Grid, registration: NodeRegistration, view: Callable[[int], PreparedFrame | None]) -> None:
-        self._registration, self._view = registration, view
+        self.grid = grid
+        self._registration, self._frame = registration, view
         self._diameter = grid.diameter
         self._index = PlaceIndex(grid)
         self.nodes: list[Node] = []
@@ -258,6 +261,9 @@ class PoseGraph:
 
     # edges
 
+    def _view(self, number: int) -> PreparedFrame | None:
+        return self._frame(self.nodes[number].frame)
+
     def _along(self, earlier: int, later: int) -> Edge:
         """Return the edge between two successive nodes of the tracker."""
         a, node = self.nodes[earlier].pose, self.nodes[later]
@@ -326,9 +332,10 @@ class PoseGraph:
         views = self._view(earlier), self._view(later)
         if views[0] is None or views[1] is None:
             return None
-        register = self._registration.anywhere if anywhere else self._registration.beside
         poses = self.places[earlier], self.places[later]
-        return register((earlier, later), poses, (views[0], views[1]), expected, turn, self._model)
+        return self._registration.register(
+            (earlier, later), poses, (views[0], views[1]), expected, turn, self._model, anywhere=anywhere
+        )
 
     def _extend(self, edges: list[Edge]) -> None:
         self._loops += edges

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import hypot, isfinite
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -16,13 +16,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
-    from napari_elsplus.processing.tracking.registration.pair_registration import (
-        PairRegistration,
-        PreparedFrame,
-        Registrar,
-    )
-
-    Views = tuple[PreparedFrame, PreparedFrame]
+    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
 
 LINK_STRETCH_PX: Final = 0.2
 """Standard deviation of the velocity of a later frame that a tracker's registration leaves, pixels per frame period."""
@@ -43,13 +37,13 @@ _FLOOR_PX: Final = 0.01
 
 
 class NodeRegistration(Protocol):
-    """Registers two nodes, given as (earlier, later) numbers, poses and prepared frames."""
+    """Registers two nodes of the pose graph."""
 
-    def beside(
-        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float,
-        model: MotionModel,
+    def register(
+        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: tuple[Any, Any], expected: Displacement,
+        turn: float, model: MotionModel, *, anywhere: bool,
     ) -> Edge | None:  # fmt: skip
-        """Register two nodes about an expected displacement; None where the frames do not determine it.
+        """Register two nodes; None where the frames do not determine their displacement.
 
         Parameters
         ----------
@@ -65,13 +59,9 @@ class NodeRegistration(Protocol):
             Expected angle of the later one less that of the earlier one, radians.
         model : MotionModel
             Model beside translations.
+        anywhere : bool
+            True to search over all shifts, for nodes of different segments.
         """
-
-    def anywhere(
-        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float,
-        model: MotionModel,
-    ) -> Edge | None:  # fmt: skip
-        """Register two nodes by a search over all shifts, with a wide prior; parameters as of :meth:`beside`."""
 
 
 class FrameRegistration:
@@ -88,55 +78,34 @@ class FrameRegistration:
         self._shutter = registrar.grid.shutter
         self._scratch = registrar.view()
 
-    def beside(
-        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float,
-        model: MotionModel,
+    def register(
+        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: tuple[Any, Any], expected: Displacement,
+        turn: float, model: MotionModel, *, anywhere: bool,
     ) -> Edge | None:  # fmt: skip
-        """Register two nodes about an expected displacement: :meth:`NodeRegistration.beside`."""
+        """Register two nodes about an expected displacement or over all shifts: :meth:`NodeRegistration.register`."""
+        velocities, reach_px = (poses[0].velocity, poses[1].velocity), _SEARCHED_PX if anywhere else None
+        motion = MotionPrior.between(velocities, expected, _VELOCITY_SIGMA, _SEARCHED_PX, self._shutter)
         link: PairRegistration | None
-        if model is MotionModel.TRANSLATION:
-            link = self._registrar.link(*views, self._motion(poses, expected))
+        if model is not MotionModel.TRANSLATION:
+            rotation = turn, poses[1].scale / poses[0].scale
+            link = self._registrar.turned_link(*views, motion, rotation, model, self._scratch, reach_px)
+        elif reach_px is None:
+            link = self._registrar.link(*views, motion)
         else:
-            link = self._turned(poses, views, expected, turn, model, None)
-        return self._edge(numbers, poses, link)
-
-    def anywhere(
-        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float,
-        model: MotionModel,
-    ) -> Edge | None:  # fmt: skip
-        """Register two nodes by a search over all shifts: :meth:`NodeRegistration.anywhere`."""
-        if model is MotionModel.TRANSLATION:
-            link = self._registrar.search(*views, self._motion(poses, expected), _SEARCHED_PX)
-        else:
-            link = self._turned(poses, views, expected, turn, model, _SEARCHED_PX)
-        if link is None or link.overlap < MIN_JOIN_OVERLAP:
-            return None
-        scores = [pose.score for pose in poses if isfinite(pose.score)]
-        if link.correlation < min(scores, default=0.0) - FALL_OF_CORRELATION:
-            return None
-        return self._edge(numbers, poses, link)
-
-    def _turned(
-        self, poses: tuple[Pose, Pose], views: Views, expected: Displacement, turn: float, model: MotionModel,
-        reach_px: float | None,
-    ) -> PairRegistration | None:  # fmt: skip
-        rotation = turn, poses[1].scale / poses[0].scale
-        return self._registrar.turned_link(
-            *views, self._motion(poses, expected), rotation, model, self._scratch, reach_px
-        )
-
-    def _motion(self, poses: tuple[Pose, Pose], expected: Displacement) -> MotionPrior:
-        velocities = poses[0].velocity, poses[1].velocity
-        return MotionPrior.between(velocities, expected, _VELOCITY_SIGMA, _SEARCHED_PX, self._shutter)
-
-    def _edge(self, numbers: tuple[int, int], poses: tuple[Pose, Pose], link: PairRegistration | None) -> Edge | None:
-        if link is None or not link.observed:
+            link = self._registrar.search(*views, motion, reach_px)
+        if link is None or not link.observed or (anywhere and not _joins(link, poses)):
             return None
         moved = self._shutter.displacement(link.warp, poses[1].velocity)
         covariance = edge_covariance(link, _VELOCITY_SIGMA / self._shutter.line_periods_per_frame)
         return Edge(
             *numbers, (moved.row, moved.col), covariance, link.turn, link.zoom, link.turn_sigma, link.certainty > SURE
         )
+
+
+def _joins(link: PairRegistration, poses: tuple[Pose, Pose]) -> bool:
+    """Return True if frames of two segments overlap enough, and correlate about as well as successive ones."""
+    lowest = min((pose.score for pose in poses if isfinite(pose.score)), default=0.0)
+    return link.overlap >= MIN_JOIN_OVERLAP and not link.correlation < lowest - FALL_OF_CORRELATION
 
 
 def edge_covariance(link: PairRegistration, stretch_sigma: float) -> NDArray[np.float64]:

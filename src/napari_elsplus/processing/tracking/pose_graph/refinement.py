@@ -8,27 +8,18 @@ import numpy as np
 
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
-from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
+from napari_elsplus.processing.tracking.pose_graph.correction import Correction
 from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector
-from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, Place, least_squares
-from napari_elsplus.processing.tracking.pose_graph.node_registration import (
-    LINK_STRETCH_PX,
-    FrameRegistration,
-    edge_covariance,
-)
-from napari_elsplus.processing.tracking.pose_graph.rotation_review import review_rotation, turned_links
-from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
+from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares_positions
+from napari_elsplus.processing.tracking.pose_graph.node_registration import LINK_STRETCH_PX, edge_covariance
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Sequence
 
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter
-    from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
-    from napari_elsplus.processing.tracking.registration.pair_registration import (
-        PairRegistration,
-        PreparedFrame,
-        Registrar,
-    )
+    from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
+    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
 
     Links = Sequence[tuple[int, int, Displacement, PairRegistration]]
     """Earlier and later frame, displacement in the later one's orientation, and registration."""
@@ -39,13 +30,9 @@ _SOLVED_AT: Final = 1.1
 
 
 def refine(
-    poses: Sequence[Pose],
-    links: Links,
-    registrar: Registrar,
-    view: Callable[[int], PreparedFrame],
-    model: MotionModel = MotionModel.TRANSLATION,
+    poses: Sequence[Pose], links: Links, graph: PoseGraph, model: MotionModel = MotionModel.TRANSLATION
 ) -> list[Pose]:
-    """Return the poses of the solved pose graph: loops closed, segments joined.
+    """Return the poses that the pose graph corrects once all nodes are in it: loops closed, segments joined.
 
     Parameters
     ----------
@@ -53,94 +40,85 @@ def refine(
         As tracked, one for every frame.
     links : sequence of tuple
         The tracker's registrations.
-    registrar : Registrar
-        Of the same grid.
-    view : callable
-        Returns the prepared frame of an index.
-    model : MotionModel
-        As selected while frames came. All registrations are tested once more, and if the probe turned, those from
-        before that was noticed are corrected.
-
-    Returns
-    -------
-    list of Pose
-        One for every frame. Segments that were joined carry the number of the first; predicted frames are interpolated
-        between tracked ones, and those after the last of a segment are lost.
-    """
-    settled = with_origins(settle(poses, links), links, registrar.grid.shutter)
-    if model is MotionModel.TRANSLATION:
-        model = review_rotation(links, registrar, view)
-    if model is not MotionModel.TRANSLATION:
-        links = turned_links(links, settled, registrar, view, model)
-    stretch = LINK_STRETCH_PX / registrar.grid.shutter.line_periods_per_frame
-    tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is TrackingState.TRACKED}
-    edges = [
-        Edge(a, b, (moved.row, moved.col), edge_covariance(link, stretch), link.turn, link.zoom, link.turn_sigma)
-        for a, b, moved, link in links
-        if tracked.get(a, -1) == tracked.get(b, -2)
-    ]
-    if model is not MotionModel.TRANSLATION:
-        settled = relocated(settled, edges, model)
-    graph = PoseGraph(registrar.grid, FrameRegistration(registrar), lambda number: view(graph.nodes[number].frame))
-    selector = KeyframeSelector(registrar.grid)
-    registered = {later: (earlier, later, link) for earlier, later, _, link in links}
-    edges += add_all(graph, (node for k in tracked for node in selector.add(k, settled[k], registered.get(k))), model)
-    joined = [pose._replace(segment=graph.correction(pose.segment).segment) for pose in settled]
-    return interpolate(relocated(joined, edges, model))
-
-
-def add_all(graph: PoseGraph, nodes: Iterable[Node], model: MotionModel = MotionModel.TRANSLATION) -> list[Edge]:
-    """Add the nodes of a finished track to a pose graph; return its edges that close loops or join segments.
-
-    Parameters
-    ----------
     graph : PoseGraph
         Empty.
-    nodes : iterable of Node
-        In the order of their frames.
     model : MotionModel
         Model beside translations.
 
     Returns
     -------
-    list of Edge
-        Between the numbers of frames.
+    list of Pose
+        One for every frame. Segments are counted from 0, the first frame of each at (0, 0) and upright; predicted
+        frames are interpolated between tracked ones, and those after the last of a segment are lost.
     """
+    settled = with_origins(settle(poses, links), links, graph.grid.shutter)
+    selector = KeyframeSelector(graph.grid)
+    registered = {later: (earlier, later, link) for earlier, later, _, link in links}
     solved = 0
-    for node in nodes:
-        graph.add(node, model)
+    for k, pose in enumerate(settled):
+        if pose.state is not TrackingState.TRACKED:
+            continue
+        for node in selector.add(k, pose, registered.get(k)):
+            graph.add(node, model)
         if len(graph.nodes) > _SOLVED_AT * solved:
             graph.solve()
             solved = len(graph.nodes)
     graph.register_deferred()
-    return graph.loops
+    graph.solve()
+    corrections = graph.corrections
+    placed = from_origins([corrections.of(k, pose) for k, pose in enumerate(settled)])
+    stretch = LINK_STRETCH_PX / graph.grid.shutter.line_periods_per_frame
+    tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is TrackingState.TRACKED}
+    edges = [
+        Edge(a, b, (moved.row, moved.col), edge_covariance(link, stretch))
+        for a, b, moved, link in links
+        if tracked.get(a, -1) == tracked.get(b, -2)
+    ]
+    return interpolate(positioned(placed, [*edges, *graph.loops]))
 
 
-def relocated(poses: Sequence[Pose], edges: Sequence[Edge], model: MotionModel) -> list[Pose]:
-    """Return poses solved for by edges: segments counted from 0, the first frame of each at (0, 0) and upright.
+def positioned(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
+    """Return the poses at the positions that agree best with the displacements between frames.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        From :func:`from_origins`; their angles stay.
+    edges : sequence of Edge
+        Between tracked frames of the same segment.
+    """
+    upright = []
+    for edge in edges:
+        row, col = turned_by(poses[edge.later].angle, poses[edge.later].scale) @ edge.displacement
+        upright.append(edge._replace(displacement=(float(row), float(col))))
+    result = list(poses)
+    for first in {poses[edge.earlier].segment: edge.earlier for edge in reversed(edges)}.values():
+        own = [edge for edge in upright if poses[edge.earlier].segment == poses[first].segment]
+        for k, (row, col) in least_squares_positions(own, first).items():
+            result[k] = poses[k]._replace(row=row, col=col)
+    return result
+
+
+def from_origins(poses: Sequence[Pose]) -> list[Pose]:
+    """Return poses with segments counted from 0, the first tracked frame of each at (0, 0) and upright.
 
     Parameters
     ----------
     poses : sequence of Pose
         One for every frame.
-    edges : sequence of Edge
-        Between tracked frames of the same segment.
-    model : MotionModel
-        Model beside translations.
     """
-    firsts: dict[int, int] = {}
-    for k, pose in enumerate(poses):
+    firsts: dict[int, Pose] = {}
+    for pose in poses:
         if pose.state is TrackingState.TRACKED:
-            firsts.setdefault(pose.segment, k)
-    number = {segment: k for k, segment in enumerate(sorted(firsts))}
-    places: dict[int, Place] = {}
-    for segment, first in firsts.items():
-        places |= least_squares([e for e in edges if poses[e.earlier].segment == segment], first, model)
-    result, segment = [], 0
-    for k, pose in enumerate(poses):
-        segment = number.get(pose.segment, segment)
-        place = places.get(k)
-        result.append(pose._replace(segment=segment, **({} if place is None else place._asdict())))
+            firsts.setdefault(pose.segment, pose)
+    moves = {
+        segment: Correction.between(first, first._replace(segment=number, row=0.0, col=0.0, angle=0.0, scale=1.0))
+        for number, (segment, first) in enumerate(sorted(firsts.items()))
+    }
+    result, move = [], Correction(0)
+    for pose in poses:
+        move = moves.get(pose.segment, move)
+        result.append(move.of(pose))
     return result
 
 
