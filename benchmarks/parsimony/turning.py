@@ -1,4 +1,4 @@
-"""When the tracker models rotation and scale: never where the probe does not turn, soon where it does."""
+"""When the tracker models rotation: never where the probe does not turn, soon where it does."""
 
 from __future__ import annotations
 
@@ -50,7 +50,6 @@ class Walk(NamedTuple):
 
 
 REACH_DEG = 10.0
-_MIN_ZOOM = 1e-9
 
 
 class Turned(NamedTuple):
@@ -104,9 +103,7 @@ def follow(walk: Walk) -> Turned:
     found = np.array([pose.angle for pose in pipeline.poses])
     known = np.isfinite([pose.row for pose in pipeline.poses])
     error = float(np.rad2deg(np.sqrt(np.mean((found - angle)[known] ** 2))))
-    forms = {(abs(pose.angle) > 0, abs(pose.scale - 1) > _MIN_ZOOM) for pose in pipeline.poses}
-    zoomed, turned = any(zoom for _, zoom in forms), any(turn for turn, _ in forms)
-    model = MotionModel.SIMILARITY if zoomed else MotionModel.RIGID if turned else MotionModel.TRANSLATION
+    model = MotionModel.RIGID if found.any() else MotionModel.TRANSLATION
     largest, errors = float(np.rad2deg(np.abs(angle).max())), track_errors(pipeline.rows, place)
     return Turned(model, since, largest, error, errors, (*strayed_px, _strayed_px(pipeline.rows, place, angle)))
 

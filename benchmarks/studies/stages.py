@@ -94,7 +94,7 @@ def our_stages(calibration: Calibration, raw: NDArray[np.uint8]) -> dict[str, fl
             pose = tracker.add()
             tracked = clock()
             if pose.state is TrackingState.TRACKED:
-                mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
+                mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle)
             laid = clock()
             keeping = tracked - made - sum(registrar.spent.values())
             frames.append(

@@ -206,7 +206,7 @@ class Pipeline:
         if not isinstance(mosaic, Mosaic):
             store = None if self._new_store is None else self._new_store(pose.segment)
             mosaic = self.mosaics[pose.segment] = self.blank_mosaic(store)
-        mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
+        mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle)
         return mosaic
 
     def blank_mosaic(self, store: TileStore | None = None) -> Mosaic:

@@ -8,6 +8,7 @@ re-rendered one by one.
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from functools import lru_cache
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
@@ -198,10 +199,12 @@ class LoopClosureThread(Thread):
         self._due_s = end_s + (end_s - begin_s) * (1 - TIME_SHARE) / TIME_SHARE
 
     def _view(self, frame: int) -> PreparedFrame | None:
-        """Return the prepared frame of a node, if its keyframe is still there."""
-        return self._prepared(frame) if frame in self._kept else None
+        """Return the prepared frame of a node, if it is still held or its keyframe is."""
+        with suppress(KeyError):
+            return self._prepared(frame)
+        return None
 
     def _prepare(self, frame: int) -> PreparedFrame:
-        view = self._registrar.view()
-        self._kept[frame].image(view.image)
+        kept, view = self._kept[frame], self._registrar.view()
+        kept.image(view.image)
         return self._registrar.prepare(view)

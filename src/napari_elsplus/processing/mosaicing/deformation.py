@@ -92,7 +92,7 @@ class Deformation:
             With the frame's surroundings drawn.
         """
         field = self._fields.setdefault(index, np.zeros((2, len(self._basis))))
-        matrix = turned_by(pose.angle, pose.scale) @ unsheared(pose.velocity, self._grid.shutter.line_periods_per_frame)
+        matrix = turned_by(pose.angle) @ unsheared(pose.velocity, self._grid.shutter.line_periods_per_frame)
         extent = mosaic.extent_of(pose).grown(2)
         shown, weight = mosaic.read(extent)
         shown = self._high_passed(shown, (weight > 0).astype(np.float32))
@@ -176,7 +176,7 @@ def estimate_deformation(
         means = {segment: Mosaic(grid, Insertion.FEATHERED, weights=weights) for segment in drawn}
         for k in tracked:
             pose, undone = poses[k], deformation.undone(k, image(k))
-            means[pose.segment].insert(undone, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
+            means[pose.segment].insert(undone, pose.row, pose.col, pose.velocity, pose.angle)
         for k in tracked:
             deformation.fit(k, image(k), poses[k], means[poses[k].segment])
     return deformation

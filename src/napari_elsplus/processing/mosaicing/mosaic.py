@@ -134,7 +134,6 @@ class Mosaic(TiledCanvas):
         col: float,
         velocity: Velocity = STILL,
         angle: float = 0.0,
-        scale: float = 1.0,
     ) -> Rectangle:
         """Insert a frame with its centre at (row, col).
 
@@ -148,16 +147,14 @@ class Mosaic(TiledCanvas):
             Velocity of the probe during the frame, pixels per frame period.
         angle : float
             Rotation of the probe in radians, from rows towards columns; a rotated frame is resampled upright first.
-        scale : float
-            Pixels of the mosaic per pixel of the frame.
 
         Returns
         -------
         Rectangle
             Part of the canvas that may have changed.
         """
-        image, footprint = self._placed(image, row, col, velocity, angle, scale)
-        touched = self._extent(row, col, *self._stretch_and_shear(velocity, angle, scale))
+        image, footprint = self._placed(image, row, col, velocity, angle)
+        touched = self._extent(row, col, *self._stretch_and_shear(velocity, angle))
         blend = self.insertion is Insertion.FEATHERED
         with self._lock:
             if blend:
@@ -172,7 +169,7 @@ class Mosaic(TiledCanvas):
 
     def extent_of(self, pose: Pose) -> Rectangle:
         """Return the part of the canvas that a frame with a pose covers at most."""
-        return self._extent(pose.row, pose.col, *self._stretch_and_shear(pose.velocity, pose.angle, pose.scale))
+        return self._extent(pose.row, pose.col, *self._stretch_and_shear(pose.velocity, pose.angle))
 
     def render_into(self, tile: Tile, key: tuple[int, int], image: NDArray[np.float32], pose: Pose) -> None:
         """Insert a frame into a tile beside the canvas, for re-rendering; its brightness is not adjusted.
@@ -188,7 +185,7 @@ class Mosaic(TiledCanvas):
         pose : Pose
             Corrected pose of the frame.
         """
-        image, footprint = self._placed(image, pose.row, pose.col, pose.velocity, pose.angle, pose.scale)
+        image, footprint = self._placed(image, pose.row, pose.col, pose.velocity, pose.angle)
         at = tile_rectangle(*key)
         insert_rows(*tile, at.top, at.left, image, footprint, self.insertion is Insertion.FEATHERED)
 
@@ -219,25 +216,24 @@ class Mosaic(TiledCanvas):
         down, across = radius * stretch, radius * (1 + abs(shear))
         return Rectangle(floor(row - down), floor(col - across), ceil(row + down) + 1, ceil(col + across) + 1)
 
-    def _stretch_and_shear(self, velocity: Velocity, angle: float, scale: float) -> tuple[float, float]:
+    def _stretch_and_shear(self, velocity: Velocity, angle: float) -> tuple[float, float]:
         """Return the stretch and shear that the kernels undo: none where :meth:`_placed` resamples the whole frame."""
         r = self.grid.shutter.line_periods_per_frame
-        resampled = angle != 0 or scale != 1
-        return (1.0, 0.0) if resampled else (1 + velocity.row / r, velocity.col / r)
+        return (1.0, 0.0) if angle != 0 else (1 + velocity.row / r, velocity.col / r)
 
     def _placed(
-        self, image: NDArray[np.float32], row: float, col: float, velocity: Velocity, angle: float, scale: float
+        self, image: NDArray[np.float32], row: float, col: float, velocity: Velocity, angle: float
     ) -> tuple[NDArray[np.float32], Arguments]:
-        """Return a frame and its footprint; one that is rotated or scaled is resampled onto the canvas' own pixels."""
+        """Return a frame and its footprint; one that is rotated is resampled onto the canvas' own pixels."""
         weights, centre = self._weights, self.grid.centre
-        if angle != 0 or scale != 1:
-            matrix = turned_by(angle, scale) @ unsheared(velocity, self.grid.shutter.line_periods_per_frame)
+        if angle != 0:
+            matrix = turned_by(angle) @ unsheared(velocity, self.grid.shutter.line_periods_per_frame)
             onto = round(row - centre[0]) + centre[0], round(col - centre[1]) + centre[1]
             shift = row - onto[0], col - onto[1]
             image = upright(image, self._upright, centre, matrix, shift)
             weights = upright(weights, self._upright_weights, centre, matrix, shift)
             row, col = onto
-        stretch, shear = self._stretch_and_shear(velocity, angle, scale)
+        stretch, shear = self._stretch_and_shear(velocity, angle)
         footprint = Footprint(weights, *self._spans, *centre, row, col, stretch, shear)
         return image, footprint.arguments
 

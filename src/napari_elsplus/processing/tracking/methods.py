@@ -102,7 +102,7 @@ class TrackingMethod(Protocol):
 
     @property
     def motion_model(self) -> MotionModel:
-        """The motion model in use: translation, rigid or similarity."""
+        """The motion model in use: translation or rigid."""
 
 
 class FrontEndImages:

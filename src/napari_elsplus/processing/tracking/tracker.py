@@ -67,7 +67,6 @@ class _Placed:
     col: float = 0.0
     velocity: Velocity = AT_REST
     angle: float = 0.0
-    scale: float = 1.0
     velocity_variance: float = 0.0
     sigma: float = nan
 
@@ -231,7 +230,6 @@ class Tracker:
     def _begin(self, here: _Placed, link: PairRegistration) -> Pose:
         """Begin a segment with a frame."""
         here.row = here.col = here.angle = 0.0
-        here.scale = 1.0
         self._key = here
         self._segment += 1
         self._began = self._tested = here.index
@@ -247,10 +245,10 @@ class Tracker:
         patient = here.index - last.index <= PATIENCE_FRAMES
         if not patient or hypot(*ahead) > self._max_displacement_px or not self._motion.known:
             return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, TrackingState.LOST)
-        row, col = turned_by(last.angle, last.scale) @ ahead
+        row, col = turned_by(last.angle) @ ahead
         return Pose(
             self._segment, last.row + float(row), last.col + float(col), self._motion.next_velocity, nan, nan,
-            TrackingState.PREDICTED, last.angle, last.scale,
+            TrackingState.PREDICTED, last.angle,
         )  # fmt: skip
 
     def _test_rotation(self, *, renew: bool) -> None:
@@ -266,7 +264,7 @@ class Tracker:
         found = self.registrar.remainder(key.view, last.view, link.warp, spread)
         if found is None:
             return
-        apart, turn = last.index - key.index, -float(found.step[MotionModel.RIGID, 4])
+        apart, turn = last.index - key.index, -float(found.step[-1])
         model = self._selection.weigh(found, keep=renew)
         covered, turned = self._covered + apart, self._turned + turn
         if model is not MotionModel.TRANSLATION:
@@ -285,7 +283,7 @@ class Tracker:
         ahead = self._motion.ahead(index - last.index)
         gone = last.row - earlier.row, last.col - earlier.col
         if self.model is not MotionModel.TRANSLATION:
-            row, col = turned_by(-last.angle, 1 / last.scale) @ gone
+            row, col = turned_by(-last.angle) @ gone
             gone = float(row), float(col)
         return Displacement(gone[0] + ahead.row, gone[1] + ahead.col)
 
@@ -304,7 +302,7 @@ class Tracker:
     ) -> PairRegistration | None:
         """Register two frames, first at the expected shift, else over all; None if no shift is accepted."""
         if self.model is not MotionModel.TRANSLATION:
-            return self._turned_link(earlier, here, motion, self.model)
+            return self._turned_link(earlier, here, motion)
         if self._motion.known:
             link = self.registrar.link(earlier.view, here.view, motion, SURE_CORRELATION)
             if link.correlation > SURE_CORRELATION and self._accepted(link):
@@ -327,25 +325,20 @@ class Tracker:
         found = self.registrar.remainder(earlier.view, here.view, link.warp, motion.spread)
         if found is None or not ModelSelection().weigh(found):
             return None
-        turned = self._turned_link(earlier, here, motion, MotionModel.RIGID)
+        turned = self._turned_link(earlier, here, motion)
         if turned is None or not turned.correlation > max(link.correlation + _RISE_OF_CORRELATION, SURE_CORRELATION):
             return None
         self._selection.model = MotionModel.RIGID
         return turned
 
-    def _turned_link(
-        self, earlier: _Placed, here: _Placed, motion: MotionPrior, model: MotionModel
-    ) -> PairRegistration | None:
+    def _turned_link(self, earlier: _Placed, here: _Placed, motion: MotionPrior) -> PairRegistration | None:
         """Register two frames of a probe that rotates."""
         last, known = self._last, self._motion.known
         assert last is not None
         turn = last.angle - earlier.angle + self._turning.rate * (here.index - last.index) if known else 0.0
-        zoom = last.scale / earlier.scale if known else 1.0
-        spread = self._turning.spread(here.index - last.index) if known and self.model is model else inf
+        spread = self._turning.spread(here.index - last.index) if known and self.model is MotionModel.RIGID else inf
         for reach in (None, _reach(motion)) if known else (_reach(motion),):
-            link = self.registrar.turned_link(
-                earlier.view, here.view, motion, (turn, zoom), model, self._scratch, reach, spread
-            )
+            link = self.registrar.turned_link(earlier.view, here.view, motion, turn, self._scratch, reach, spread)
             if link is not None and self._accepted(link) and (reach or link.correlation > SURE_CORRELATION):
                 return link
         return None
@@ -373,8 +366,8 @@ class Tracker:
             return False
         if not self._motion.known:
             earlier.velocity, earlier.velocity_variance = after, here.velocity_variance
-        here.angle, here.scale, here.velocity = earlier.angle + link.turn, earlier.scale * link.zoom, after
-        row, col = moved if self.model is MotionModel.TRANSLATION else turned_by(here.angle, here.scale) @ moved
+        here.angle, here.velocity = earlier.angle + link.turn, after
+        row, col = moved if self.model is MotionModel.TRANSLATION else turned_by(here.angle) @ moved
         here.row, here.col = earlier.row + float(row), earlier.col + float(col)
         self.links.append((earlier.index, here.index, moved, link))
         return True
@@ -391,7 +384,7 @@ class Tracker:
         self._usual = link.correlation if first else self._usual + _MEMORY * (link.correlation - self._usual)
         return Pose(
             self._segment, here.row, here.col, here.velocity, link.correlation, here.sigma, TrackingState.TRACKED,
-            here.angle, here.scale,
+            here.angle,
         )  # fmt: skip
 
 

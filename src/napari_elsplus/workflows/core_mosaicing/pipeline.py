@@ -196,7 +196,7 @@ class CorePipeline(Pipeline):
     def _places(self, pose: Pose) -> NDArray[np.float64]:
         """Return the places of the cores (m, 2) on the mosaic, freed of what the rolling shutter did to the frame."""
         line_periods = self.grid.shutter.line_periods_per_frame
-        matrix = turned_by(pose.angle, pose.scale) @ unsheared(pose.velocity, line_periods)
+        matrix = turned_by(pose.angle) @ unsheared(pose.velocity, line_periods)
         places: NDArray[np.float64] = self._offsets @ matrix.T + (pose.row, pose.col)
         return places * (self._tracking.scale / self._cell_px)
 

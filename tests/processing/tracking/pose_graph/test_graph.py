@@ -91,10 +91,10 @@ def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(
 
 def test_a_correction_takes_a_turned_pose_to_its_place() -> None:
     pose = Pose(4, 100.0, -30.0, Velocity(1.0, 2.0), 0.9, 0.1, TrackingState.TRACKED, angle=0.1)
-    place = pose._replace(segment=1, row=7.0, col=9.0, angle=0.35, scale=1.02)
+    place = pose._replace(segment=1, row=7.0, col=9.0, angle=0.35)
     there = Correction.between(pose, place).of(pose)
     assert there.segment == 1
-    np.testing.assert_allclose([there.row, there.col, there.angle, there.scale], [7.0, 9.0, 0.35, 1.02])
+    np.testing.assert_allclose([there.row, there.col, there.angle], [7.0, 9.0, 0.35])
     lost = pose._replace(row=np.nan, col=np.nan, state=TrackingState.LOST)
     assert np.isnan(Correction.between(pose, place).of(lost).row)
 

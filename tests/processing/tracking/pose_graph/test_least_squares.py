@@ -62,8 +62,8 @@ def test_frames_that_nothing_connects_are_left_out() -> None:
 def test_turned_links_are_laid_in_one_orientation_and_a_loop_shares_out_the_angles() -> None:
     """Around a hexagon, 60 degrees a link, each measured 0.01 rad too large; a seventh link closes the loop."""
     side, error, turn = 10.0, 0.01, np.pi / 3
-    edges = [Edge(k, k + 1, (0.0, side), np.eye(2), turn + error, 1.0, 0.01) for k in range(6)]
-    edges.append(Edge(0, 6, (0.0, 0.0), 0.01 * np.eye(2), 2 * np.pi, 1.0, 0.001))
+    edges = [Edge(k, k + 1, (0.0, side), np.eye(2), turn + error, 0.01) for k in range(6)]
+    edges.append(Edge(0, 6, (0.0, 0.0), 0.01 * np.eye(2), 2 * np.pi, 0.001))
     places = least_squares_places(edges)
     assert abs(places[6].angle - 2 * np.pi) < 0.002
     assert abs(places[3].angle - np.pi) < 0.01

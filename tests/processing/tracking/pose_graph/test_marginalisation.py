@@ -15,10 +15,10 @@ TURN = 0.04
 
 
 def link(earlier: int, later: int, noise: np.ndarray, sigma: float) -> Edge:
-    """Rounds of a probe that turns and grows, seen with an error."""
+    """Rounds of a probe that turns, seen with an error."""
     (row, col), turn = true_place(later) - true_place(earlier), TURN * (later - earlier)
-    seen = turned_by(-TURN * later, 1.001**-later) @ (row, col) + sigma * noise
-    return Edge(earlier, later, tuple(seen.tolist()), sigma**2 * np.eye(2), turn, 1.001 ** (later - earlier), 1e-3)
+    seen = turned_by(-TURN * later) @ (row, col) + sigma * noise
+    return Edge(earlier, later, tuple(seen.tolist()), sigma**2 * np.eye(2), turn, 1e-3)
 
 
 def true_place(node: int) -> np.ndarray:

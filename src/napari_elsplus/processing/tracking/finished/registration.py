@@ -98,7 +98,7 @@ class FinishedRegistration:
         view.image[:] = cv2.sepFilter2D(binned, -1, _BINOMIAL, _BINOMIAL) if self.binning > 1 else binned
         self._registrar.prepare(view)
         spectra = self._odds.spectra(self._field.coarse_logarithm(image))
-        return FinishedFrame(view.levels, view.high_passed, view.smooth, index=index, spectra=spectra)
+        return FinishedFrame(view.arrays, index=index, spectra=spectra)
 
     def link(self, earlier: FinishedFrame, later: FinishedFrame, more_odds: float = 0.0) -> PairRegistration | None:
         """Register two frames over all shifts; None where the odds are less than needed.

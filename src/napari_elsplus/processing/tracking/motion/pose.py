@@ -39,8 +39,6 @@ class Pose(NamedTuple):
         Tracked, predicted or lost.
     angle : float
         Of the probe against the segment's first frame, radians, from rows towards columns.
-    scale : float
-        Pixels of the first frame per pixel of this one.
     """
 
     segment: int
@@ -51,4 +49,3 @@ class Pose(NamedTuple):
     sigma: float
     state: TrackingState
     angle: float = 0.0
-    scale: float = 1.0

@@ -26,8 +26,8 @@ class Correction(NamedTuple):
         To which it belongs.
     row, col : float
         Where the tracker's (0, 0) lies there, pixels of the tracking grid.
-    angle, scale : float
-        How the tracker's segment is turned (radians) and scaled there.
+    angle : float
+        By which the tracker's segment is turned there, radians.
 
     Examples
     --------
@@ -42,24 +42,23 @@ class Correction(NamedTuple):
     row: float = 0.0
     col: float = 0.0
     angle: float = 0.0
-    scale: float = 1.0
 
     def of(self, pose: Pose) -> Pose:
         """Return the pose where it belongs."""
         row, col = pose.row, pose.col
-        if self.angle != 0 or self.scale != 1:
-            row, col = (turned_by(self.angle, self.scale) @ (row, col)).tolist()
+        if self.angle != 0:
+            row, col = (turned_by(self.angle) @ (row, col)).tolist()
         return pose._replace(
             segment=self.segment, row=row + self.row, col=col + self.col,
-            angle=pose.angle + self.angle, scale=pose.scale * self.scale,
+            angle=pose.angle + self.angle,
         )  # fmt: skip
 
     @classmethod
     def between(cls, pose: Pose, place: Pose) -> Correction:
         """Return what takes a pose to its place."""
-        angle, scale = place.angle - pose.angle, place.scale / pose.scale
-        row, col = turned_by(angle, scale) @ (pose.row, pose.col)
-        return cls(place.segment, place.row - float(row), place.col - float(col), angle, scale)
+        angle = place.angle - pose.angle
+        row, col = turned_by(angle) @ (pose.row, pose.col)
+        return cls(place.segment, place.row - float(row), place.col - float(col), angle)
 
 
 class Corrections:
@@ -88,9 +87,7 @@ class Corrections:
         for segment, along in (known or {}).items():
             self._newest[segment] = along[-1][1]
             self._frames[segment] = np.array([frame for frame, _ in along])
-            self._values[segment] = np.array(
-                [(one.row, one.col, *turned_by(one.angle, one.scale)[:, 0]) for _, one in along]
-            )
+            self._values[segment] = np.array([(one.row, one.col, *turned_by(one.angle)[:, 0]) for _, one in along])
 
     def newest(self, segment: int) -> Correction:
         """Return that of frames to come.

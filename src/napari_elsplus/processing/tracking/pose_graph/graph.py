@@ -175,7 +175,7 @@ class PoseGraph:
             if not edges:
                 continue
             first = self.places[int(members[0])]
-            base = Correction(group, first.row, first.col, first.angle, first.scale)
+            base = Correction(group, first.row, first.col, first.angle)
             for number, place in least_squares(edges, int(members[0]), self._model).items():
                 self.places[number] = base.of(self.places[number]._replace(**place._asdict()))
             self._where[members, :2] = [(self.places[k].row, self.places[k].col) for k in members.tolist()]
@@ -268,8 +268,8 @@ class PoseGraph:
         """Return the edge between two successive nodes of the tracker."""
         a, node = self.nodes[earlier].pose, self.nodes[later]
         moved = displacement_between(a, node.pose)
-        turn, zoom = node.pose.angle - a.angle, node.pose.scale / a.scale
-        return Edge(earlier, later, (moved.row, moved.col), node.covariance, turn, zoom, node.turn_sigma)
+        turn = node.pose.angle - a.angle
+        return Edge(earlier, later, (moved.row, moved.col), node.covariance, turn, node.turn_sigma)
 
     def _revisits(self, number: int) -> list[Edge]:
         """Return edges to nodes of the same segment that lie beside this one but far back along the path."""
@@ -307,7 +307,7 @@ class PoseGraph:
             other = frames[candidate.frame]
             if groups[other] == groups[number]:
                 continue
-            row, col = turned_by(-angle, 1 / self.places[number].scale) @ candidate.displacement
+            row, col = turned_by(-angle) @ candidate.displacement
             turn = angle - self._orientation(other)
             edge = self._register(other, number, Displacement(float(row), float(col)), turn, anywhere=True)
             if edge is not None:
@@ -329,13 +329,11 @@ class PoseGraph:
     def _register(
         self, earlier: int, later: int, expected: Displacement, turn: float, *, anywhere: bool = False
     ) -> Edge | None:
-        views = self._view(earlier), self._view(later)
-        if views[0] is None or views[1] is None:
+        a, b = self._view(earlier), self._view(later)
+        if a is None or b is None:
             return None
-        poses = self.places[earlier], self.places[later]
-        return self._registration.register(
-            (earlier, later), poses, (views[0], views[1]), expected, turn, self._model, anywhere=anywhere
-        )
+        pair, poses = (earlier, later), (self.places[earlier], self.places[later])
+        return self._registration.register(pair, poses, (a, b), expected, turn, self._model, anywhere=anywhere)
 
     def _extend(self, edges: list[Edge]) -> None:
         self._loops += edges

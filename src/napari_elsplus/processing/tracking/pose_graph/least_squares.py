@@ -1,4 +1,4 @@
-"""Positions, angles and scales of nodes by robust least squares over all edges of a pose graph.
+"""Positions and angles of nodes by robust least squares over all edges of a pose graph.
 
 Each edge is the displacement of one node from another with its covariance. Edges that close a loop distribute the error
 that has added up along the path. Wrong ones are weighted down by their residuals with Cauchy's weights, which give them
@@ -13,7 +13,6 @@ and Huber's M-estimators after Zhang, Image Vis. Comput. 15, 59 (1997), doi:10.1
 
 from __future__ import annotations
 
-from math import exp, log
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from scipy.sparse.linalg import spsolve
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -51,10 +50,8 @@ class Edge(NamedTuple):
         (2, 2), pixels squared.
     turn : float
         Angle of the later node less that of the earlier one, radians.
-    zoom : float
-        Scale of the later node over that of the earlier one.
     turn_sigma : float
-        One standard deviation of the angle, and of the scale.
+        One standard deviation of the angle.
     sure : bool
         True if this edge alone joins two segments.
     """
@@ -64,32 +61,30 @@ class Edge(NamedTuple):
     displacement: tuple[float, float]
     covariance: NDArray[np.float64]
     turn: float = 0.0
-    zoom: float = 1.0
     turn_sigma: float = 1.0
     sure: bool = False
 
 
 class Place(NamedTuple):
-    """Position of a node (pixels), its angle (radians), and pixels of the fixed node per pixel of this one."""
+    """Position of a node (pixels) and its angle (radians)."""
 
     row: float
     col: float
     angle: float = 0.0
-    scale: float = 1.0
 
 
 def least_squares(edges: Sequence[Edge], fixed: int, model: MotionModel) -> dict[int, Place]:
-    """Return places under a motion model: :func:`least_squares_positions`, or with angles and scales."""
+    """Return places under a motion model: :func:`least_squares_positions`, or with angles."""
     if model is MotionModel.TRANSLATION:
         return {frame: Place(*where) for frame, where in least_squares_positions(edges, fixed).items()}
     return least_squares_places(edges, fixed)
 
 
 def least_squares_places(edges: Sequence[Edge], fixed: int = 0) -> dict[int, Place]:
-    """Return positions, angles and scales of all nodes that edges connect to one.
+    """Return positions and angles of all nodes that edges connect to one.
 
-    Angles and logarithms of scales are solved for first; displacements are then rotated into the orientation of the
-    fixed node, and positions solved for.
+    Angles are solved for first; displacements are then rotated into the orientation of the fixed node, and positions
+    solved for.
 
     Parameters
     ----------
@@ -106,17 +101,31 @@ def least_squares_places(edges: Sequence[Edge], fixed: int = 0) -> dict[int, Pla
     (-10.0, 0.0)
     """
     rotations = [
-        Edge(e.earlier, e.later, (e.turn, log(e.zoom)), float(np.clip(e.turn_sigma, *_SIGMAS)) ** 2 * np.eye(2))
-        for e in edges
+        edge._replace(
+            displacement=(edge.turn, 0.0), covariance=float(np.clip(edge.turn_sigma, *_SIGMAS)) ** 2 * np.eye(2)
+        )
+        for edge in edges
     ]
-    forms = least_squares_positions(rotations, fixed)
+    angles = {node: angle for node, (angle, _) in least_squares_positions(rotations, fixed).items()}
+    places = least_squares_positions(upright_edges(edges, angles), fixed)
+    return {node: Place(*where, angles[node]) for node, where in places.items()}
+
+
+def upright_edges(edges: Sequence[Edge], angles: Mapping[int, float]) -> list[Edge]:
+    """Return edges with their displacements turned into the orientation of the fixed node.
+
+    Parameters
+    ----------
+    edges : sequence of Edge
+        Each in the orientation of its later node.
+    angles : mapping of int to float
+        Angle of each node, radians; 0 for those that are not in it.
+    """
     upright = []
     for edge in edges:
-        angle, zoom = forms.get(edge.later, (0.0, 0.0))
-        row, col = turned_by(angle, exp(zoom)) @ edge.displacement
+        row, col = turned_by(angles.get(edge.later, 0.0)) @ edge.displacement
         upright.append(edge._replace(displacement=(float(row), float(col))))
-    places = least_squares_positions(upright, fixed)
-    return {frame: Place(*where, forms[frame][0], exp(forms[frame][1])) for frame, where in places.items()}
+    return upright
 
 
 def least_squares_positions(edges: Sequence[Edge], fixed: int = 0) -> dict[int, tuple[float, float]]:

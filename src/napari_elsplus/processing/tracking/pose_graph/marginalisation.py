@@ -119,10 +119,10 @@ def joined(first: Edge, second: Edge) -> Edge:
     >>> [round(value, 6) for value in both.displacement], both.later, both.turn == np.pi, both.turn_sigma
     ([10.0, 10.0], 2, True, 0.5)
     """
-    turned = turned_by(-second.turn, 1 / second.zoom)
+    turned = turned_by(-second.turn)
     row, col = (turned @ first.displacement + second.displacement).tolist()
     covariance = turned @ first.covariance @ turned.T + second.covariance
     return first._replace(
         later=second.later, displacement=(row, col), covariance=covariance, turn=first.turn + second.turn,
-        zoom=first.zoom * second.zoom, turn_sigma=min(1.0, hypot(first.turn_sigma, second.turn_sigma)),
+        turn_sigma=min(1.0, hypot(first.turn_sigma, second.turn_sigma)),
     )  # fmt: skip

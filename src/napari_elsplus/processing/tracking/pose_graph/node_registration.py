@@ -50,7 +50,7 @@ class NodeRegistration(Protocol):
         numbers : tuple of int
             Earlier and later node.
         poses : tuple of Pose
-            Theirs, of which velocities and scales are used.
+            Theirs, of which velocities and scores are used.
         views : tuple of PreparedFrame
             Their frames.
         expected : Displacement
@@ -87,8 +87,7 @@ class FrameRegistration:
         motion = MotionPrior.between(velocities, expected, _VELOCITY_SIGMA, _SEARCHED_PX, self._shutter)
         link: PairRegistration | None
         if model is not MotionModel.TRANSLATION:
-            rotation = turn, poses[1].scale / poses[0].scale
-            link = self._registrar.turned_link(*views, motion, rotation, model, self._scratch, reach_px)
+            link = self._registrar.turned_link(*views, motion, turn, self._scratch, reach_px)
         elif reach_px is None:
             link = self._registrar.link(*views, motion)
         else:
@@ -97,9 +96,7 @@ class FrameRegistration:
             return None
         moved = self._shutter.displacement(link.warp, poses[1].velocity)
         covariance = edge_covariance(link, _VELOCITY_SIGMA / self._shutter.line_periods_per_frame)
-        return Edge(
-            *numbers, (moved.row, moved.col), covariance, link.turn, link.zoom, link.turn_sigma, link.certainty > SURE
-        )
+        return Edge(*numbers, (moved.row, moved.col), covariance, link.turn, link.turn_sigma, link.certainty > SURE)
 
 
 def _joins(link: PairRegistration, poses: tuple[Pose, Pose]) -> bool:

@@ -116,9 +116,9 @@ class PlaceIndex:
         view : PreparedFrame
             The frame.
         pose : Pose
-            Its velocity, angle and scale.
+            Its velocity and angle.
         """
-        matrix = turned_by(pose.angle, pose.scale) @ unsheared(pose.velocity, self._grid.shutter.line_periods_per_frame)
+        matrix = turned_by(pose.angle) @ unsheared(pose.velocity, self._grid.shutter.line_periods_per_frame)
         px = 2**_LEVEL
         row, col = ((c - (px - 1) / 2) / px for c in self._grid.centre)
         image = upright(view.levels[_LEVEL], self._upright, (row, col), matrix)

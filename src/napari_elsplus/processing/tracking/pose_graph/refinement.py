@@ -10,9 +10,9 @@ from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction
 from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector
-from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares_positions
+from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares_positions, upright_edges
 from napari_elsplus.processing.tracking.pose_graph.node_registration import LINK_STRETCH_PX, edge_covariance
-from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -87,10 +87,7 @@ def positioned(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
     edges : sequence of Edge
         Between tracked frames of the same segment.
     """
-    upright = []
-    for edge in edges:
-        row, col = turned_by(poses[edge.later].angle, poses[edge.later].scale) @ edge.displacement
-        upright.append(edge._replace(displacement=(float(row), float(col))))
+    upright = upright_edges(edges, {k: pose.angle for k, pose in enumerate(poses)})
     result = list(poses)
     for first in {poses[edge.earlier].segment: edge.earlier for edge in reversed(edges)}.values():
         own = [edge for edge in upright if poses[edge.earlier].segment == poses[first].segment]
@@ -112,7 +109,7 @@ def from_origins(poses: Sequence[Pose]) -> list[Pose]:
         if pose.state is TrackingState.TRACKED:
             firsts.setdefault(pose.segment, pose)
     moves = {
-        segment: Correction.between(first, first._replace(segment=number, row=0.0, col=0.0, angle=0.0, scale=1.0))
+        segment: Correction.between(first, first._replace(segment=number, row=0.0, col=0.0, angle=0.0))
         for number, (segment, first) in enumerate(sorted(firsts.items()))
     }
     result, move = [], Correction(0)

@@ -23,8 +23,8 @@ _AGREEMENT_RAD: Final = 0.02
 
 
 def displacement_between(a: Pose, b: Pose) -> Displacement:
-    """Return the displacement of pose `b` from pose `a` in the orientation and scale of `b`, pixels."""
-    row, col = turned_by(-b.angle, 1 / b.scale) @ (b.row - a.row, b.col - a.col)
+    """Return the displacement of pose `b` from pose `a` in the orientation of `b`, pixels."""
+    row, col = turned_by(-b.angle) @ (b.row - a.row, b.col - a.col)
     return Displacement(float(row), float(col))
 
 
@@ -39,9 +39,9 @@ def predicted(edge: Edge, places: Sequence[Pose]) -> Pose:
         Poses of all nodes.
     """
     a, b = places[edge.earlier], places[edge.later]
-    angle, scale = a.angle + edge.turn, a.scale * edge.zoom
-    row, col = turned_by(angle, scale) @ edge.displacement
-    return b._replace(segment=a.segment, row=a.row + float(row), col=a.col + float(col), angle=angle, scale=scale)
+    angle = a.angle + edge.turn
+    row, col = turned_by(angle) @ edge.displacement
+    return b._replace(segment=a.segment, row=a.row + float(row), col=a.col + float(col), angle=angle)
 
 
 def joining(edge: Edge, places: Sequence[Pose], segment: int) -> Correction:

@@ -1,9 +1,8 @@
-"""Score test for rotation and scale beside the rolling shutter's warp, and frames freed of both.
+"""Score test for a rotation beside the rolling shutter's warp, and frames freed of it.
 
-The rolling shutter's warp contains no rotation and no change of scale. One more pass over registered frames estimates
-what these would add to the warp, with its uncertainty; ``registration.model_selection`` decides whether they are
-modelled. A rotated frame is rotated back before it is registered, so that all else remains as for a probe that does not
-rotate.
+The rolling shutter's warp contains no rotation. One more pass over registered frames estimates what it would add to the
+warp, with its uncertainty; ``registration.model_selection`` decides whether it is modelled. A rotated frame is rotated
+back before it is registered, so that all else remains as for a probe that does not rotate.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import numpy as np
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-from napari_elsplus.processing.tracking.registration.lucas_kanade import accumulate
 from napari_elsplus.processing.tracking.registration.similarity import tone_between
 
 if TYPE_CHECKING:
@@ -28,14 +26,10 @@ if TYPE_CHECKING:
 
     Matrix = NDArray[np.float64]
 
-_UNKNOWNS: Final = 8
-"""a, b, s, d of the warp; gain and offset; rows from columns and columns from columns."""
+_PARAMETERS: Final = [0, 1, 2, 3, 6]
+"""Unknowns of the motion among those of :func:`fill_equations`; the others are gain and offset."""
 _TURN: Final = 6
-_SCALE: Final = 7
-_OF_TONE: Final = (4, 5)
-_OF_MOTION: Final = [n for n in range(_UNKNOWNS) if n not in _OF_TONE]
-_SAMPLING: Final = (1, False)
-"""Every how many rows are used, and whether they are sampled finely: variables in a kernel, as in ``odds``."""
+_RESIDUAL: Final = 7
 
 
 class MotionModel(IntEnum):
@@ -45,51 +39,30 @@ class MotionModel(IntEnum):
     """Nothing."""
     RIGID = 1
     """The probe rotates."""
-    SIMILARITY = 2
-    """The probe rotates, and its images change in scale."""
-
-
-_FREE: Final = np.array(
-    [[n not in range(_TURN + model, _UNKNOWNS) for n in range(_UNKNOWNS)] for model in MotionModel], np.float64
-)
-_FREE_PAIRS: Final = _FREE[:, :, None] * _FREE[:, None, :]
-_HELD_AT_ZERO: Final = (1 - _FREE[:, :, None]) * np.eye(_UNKNOWNS)
-"""Unknowns that each model leaves free, and the equations that hold the others at zero."""
 
 
 class Remainder(NamedTuple):
-    """Score test of a registration: the change of the warp that each model would add.
+    """Score test of a registration: the change of the warp that a rotation would add.
 
     Parameters
     ----------
     step : numpy.ndarray
-        (3, 6): for each model the change of a, b, s, d, of rows per column and of columns per column, each at its best;
-        what a model does not model is zero.
-    sigma : numpy.ndarray
-        (2,) standard deviations of the rotation (radians) and of the scale, as parts of one.
+        (5,): change of a, b, s, d and of rows per column, which is the rotation in radians.
+    sigma : float
+        Standard deviation of the rotation, radians.
     values : float
         Independent values that were compared.
     """
 
     step: Matrix
-    sigma: Matrix
+    sigma: float
     values: float
 
 
-def turned_by(angle: float, scale: float = 1.0) -> Matrix:
-    """Return the matrix that turns (row, col) by an angle in radians, from rows towards columns, and scales it."""
-    c, s = scale * np.cos(angle), scale * np.sin(angle)
+def turned_by(angle: float) -> Matrix:
+    """Return the matrix that turns (row, col) by an angle in radians, from rows towards columns."""
+    c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
-
-
-def angle_of(form: Matrix) -> float:
-    """Angle of :func:`turned_by`."""
-    return float(np.arctan2(form[1, 0] - form[0, 1], form[0, 0] + form[1, 1]))
-
-
-def scale_of(form: Matrix) -> float:
-    """Scale of :func:`turned_by`."""
-    return float(np.sqrt(abs(np.linalg.det(form))))
 
 
 def upright(
@@ -134,39 +107,36 @@ def unsheared(velocity: Velocity, line_periods_per_frame: float) -> Matrix:
     return np.array([[1 + velocity.row / line_periods_per_frame, 0.0], [velocity.col / line_periods_per_frame, 1.0]])
 
 
-def composed(warp: Warp, step: Matrix) -> tuple[Warp, Matrix]:
-    """Return a warp to which a change was applied, and the rotation and scale of that change.
+def composed(warp: Warp, step: Matrix) -> tuple[Warp, float]:
+    """Return a warp to which a change was applied, and the rotation that is part of it.
 
     Parameters
     ----------
     warp : Warp
         That the frames were compared under.
     step : numpy.ndarray
-        (6,): one model's of :class:`Remainder`.
+        (5,): that of :class:`Remainder`.
 
     Returns
     -------
     warp : Warp
-        From the earlier frame, turned and scaled by the form, to the later one.
-    form : numpy.ndarray
-        (2, 2) rotation and scale.
+        From the earlier frame, rotated, to the later one.
+    angle : float
+        By which it is rotated, radians, as of :func:`turned_by`.
 
     Examples
     --------
-    >>> warp, form = composed(Warp(b=-20.0), np.array([0, 0, -0.01, 0, 0.01, 0]))
-    >>> round(float(np.rad2deg(angle_of(form))), 3), round(warp.s, 4), round(warp.b, 4)
+    >>> warp, angle = composed(Warp(b=-20.0), np.array([0, 0, -0.01, 0, 0.01]))
+    >>> round(float(np.rad2deg(angle)), 3), round(warp.s, 4), round(warp.b, 4)
     (0.573, 0.0, -20.0)
     """
-    da, db, ds, dd, de, df = step
-    linear = np.array([[warp.a, 0.0], [warp.s, 1.0]]) @ np.linalg.inv(np.array([[1 + da, de], [ds, 1 + df]]))
-    shift = np.array([warp.b, warp.d]) - linear @ (db, dd)
+    da, db, ds, dd, turn = step
+    linear = np.array([[warp.a, 0.0], [warp.s, 1.0]]) @ np.linalg.inv(np.array([[1 + da, turn], [ds, 1.0]]))
+    b, d = (warp.b, warp.d) - linear @ (db, dd)
     (m11, m12), (m21, m22) = linear
     angle = np.arctan2(-m12, m11)
-    c, s = np.cos(angle), np.sin(angle)
-    scale = m21 * s + m22 * c if df else 1.0  # what a turn alone leaves there is of second order
-    stretch, shear = float(np.hypot(m11, m12) / scale), float((m21 * c - m22 * s) / scale)
-    found = Warp(stretch, float(shift[0]), shear, float(shift[1]))
-    return found, turned_by(float(angle), float(scale))
+    shear = m21 * np.cos(angle) - m22 * np.sin(angle)
+    return Warp(float(np.hypot(m11, m12)), float(b), float(shear), float(d)), float(angle)
 
 
 def remainder(
@@ -181,7 +151,7 @@ def remainder(
     correlated_px: float,
     turn: tuple[float, float] = (0.0, inf),
 ) -> Remainder | None:
-    """Estimate what rotation and scale would add to a warp.
+    """Estimate what a rotation would add to a warp.
 
     Parameters
     ----------
@@ -207,26 +177,32 @@ def remainder(
     Remainder or None
         None where the frames do not overlap or show nothing.
     """
-    normal, right = np.empty((_UNKNOWNS, _UNKNOWNS)), np.empty(_UNKNOWNS)
     scaled = np.array([warp.a, warp.b / px, warp.s, warp.d / px])
-    tone, samples = np.empty(3), np.empty((2, template.shape[1]), np.float32)
-    count, noise = fill_equations(template, image, first, last, *middle, scaled, tone, samples, normal, right)
+    tone = np.array(tone_between(template, image, first, last, middle[0], scaled, 4))
+    columns, sums = np.empty((_RESIDUAL + 1, len(template)), np.float32), np.empty((_RESIDUAL + 1,) * 2)
+    noise = correlated_px * fill_equations(template, image, first, last, *middle, scaled, tone, columns, sums)
+    # variances of template and image, from the sums of what is left of the image
+    of_tone, to_image = sums[np.ix_((4, 5, 7), (4, 5, 7))], np.array([*tone, 1.0])
+    total, count = of_tone[1], of_tone[1, 1]
     if not noise > 0:
         return None
-    noise *= correlated_px
+    variances = [of_tone[0, 0] - total[0] ** 2 / count, to_image @ of_tone @ to_image - (to_image @ total) ** 2 / count]
+    if not min(variances) > 0:
+        return None
+    # a pixel of motion changes the image by the template's gradient times the gain
+    gain = np.ones(_RESIDUAL)
+    gain[_PARAMETERS] = np.sqrt(variances[1] / variances[0])
+    normal, right = gain[:, None] * sums[:_RESIDUAL, :_RESIDUAL] * gain, gain * sums[:_RESIDUAL, _RESIDUAL]
     normal[0, 0] += stiffness[0] * noise
     normal[2, 2] += stiffness[1] * noise
     normal[_TURN, _TURN] += noise / turn[1] ** 2
     right[_TURN] += turn[0] * noise / turn[1] ** 2
     try:
-        inverse = np.linalg.inv(normal * _FREE_PAIRS + _HELD_AT_ZERO)
+        inverse = np.linalg.inv(normal)
     except np.linalg.LinAlgError:
         return None
-    step = (inverse @ (right * _FREE)[..., None])[:, _OF_MOTION, 0]
-    covariance = inverse[MotionModel.SIMILARITY] * noise
-    step[:, [1, 3]] *= px
-    sigma = np.sqrt(np.maximum(covariance.diagonal()[_TURN:], 0))
-    return Remainder(step, sigma, count / correlated_px)
+    step = (inverse @ right)[_PARAMETERS] * (1, px, 1, px, 1)
+    return Remainder(step, float(np.sqrt(max(noise * inverse[_TURN, _TURN], 0.0))), count / correlated_px)
 
 
 @lean_kernel
@@ -239,105 +215,48 @@ def fill_equations(
     middle_col: float,
     warp: NDArray[np.float64],
     tone: NDArray[np.float64],
-    samples: NDArray[np.float32],
-    normal: NDArray[np.float64],
-    right: NDArray[np.float64],
-) -> tuple[float, float]:
-    """Fill the normal equations of all unknowns about a warp; return the number of pixels and the noise level.
-
-    Parameters
-    ----------
-    template, image, first, last, warp, tone, samples
-        As of :func:`~.lucas_kanade.accumulate`; `tone` is filled.
-    middle_row, middle_col : float
-        Bundle's centre.
-    normal, right : numpy.ndarray
-        (8, 8) and (8,) float64, filled.
-    """
-    row_step, finely = _SAMPLING
-    tone[0], tone[1] = tone_between(template, image, first, last, middle_row, warp, 4 * row_step)
-    count, of_template, of_image, _, noise = accumulate(
-        template, image, first, last, middle_row, warp, tone, row_step, finely, normal, right, samples
-    )
-    if not (of_template > 0 and of_image > 0):
-        return 0.0, 0.0
-    add_turn(template, image, first, last, middle_row, middle_col, warp, tone, normal, right)
-    contrast = np.sqrt(of_image / of_template)  # what a pixel of motion does to the image, over the template's gradient
-    for m in range(_UNKNOWNS):
-        if m in _OF_TONE:
-            continue
-        right[m] *= contrast
-        for n in range(_UNKNOWNS):
-            normal[m, n] *= contrast
-            normal[n, m] *= contrast
-    return count, noise
-
-
-@lean_kernel
-def add_turn(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle_row: float,
-    middle_col: float,
-    warp: NDArray[np.float64],
-    tone: NDArray[np.float64],
-    normal: NDArray[np.float64],
-    right: NDArray[np.float64],
-) -> None:
-    """Add rotation and scale to the normal equations of :func:`~.lucas_kanade.accumulate`.
+    columns: NDArray[np.float32],
+    sums: NDArray[np.float64],
+) -> float:
+    """Fill the normal equations of all unknowns about a warp; return the mean squared residual where structure is.
 
     Parameters
     ----------
     template, image, first, last, warp, tone
-        As there.
+        As of :func:`~.lucas_kanade.accumulate`.
     middle_row, middle_col : float
         Bundle's centre.
-    normal, right : numpy.ndarray
-        (8, 8) and (8,) float64, of which the last two rows and columns are filled.
+    columns : numpy.ndarray
+        (8, n) float32 scratch: of one row the derivatives by a, b, s, d, gain, offset and rotation, and the residual.
+    sums : numpy.ndarray
+        (8, 8) float64, filled: the sum of the product of each two of these.
     """
-    height, half = template.shape[0], np.float32(0.5)
-    gain, offset = np.float32(tone[0]), np.float32(tone[1])
+    sums[:] = 0.0
+    squares, half, height = 0.0, np.float32(0.5), template.shape[0]
+    gain, offset, one = np.float32(tone[0]), np.float32(tone[1]), np.float32(1)
     for row in range(1, height - 1):
         above, down, whole, across, begin, end = row_shift(row, height, middle_row, warp, first, last)
         size = end - begin
         here, corners = template[row, begin:end], neighbours(image, above, begin + whole, size)
         left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
         over, under = template[row - 1, begin:end], template[row + 1, begin:end]
-        weights, x0, zero = bilinear(down, across), np.float32(begin - middle_col), np.float32(0)
-        yy, yx, xx, y1, x1, yt, xt, ye, xe = zero, zero, zero, zero, zero, zero, zero, zero, zero
-        vyy, vyx, vxx = zero, zero, zero
+        weights, y, x0 = bilinear(down, across), np.float32(row - middle_row), np.float32(begin - middle_col)
+        total = np.float32(0)
         for k in range(size):
-            x, t = x0 + np.float32(k), here[k]
             gy, gx = half * (under[k] - over[k]), half * (right_of[k] - left[k])
-            e = between(corners, weights, k) - gain * t - offset
-            uy, ux = x * gy, x * gx
-            yy += uy * gy
-            yx += uy * gx
-            xx += ux * gx
-            y1 += uy
-            x1 += ux
-            yt += uy * t
-            xt += ux * t
-            ye += uy * e
-            xe += ux * e
-            vyy += uy * uy
-            vyx += uy * ux
-            vxx += ux * ux
-        y = row - middle_row
-        for unknown, of_rows, of_cols, of_t, of_1 in ((_TURN, yy, yx, yt, y1), (_SCALE, yx, xx, xt, x1)):
-            normal[unknown, 0] += y * of_rows
-            normal[unknown, 1] += of_rows
-            normal[unknown, 2] += y * of_cols
-            normal[unknown, 3] += of_cols
-            normal[unknown, 4] += of_t
-            normal[unknown, 5] += of_1
-        normal[_TURN, _TURN] += vyy
-        normal[_SCALE, _TURN] += vyx
-        normal[_SCALE, _SCALE] += vxx
-        right[_TURN] += ye
-        right[_SCALE] += xe
-    for m in (_TURN, _SCALE):
+            e = between(corners, weights, k) - gain * here[k] - offset
+            columns[0, k], columns[1, k], columns[2, k], columns[3, k] = y * gy, gy, y * gx, gx
+            columns[4, k], columns[5, k], columns[6, k], columns[7, k] = here[k], one, (x0 + np.float32(k)) * gy, e
+            total += (gy * gy + gx * gx) * e * e
+        squares += float(total)
+        for m in range(8):
+            for n in range(m + 1):
+                product = np.float32(0)
+                for k in range(size):
+                    product += columns[m, k] * columns[n, k]
+                sums[m, n] += float(product)
+    for m in range(8):
         for n in range(m):
-            normal[n, m] = normal[m, n]
+            sums[n, m] = sums[m, n]
+    steep = sums[1, 1] + sums[3, 3]
+    return squares / steep if steep > 0 else 0.0

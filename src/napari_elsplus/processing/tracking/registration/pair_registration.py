@@ -86,10 +86,8 @@ class PairRegistration(NamedTuple):
         Larger axis of its covariance.
     turn : float
         Angle of the later frame less that of the earlier one, radians.
-    zoom : float
-        Scale of the later frame over that of the earlier one.
     turn_sigma : float
-        One standard deviation of the angle, and of the scale; infinite where no rotation was modelled.
+        One standard deviation of the angle; infinite where no rotation was modelled.
     """
 
     warp: Warp
@@ -100,7 +98,6 @@ class PairRegistration(NamedTuple):
     velocity: Velocity = Velocity(nan, nan)
     velocity_variance: float = inf
     turn: float = 0.0
-    zoom: float = 1.0
     turn_sigma: float = inf
 
     @property
@@ -266,7 +263,7 @@ class Registrar:
         spread: tuple[float, float],
         turn: tuple[float, float] = (0.0, inf),
     ) -> motion_models.Remainder | None:
-        """Estimate what rotation and scale would add to a warp; None where the frames constrain nothing.
+        """Estimate what a rotation would add to a warp; None where the frames constrain nothing.
 
         Parameters
         ----------
@@ -285,34 +282,12 @@ class Registrar:
             earlier.levels[1], later.levels[1], first, last, self._centre, warp, 2.0, stiffness, CORRELATED_PX / 4, turn
         )
 
-    def turned(
-        self, view: PreparedFrame, velocity: Velocity, turn: float, zoom: float, out: PreparedFrame
-    ) -> PreparedFrame:
-        """Fill a view with another, freed of its motion, and turned and scaled to match a later one.
-
-        Parameters
-        ----------
-        view : PreparedFrame
-            The earlier frame.
-        velocity : Velocity
-            Its own.
-        turn, zoom : float
-            Angle (radians) and scale of the later frame over this one's.
-        out : PreparedFrame
-            What is filled, and returned.
-        """
-        unsheared = motion_models.unsheared(velocity, self.grid.shutter.line_periods_per_frame)
-        matrix = motion_models.turned_by(-turn, 1 / zoom) @ unsheared
-        motion_models.upright(view.image, out.image, self.grid.centre, matrix)
-        return self.prepare(out)
-
     def turned_link(
         self,
         earlier: PreparedFrame,
         later: PreparedFrame,
         motion: MotionPrior,
-        rotation: tuple[float, float],
-        model: motion_models.MotionModel,
+        expected_turn: float,
         scratch: PreparedFrame,
         reach_px: float | None = None,
         turn_spread: float = inf,
@@ -325,10 +300,8 @@ class Registrar:
             Prepared frames.
         motion : MotionPrior
             Of the displacement in the later frame's orientation, with the earlier frame's velocity in its own.
-        rotation : tuple of float
-            Expected angle (radians) and scale of the later frame over the earlier one.
-        model : MotionModel
-            What is modelled.
+        expected_turn : float
+            Angle of the later frame less that of the earlier one, radians.
         scratch : PreparedFrame
             Is filled with the earlier frame, rotated.
         reach_px : float, optional
@@ -343,32 +316,32 @@ class Registrar:
             Its warp is the one that frames of the same orientation would have had. None where nothing was found.
         """
         shutter, before, own = self.grid.shutter, motion.before, motion
-        turn, zoom = rotation
+        turn = expected_turn
+        unsheared = motion_models.unsheared(before, shutter.line_periods_per_frame)
         motion = motion._replace(before=_AT_REST)
         start = motion.warp
         link: PairRegistration | None = None
         sigma = inf
         for _ in range(_TURNS):
-            upright = self.turned(earlier, before, turn, zoom, scratch)
+            matrix = motion_models.turned_by(-turn) @ unsheared
+            motion_models.upright(earlier.image, scratch.image, self.grid.centre, matrix)
+            upright = self.prepare(scratch)
             link = self._refined(upright, later, motion, start, LEVELS - 1, 0.0)
             if reach_px is not None and not link.observed:
                 link = self.search(upright, later, motion, reach_px)
-            left = turn - rotation[0], turn_spread
+            left = turn - expected_turn, turn_spread
             found = None if link is None else self.remainder(upright, later, link.warp, motion.spread, left)
             if link is None or found is None:
                 return None
-            start, form = motion_models.composed(link.warp, found.step[model])
-            more = motion_models.angle_of(form)
-            turn, zoom, sigma = turn - more, zoom / motion_models.scale_of(form), float(found.sigma[0])
+            start, more = motion_models.composed(link.warp, found.step)
+            turn, sigma = turn - more, found.sigma
             if abs(more) < _SMALL_TURN:
                 break
         assert link is not None
         stretch, shear = 1 + before.row / shutter.line_periods_per_frame, before.col / shutter.line_periods_per_frame
         warp = Warp(start.a * stretch, start.b, start.s * stretch + shear, start.d)
         velocity, variance = own.later_velocity(warp, link.warp_covariance)
-        return link._replace(
-            warp=warp, velocity=velocity, velocity_variance=variance, turn=turn, zoom=zoom, turn_sigma=sigma
-        )
+        return link._replace(warp=warp, velocity=velocity, velocity_variance=variance, turn=turn, turn_sigma=sigma)
 
     def _coarse(self, view: PreparedFrame) -> CoarseImage:
         if view.coarse is None:
