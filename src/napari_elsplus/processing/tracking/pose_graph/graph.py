@@ -16,7 +16,7 @@ import numpy as np
 
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction, Corrections
-from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares
+from napari_elsplus.processing.tracking.pose_graph.least_squares import UNKNOWN_TURN, Edge, least_squares
 from napari_elsplus.processing.tracking.pose_graph.marginalisation import marginalised_edges, retained_nodes
 from napari_elsplus.processing.tracking.pose_graph.place_recognition import PlaceIndex
 from napari_elsplus.processing.tracking.pose_graph.relative_pose import (
@@ -25,7 +25,6 @@ from napari_elsplus.processing.tracking.pose_graph.relative_pose import (
     displacement_between,
     joining,
 )
-from napari_elsplus.processing.tracking.pose_graph.turn_rate import UNKNOWN_TURN, TurnRates
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 
 if TYPE_CHECKING:
@@ -56,6 +55,8 @@ _GROWTH: Final = 1.25
 """Factor by which the number of nodes grows between two marginalisations; chosen, so that its cost stays linear."""
 TURNS_PER_NODE: Final = 2
 """Edges from before the rotation was modelled whose angle is estimated with each new node."""
+_GUESSED_TURN_SIGMA: Final = 0.5
+"""Standard deviation of the angle of an edge that could not be registered with one, radians; chosen, large."""
 _REMOVED: Final = -1
 
 
@@ -102,7 +103,7 @@ class PoseGraph:
         self._newest: dict[int, int] = {}
         self._deferred: list[int] = []
         self._heading: dict[int, float] = {}
-        self._rates, self._turns_unknown = TurnRates(), False
+        self._turns_unknown = False
         self._unsolved: set[int] = set()
         self._limit = MAX_NODES
 
@@ -126,7 +127,6 @@ class PoseGraph:
         self.nodes.append(node)
         self.places.append(place)
         self._newest[segment] = number
-        self._rates.add(node)
         if number == len(self._where):
             self._where, self._group, self._landmark = (
                 np.concatenate([values, np.zeros_like(values)]) for values in (self._where, self._group, self._landmark)
@@ -171,7 +171,7 @@ class PoseGraph:
         groups, self._unsolved = self._unsolved, set()
         for group in groups:
             members = np.flatnonzero(self._group[: len(self.nodes)] == group)
-            edges = [self._with_turn(e) for e in (*self._chain, *self._loops) if self._group[e.earlier] == group]
+            edges = [edge for edge in (*self._chain, *self._loops) if self._group[edge.earlier] == group]
             if not edges:
                 continue
             first = self.places[int(members[0])]
@@ -388,14 +388,11 @@ class PoseGraph:
         return count > 0
 
     def _turned(self, edge: Edge) -> Edge:
-        """Return an edge registered once more with its angle, or with a guess of that."""
-        guess = self._with_turn(edge)
-        there = Displacement(*edge.displacement)
-        found = self._register(edge.earlier, edge.later, there, guess.turn)
-        if found is None or found.turn_sigma >= UNKNOWN_TURN:
-            return guess
-        limit_px = AGREEMENT_PX + abs(found.turn) * np.hypot(*there)
-        return found if np.hypot(*np.subtract(found.displacement, there)) < limit_px else guess
-
-    def _with_turn(self, edge: Edge) -> Edge:
-        return edge if self._model is MotionModel.TRANSLATION else self._rates.with_turn(edge, self.nodes)
+        """Return an edge registered once more with its angle, or with that of its nodes."""
+        turn, there = self.places[edge.later].angle - self.places[edge.earlier].angle, Displacement(*edge.displacement)
+        found = self._register(edge.earlier, edge.later, there, turn)
+        if found is not None and found.turn_sigma < UNKNOWN_TURN:
+            limit_px = AGREEMENT_PX + abs(found.turn) * np.hypot(*there)
+            if np.hypot(*np.subtract(found.displacement, there)) < limit_px:
+                return found
+        return edge._replace(turn=turn, turn_sigma=_GUESSED_TURN_SIGMA)

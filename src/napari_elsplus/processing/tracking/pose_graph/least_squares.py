@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 _ROUNDS: Final = 8
 """Rounds of reweighting; chosen: weights change by less than 1 % after five."""
-_SIGMAS: Final = (1e-4, 1.0)
+_MIN_TURN_SIGMA: Final = 1e-4
+UNKNOWN_TURN: Final = 1.0
 """Limits of the standard deviation of an angle, radians; the last is that of an angle that was not estimated."""
 _FIRST_WEIGHT: Final = 1e-6
 """First weight of edges that close loops: their residuals are those from the positions by all other edges."""
@@ -100,11 +101,10 @@ def least_squares_places(edges: Sequence[Edge], fixed: int = 0) -> dict[int, Pla
     >>> round(place.row, 6), round(abs(place.col), 6)
     (-10.0, 0.0)
     """
+    sigmas = np.clip([edge.turn_sigma for edge in edges], _MIN_TURN_SIGMA, UNKNOWN_TURN)
     rotations = [
-        edge._replace(
-            displacement=(edge.turn, 0.0), covariance=float(np.clip(edge.turn_sigma, *_SIGMAS)) ** 2 * np.eye(2)
-        )
-        for edge in edges
+        edge._replace(displacement=(edge.turn, 0.0), covariance=sigma**2 * np.eye(2))
+        for edge, sigma in zip(edges, sigmas, strict=True)
     ]
     angles = {node: angle for node, (angle, _) in least_squares_positions(rotations, fixed).items()}
     places = least_squares_positions(upright_edges(edges, angles), fixed)
