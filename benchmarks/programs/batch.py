@@ -42,7 +42,9 @@ from napari_elsplus.workflows.simulated import simulate_recording
 PASSES: Final = 10
 """Recordings that are cut from one long simulated one: rendering a scene anew takes longer than its frames."""
 POLL_S: Final = 0.1
-"""Time between looks at records and processes; chosen, a small part of a stage."""
+"""Time between looks at the records; chosen, a small part of a stage."""
+CPU_POLL_S: Final = 0.5
+"""Time between looks at the processes, which take milliseconds of a core; chosen, a small part of a run."""
 STAGES: Final = ("section", "mosaic")
 DISK_BYTES: Final = 1 << 30
 """Bytes written to measure the disk; chosen: five files of images of 240 frames each."""
@@ -56,8 +58,13 @@ class Run(NamedTuple):
     ----------
     wall_s : float
         From the start of the command to its end.
+    start_s : float
+        From its start to that of the first stage; NaN without a scheduler, and where a batch is resumed.
+    end_s : float
+        From the end of the last stage to that of the command; NaN without a scheduler.
     main_cpu_s : float
-        Processor time of the command itself (scheduler, table, contact sheet); 0 without one.
+        Processor time of all that is no worker (scheduler, table, contact sheet, and the process that workers are
+        forked from); 0 without a scheduler.
     worker_cpu_s : tuple of float
         Processor time of each worker, largest first.
     peak_mb : float
@@ -65,6 +72,8 @@ class Run(NamedTuple):
     """
 
     wall_s: float
+    start_s: float
+    end_s: float
     main_cpu_s: float
     worker_cpu_s: tuple[float, ...]
     peak_mb: float
@@ -87,43 +96,88 @@ def simulate(folder: Path, recordings: int, frames: int) -> list[Path]:
 
 
 def finished(output: Path) -> dict[str, int]:
-    """Return the time (ns) at which each finished stage of a batch was recorded, by the record's name."""
-    return {path.name: path.stat().st_mtime_ns for path in (output / RECORDS).glob("[!.]*.*.json")}
+    """Return the time (ns) at which each finished stage, or span of a stage, was recorded, by the record's path."""
+    records = output / RECORDS
+    found: dict[str, int] = {}
+    for path in (*records.glob("[!.]*.*.json"), *records.glob("*.spans/[0-9]*.json")):
+        with contextlib.suppress(FileNotFoundError):  # spans whose stage has just been finished
+            found[str(path.relative_to(records))] = path.stat().st_mtime_ns
+    return found
 
 
-def run_batch(source: Path, output: Path, workers: int, *, kill_at: int | None = None) -> Run:
-    """Run a batch in processes of its own; kill them all once so many stages are finished.
+class Records:
+    """Records of a batch over several runs, and those that were written anew.
+
+    Attributes
+    ----------
+    first_ns : dict
+        Time at which each was first seen to be written, nanoseconds.
+    twice : set of str
+        Names of those that were written again.
+    """
+
+    def __init__(self, output: Path) -> None:
+        self.output = output
+        self.first_ns: dict[str, int] = {}
+        self.twice: set[str] = set()
+
+    def update(self) -> int:
+        """Look at the records; return their number so far."""
+        for name, at_ns in finished(self.output).items():
+            if self.first_ns.setdefault(name, at_ns) != at_ns:
+                self.twice.add(name)
+        return len(self.first_ns)
+
+    @property
+    def stages(self) -> int:
+        """Number of finished stages."""
+        return sum("/" not in name for name in self.first_ns)
+
+
+def run_batch(source: Path, records: Records, workers: int, *, kill_at: int | None = None) -> Run:
+    """Run a batch in processes of its own; kill them all once there are so many records.
 
     Raises
     ------
     RuntimeError
         If the batch fails, or ends before it was killed.
     """
-    words = ("batch", str(source), "--mosaic", "-o", str(output), "--workers", str(workers))
-    begun_s = time.perf_counter()
+    words = ("batch", str(source), "--mosaic", "-o", str(records.output), "--workers", str(workers))
+    begun_ns, looked_s, start_s, resumed = time.time_ns(), 0.0, np.nan, records.output.exists()
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     running = psutil.Popen((*COMMAND_LINE, *words), start_new_session=True, **pipes)
     spent: dict[int, float] = {}
     main_s = peak = 0.0
     while running.poll() is None:
-        if kill_at is not None and len(finished(output)) >= kill_at:
+        if not resumed and np.isnan(start_s) and any(records.output.glob("[!.]*")):
+            start_s = (time.time_ns() - begun_ns) / 1e9
+        if records.update() >= (np.inf if kill_at is None else kill_at):
             os.killpg(running.pid, signal.SIGKILL)
             running.wait()
             break
-        try:
-            main_s = _cpu_s(running)
-            for child in running.children(recursive=True):
-                spent[child.pid] = _cpu_s(child)
-                peak = max(peak, child.memory_info().rss)
-        except psutil.NoSuchProcess:
-            pass
+        if time.perf_counter() - looked_s > CPU_POLL_S:
+            looked_s = time.perf_counter()
+            with contextlib.suppress(psutil.NoSuchProcess):
+                main_s = _cpu_s(running)
+                for child in running.children(recursive=True):
+                    spent[child.pid] = _cpu_s(child)
+                    peak = max(peak, child.memory_info().rss)
         time.sleep(POLL_S)
+    ended_ns = time.time_ns()
     with running.stdout, running.stderr:
         said = (running.stdout.read() + running.stderr.read()).decode()
     if running.returncode != (0 if kill_at is None else -signal.SIGKILL):
         raise RuntimeError(f"the batch ended with {running.returncode}: {said[-500:]}")
-    workers_s = tuple(sorted(spent.values(), reverse=True)[:workers])
-    return Run(time.perf_counter() - begun_s, main_s, workers_s, peak / 1e6)
+    records.update()
+    cpu_s = sorted(spent.values(), reverse=True)
+    return Run(
+        wall_s=(ended_ns - begun_ns) / 1e9,
+        start_s=start_s,
+        end_s=(ended_ns - max(records.first_ns.values())) / 1e9,
+        main_cpu_s=main_s + sum(cpu_s[workers:]),
+        worker_cpu_s=tuple(cpu_s[:workers]),
+        peak_mb=peak / 1e6,
+    )
 
 
 def run_plain(source: Path, output: Path, processes: int) -> Run:
@@ -148,7 +202,14 @@ def run_plain(source: Path, output: Path, processes: int) -> Run:
         time.sleep(POLL_S)
     if any(share.returncode for share in shares):
         raise RuntimeError("a plain process failed; what it printed stands above")
-    return Run(time.perf_counter() - begun_s, 0.0, tuple(sorted(spent, reverse=True)), peak / 1e6)
+    return Run(
+        wall_s=time.perf_counter() - begun_s,
+        start_s=np.nan,
+        end_s=np.nan,
+        main_cpu_s=0.0,
+        worker_cpu_s=tuple(sorted(spent, reverse=True)),
+        peak_mb=peak / 1e6,
+    )
 
 
 def disk_mb_per_s(folder: Path) -> float:
@@ -217,14 +278,12 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scra
         for words in single_commands(paths[0], Path(made, "first")):  # a kernel that was just compiled rounds otherwise
             subprocess.run((*COMMAND_LINE, *words), check=True, capture_output=True)
         stages = len(STAGES) * recordings
-        kept: dict[str, int] = {}
+        records = Records(output)
         for kill in range(kills):
-            rows.append(("killed", 2, run_batch(source, output, 2, kill_at=(kill + 1) * stages // (kills + 1))))
-            kept = finished(output) | kept  # the time of the first record
-            click.echo(f"killed after {len(finished(output))} of {stages} stages")
-        rows.append(("resumed", 2, run_batch(source, output, 2)))
-        ended = finished(output)
-        twice = [name for name, at_ns in kept.items() if ended[name] != at_ns]
+            rows.append(("killed", 2, run_batch(source, records, 2, kill_at=(kill + 1) * stages // (kills + 1))))
+            click.echo(f"killed after {records.stages} of {stages} stages, {len(records.first_ns)} records")
+        kept = len(records.first_ns)
+        rows.append(("resumed", 2, run_batch(source, records, 2)))
         differing: list[str] = []
         for path in paths:
             with contextlib.redirect_stdout(io.StringIO()):
@@ -232,28 +291,34 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scra
                     main(words)
             differing += differences(output / path.stem, single / path.stem)
             shutil.rmtree(single / path.stem)
-        left = [str(file.relative_to(output)) for file in output.rglob(".????????.*")]
+        left = [*output.rglob(".????????.*"), *(output / RECORDS).glob("*.spans")]
         shutil.rmtree(output)
         disk = disk_mb_per_s(Path(made))
         for _ in range(rounds):
             for workers in (1, 2):
-                for kind, timed in (("batch", run_batch), ("plain", run_plain)):
-                    rows.append((kind, workers, timed(source, Path(made, "timed"), workers)))
-                    written_mb = size_mb(Path(made, "timed"))
-                    shutil.rmtree(Path(made, "timed"))
+                timed = Path(made, "timed")
+                rows.append(("batch", workers, run_batch(source, Records(timed), workers)))
+                written_mb = size_mb(timed)
+                shutil.rmtree(timed)
+                rows.append(("plain", workers, run_plain(source, timed, workers)))
+                shutil.rmtree(timed)
     with replacing(table, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(("run", "workers", "wall_s", "main_cpu_s", "worker_cpu_s", "peak_mb"))
+        writer.writerow(("run", "workers", "wall_s", "start_s", "end_s", "main_cpu_s", "worker_cpu_s", "peak_mb"))
         for name, workers, run in rows:
             cpu = " ".join(f"{seconds:.2f}" for seconds in run.worker_cpu_s)
-            writer.writerow((name, workers, f"{run.wall_s:.2f}", f"{run.main_cpu_s:.2f}", cpu, f"{run.peak_mb:.0f}"))
+            parts = [f"{value:.2f}" for value in (run.wall_s, run.start_s, run.end_s, run.main_cpu_s)]
+            writer.writerow((name, workers, *parts, cpu, f"{run.peak_mb:.0f}"))
+            parts_s = (run.start_s, run.wall_s - run.start_s - run.end_s, run.end_s)
+            within = "" if np.isnan(run.start_s) else " (start {:.1f}, work {:.1f}, end {:.1f} s)".format(*parts_s)
             click.echo(
-                f"{name}, {workers} {KINDS.get(name, 'workers')}: {run.wall_s:.1f} s, processor time {cpu} s and "
-                f"{run.main_cpu_s:.1f} s (scheduler, table, sheet), {run.peak_mb:.0f} MB a worker at most"
+                f"{name}, {workers} {KINDS.get(name, 'workers')}: {run.wall_s:.1f} s{within}, processor time {cpu} s "
+                f"and {run.main_cpu_s:.1f} s (all but workers), {run.peak_mb:.0f} MB a worker at most"
             )
     click.echo(
-        f"{len(ended)} of {stages} stages finished, {len(twice)} of {len(kept)} done twice after {kills} kills, "
-        f"{len(differing)} of {3 * recordings} files differ from single runs, {len(left)} unfinished files left"
+        f"{records.stages} of {stages} stages finished, {len(records.twice)} of {kept} records written twice after "
+        f"{kills} kills, {len(differing)} of {3 * recordings} files differ from single runs, {len(left)} unfinished "
+        "files left"
     )
     if rounds:
         for kind, name in KINDS.items():
@@ -269,5 +334,5 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scra
             f"{written_mb / 1000:.1f} GB of results; the disk takes {disk:.0f} MB/s; "
             f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
         )
-    if twice or differing or left or len(ended) != stages:
+    if records.twice or differing or left or records.stages != stages:
         raise SystemExit(1)

@@ -10,7 +10,8 @@ import sys
 from pathlib import Path
 
 from napari_elsplus.workflows.batch.job import BatchJob, find_items
-from napari_elsplus.workflows.batch.tasks import run_stage
+from napari_elsplus.workflows.batch.spans import SPANS
+from napari_elsplus.workflows.batch.tasks import finish_spans, run_span, run_stage
 
 
 def plain_job(output: Path) -> BatchJob:
@@ -23,7 +24,9 @@ def execute(source: Path, output: Path, first: int, step: int) -> None:
     job = plain_job(output)
     for item in find_items(source)[first::step]:
         for stage in job.stages:
-            run_stage(stage, item, job)
+            found = run_stage(stage, item, job)
+            if SPANS in found:
+                finish_spans(item, job, [run_span(span, item, job) for span in found[SPANS]])
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from napari_elsplus.instrument.calibration import Calibration, OpticsSection
 from napari_elsplus.processing.images.sectioning import Mode
@@ -14,6 +15,7 @@ from napari_elsplus.workflows.batch.tiles import read_tile, write_tile
 from napari_elsplus.workflows.pictures.batch_sheet import draw_batch_sheet
 from napari_elsplus.workflows.pictures.comparison import compare
 from napari_elsplus.workflows.pictures.contact_sheet import draw_contact_sheet
+from napari_elsplus.workflows.pictures.files import save_figure, save_grey_figure
 from pairs import calibration, frames
 
 
@@ -44,6 +46,10 @@ def test_a_batch_sheet_has_the_name_and_scale_of_each_picture(tmp_path: Path) ->
     drawn = np.asarray(figure.axes[0].images[0].get_array())
     right, bottom = int(max(bar.get_xdata())), int(bar.get_ydata()[0])
     assert drawn[bottom, right] == drawn[bottom, right - 100] == 0  # on the picture of a, not beside it
+    save_figure(figure, tmp_path / "colours.png")
+    save_grey_figure(figure, tmp_path / "grey.png")
+    colours = np.asarray(Image.open(tmp_path / "colours.png").convert("RGB"))
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "grey.png"))[..., None].repeat(3, axis=2), colours)
 
 
 @pytest.mark.parametrize("shape", [(700, 3), (6, 700), (40, 50)])

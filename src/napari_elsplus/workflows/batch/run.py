@@ -193,10 +193,10 @@ def _write_sheet(job: BatchJob, made: list[tuple[BatchItem, Values]]) -> None:
         return
     from napari_elsplus.workflows.batch.tiles import TILE_UM, read_tile
     from napari_elsplus.workflows.pictures.batch_sheet import draw_batch_sheet
-    from napari_elsplus.workflows.pictures.files import save_figure
+    from napari_elsplus.workflows.pictures.files import save_grey_figure
 
     sheet = draw_batch_sheet([(item.name, read_tile(item.tile(job)), values[TILE_UM]) for item, values in made])
-    save_figure(sheet, Path(job.output, "contact-sheet.png"), force=True)
+    save_grey_figure(sheet, Path(job.output, "contact-sheet.png"), force=True)
 
 
 def _notes(rows: list[Values]) -> tuple[str, ...]:

@@ -50,6 +50,6 @@ def draw_batch_sheet(pictures: Sequence[tuple[str, NDArray[np.uint8], float | No
         axes.text(left + width / 2, top - 4, name, ha="center", va="bottom", fontsize=_NAME_PT)
         if um_per_px is not None:
             draw_scale_bar(axes, picture.shape, um_per_px, _BAR_PT, corner=(top, left))
-    axes.imshow(sheet, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
+    axes.imshow(sheet, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
     axes.set_axis_off()
     return figure
