@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.documents import calibration_accuracy, figures, mosaicing, paper, physics, recommendation, subtraction
+from benchmarks.documents.ablation import ablation_table, draw_ablation
 from benchmarks.documents.architecture import draw_architecture, read_rooms
 from benchmarks.documents.benchmark import draw_benchmark
 from benchmarks.documents.cores import draw_bundle_frames
@@ -29,7 +30,7 @@ from benchmarks.programs.acquire import acquire
 from benchmarks.programs.batch import batch
 from benchmarks.programs.mutations import mutations
 from benchmarks.programs.start import start
-from benchmarks.studies import line_fit
+from benchmarks.studies import ablation, line_fit
 from napari_elsplus.cli import run_program
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
 from napari_elsplus.errors import InputError
@@ -134,6 +135,32 @@ def imperfect_rigs(
         fill(folder / "simulation.md", blocks)
         if not only_rigs:
             save_figure(study.draw_outcomes(outcomes), folder / "images" / "bench-imperfect.png", force=True)
+
+
+@bench.command(name="ablation")
+@click.argument("words", nargs=-1)
+@click.option("--out", type=FILE, required=True, help="Folder for ablation.md and ablation.png.")
+@click.option("--quick", is_flag=True, help="One recording: a check that it runs.")
+@click.option("--docs", "folder", type=FILE, help="Folder of the documentation whose table and chart are renewed.")
+@force_option
+def ablation_command(words: tuple[str, ...], out: Path, quick: bool, folder: Path | None, force: bool) -> None:
+    """Leave out each rule of the acceptance test, halve and double each constant; WORDS choose of them."""
+    table, chart = out / "ablation.md", out / "ablation.png"
+    refuse_outputs(table, chart, force=force)
+    out.mkdir(parents=True, exist_ok=True)
+    unchanged, *changed = ablation.changes()
+    chosen = [unchanged, *(c for c in changed if not words or any(word in f"{c.rule}: {c.change}" for word in words))]
+    seeds, kinds = (ablation.SEEDS[:1], ablation.KINDS[:1]) if quick else (ablation.SEEDS, ablation.KINDS)
+    found = []
+    with Console(stderr=True).status("ablation") as status:
+        for one in ablation.ablate(chosen, seeds, kinds, status.update):
+            found.append(one)
+            table.write_text(f"{ablation_table(found)}\n", "utf-8")
+            click.echo(table.read_text("utf-8").splitlines()[-1])
+    save_figure(draw_ablation(found), chart, force=True)
+    if folder is not None:
+        fill(folder / "mosaicing.md", {"ablation": ablation_table(found)})
+        save_figure(draw_ablation(found), folder / "images" / "mosaicing-ablation.png", force=True)
 
 
 @bench.command()

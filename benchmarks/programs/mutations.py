@@ -7,83 +7,61 @@ Each mistake is applied to a copy of the package, in which the tests of the modu
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import sys
 import tempfile
 import time
 import traceback
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import click
 
+from benchmarks.harness.edits import Edit, copied_checkout
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-ROOT: Final = Path(__file__).resolve().parents[2]
-HARDWARE: Final = Path("src/napari_elsplus/hardware")
 TIMEOUT_S: Final = 300
 """Seconds after which a mistake counts as noticed, since the tests hang; chosen: far above their time."""
 CAMERA: Final = ("test_strict_camera.py", "test_camera.py", "test_hostile_devices.py")
 CARD: Final = ("daq/test_scanner.py", "daq/test_parking_card.py")
 TESTS: Final = {
-    "u3v/packets": CAMERA,
-    "u3v/control": CAMERA,
-    "u3v/transfers": CAMERA,
-    "u3v/stream": CAMERA,
-    "u3v/clock": CAMERA,
-    "u3v/camera": CAMERA,
-    "u3v/flea3": CAMERA,
-    "u3v/discovery": CAMERA,
-    "u3v/genapi": CAMERA,
-    "micro_manager/camera": ("test_micro_manager.py",),
-    "daq/output": CARD,
-    "daq/scanner": CARD,
-    "daq/interlock": ("daq/test_interlock.py", *CARD),
-    "daq/errors": CARD,
-    "scan/waveform": ("scan/test_waveform.py", "test_bench.py"),
-    "scan/path": ("scan/test_waveform.py", "test_bench.py"),
-    "scan/timing": ("scan/test_waveform.py", "test_bench.py"),
-    "parking": ("test_parking.py", *CARD),
+    "hardware/u3v/packets": CAMERA,
+    "hardware/u3v/control": CAMERA,
+    "hardware/u3v/transfers": CAMERA,
+    "hardware/u3v/stream": CAMERA,
+    "hardware/u3v/clock": CAMERA,
+    "hardware/u3v/camera": CAMERA,
+    "hardware/u3v/flea3": CAMERA,
+    "hardware/u3v/discovery": CAMERA,
+    "hardware/u3v/genapi": CAMERA,
+    "hardware/micro_manager/camera": ("test_micro_manager.py",),
+    "hardware/daq/output": CARD,
+    "hardware/daq/scanner": CARD,
+    "hardware/daq/interlock": ("daq/test_interlock.py", *CARD),
+    "hardware/daq/errors": CARD,
+    "hardware/scan/waveform": ("scan/test_waveform.py", "test_bench.py"),
+    "hardware/scan/path": ("scan/test_waveform.py", "test_bench.py"),
+    "hardware/scan/timing": ("scan/test_waveform.py", "test_bench.py"),
+    "hardware/parking": ("test_parking.py", *CARD),
 }
 """Tests of each module, the quick ones first."""
 
 
 @dataclass(frozen=True)
-class Mistake:
-    """A mistake: text of a module, and what stands there instead.
-
-    Parameters
-    ----------
-    module : str
-        Module of the package's folder ``hardware``.
-    right, wrong : str
-        Text that occurs once, and its replacement.
-    """
-
-    module: str
-    right: str
-    wrong: str
-
-    def apply(self, folder: Path) -> None:
-        """Make the mistake in a copy of the checkout."""
-        path = folder / HARDWARE / f"{self.module}.py"
-        text = path.read_text("utf-8")
-        if text.count(self.right) != 1:
-            raise ValueError(f"{self.right!r} occurs {text.count(self.right)} times in {self.module}")
-        path.write_text(text.replace(self.right, self.wrong), "utf-8")
+class Mistake(Edit):
+    """A mistake in a driver."""
 
     @property
     def label(self) -> str:
         """Module and change in one line."""
-        return f"{self.module}: {' '.join(self.right.split())!r} -> {' '.join(self.wrong.split())!r}"
+        return f"{self.module}: {' '.join(self.old.split())!r} -> {' '.join(self.new.split())!r}"
 
 
 MISTAKES: Final = tuple(
-    Mistake(module, right, wrong)
+    Mistake(f"hardware/{module}", right, wrong)
     for module, changes in {
         "u3v/packets": (
             (
@@ -265,28 +243,16 @@ def try_all(mistakes: Sequence[Mistake]) -> Iterator[tuple[Mistake, str, float]]
     _import_what_the_tests_need()
     with tempfile.TemporaryDirectory(prefix="mutations-") as name:
         for tests in {TESTS[mistake.module] for mistake in mistakes}:
-            with _copy(Path(name) / "copy") as folder:
+            with copied_checkout(Path(name) / "copy", "src", "tests", "pyproject.toml") as folder:
                 if _run_tests(folder, tests):
                     log = (folder / "log.txt").read_text("utf-8")
                     raise RuntimeError(f"the tests of the unchanged package fail:\n{log[-3000:]}")
         for mistake in mistakes:
             begin_s = time.monotonic()
-            with _copy(Path(name) / "copy") as folder:
+            with copied_checkout(Path(name) / "copy", "src", "tests", "pyproject.toml") as folder:
                 mistake.apply(folder)
                 noticed = _run_tests(folder, TESTS[mistake.module])
             yield mistake, noticed, time.monotonic() - begin_s
-
-
-@contextmanager
-def _copy(folder: Path) -> Iterator[Path]:
-    """Copy what tests need of the checkout into a folder, for the time of the context."""
-    for part in ("src", "tests"):
-        shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns(".*"))
-    shutil.copy(ROOT / "pyproject.toml", folder)
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder)
 
 
 def _run_tests(folder: Path, tests: Sequence[str]) -> str:

@@ -6,7 +6,8 @@ import ast
 
 import pytest
 
-from benchmarks.programs.mutations import HARDWARE, MISTAKES, ROOT, TESTS
+from benchmarks.harness.edits import PACKAGE, ROOT
+from benchmarks.programs.mutations import MISTAKES, TESTS
 
 pytestmark = pytest.mark.checkout
 
@@ -17,9 +18,9 @@ def test_there_are_sixty_mistakes_and_more() -> None:
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.label[:60])
 def test_every_mistake_can_be_made_and_is_python(mistake, tmp_path) -> None:
-    copy = tmp_path / HARDWARE / f"{mistake.module}.py"
+    copy = tmp_path / PACKAGE / f"{mistake.module}.py"
     copy.parent.mkdir(parents=True)
-    before = (ROOT / HARDWARE / f"{mistake.module}.py").read_text("utf-8")
+    before = (ROOT / PACKAGE / f"{mistake.module}.py").read_text("utf-8")
     copy.write_text(before, "utf-8")
     mistake.apply(tmp_path)
     assert ast.dump(ast.parse(copy.read_text("utf-8"))) != ast.dump(ast.parse(before))

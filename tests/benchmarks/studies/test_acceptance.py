@@ -18,6 +18,11 @@ def test_right_registrations_are_kept_and_wrong_ones_rejected(row: Row) -> None:
     assert 0.2 < np.sqrt(np.mean(counts.normalised**2) / 2) < 2.5
 
 
+def test_few_fibres_under_a_fast_hand_are_not_taken_for_a_rotation() -> None:
+    """Stretch by acceleration turns a lone fibre as rotation does; with it shifts of 3.5 and 10 px were accepted."""
+    assert measure(Row(60, "hand", 20.0), [7], 26).wrong == 0
+
+
 def test_structure_that_constrains_a_shift_is_distinguished() -> None:
     """A view with one dot outside, a fibre from rim to rim, and one with an end in view."""
     grid = Grid.of(simulated_rig().calibration)

@@ -24,8 +24,12 @@ _MIN_SPREAD: Final = 0.3
 _MEMORY: Final = 0.3
 FIRST_SPEED: Final = 0.3
 """Standard deviation of an unknown velocity, diameters per frame period; chosen, half of the fastest tracked."""
-_FIRST_SURPRISE: Final = 4.0
-"""Mean distance of velocities from those expected, before any was observed, pixels per frame period; chosen, wide."""
+_FIRST_SURPRISE: Final = 1.2
+"""Mean distance of velocities from those expected, before any was observed, pixels per frame period and frame period
+over the time in which a frame is read: the longer the period, the more a hand changes its velocity; chosen on 14
+recordings a row of ``benchmarks.studies.acceptance``."""
+_UNKNOWN_READ: Final = 0.3
+"""Part of the frame period in which a frame is read, where the timing is unknown; chosen, that of some 80 Hz."""
 _SPREAD_OF_SURPRISE: Final = 1.0
 """Standard deviation of a velocity, in each axis, over the mean distance of recent ones from those expected; 0.8 for a
 normal distribution, 1 for heavier tails."""
@@ -50,6 +54,8 @@ class Motion:
         Timing of the rows.
     diameter : float
         Diameter of the field in pixels.
+    surprise : float, optional
+        Mean distance of velocities from those expected, where it was learnt before the track was lost.
 
     Attributes
     ----------
@@ -72,13 +78,13 @@ class Motion:
     Displacement(row=22.5, col=0.0)
     """
 
-    def __init__(self, shutter: RollingShutter, diameter: float) -> None:
+    def __init__(self, shutter: RollingShutter, diameter: float, surprise: float | None = None) -> None:
         self._shutter = shutter
         self._read = min(diameter / shutter.line_periods_per_frame, 1.0)
         self.known = False
         self.velocity = self.change = AT_REST
         self.variance = (FIRST_SPEED * diameter) ** 2
-        self.surprise = _FIRST_SURPRISE
+        self.surprise = _FIRST_SURPRISE / (self._read or _UNKNOWN_READ) if surprise is None else surprise
 
     def follow(self, velocity: Velocity, variance: float, *, successive: bool) -> None:
         """Add the velocity of a registered frame.
@@ -118,12 +124,12 @@ class Motion:
         """
         if not self._read:
             return 0.0
-        rows = self._shutter.line_periods_per_frame
-        jerk = rows * hypot(warp.a - 1, warp.s)
         if self.known:
             jerk = hypot(velocity.row - self.next_velocity.row, velocity.col - self.next_velocity.col)
             jerk = max(jerk, missed_px)
-        return _UNEVEN * self._read**2 * jerk
+        else:
+            jerk = self._shutter.line_periods_per_frame * hypot(warp.a - 1, warp.s)
+        return _UNEVEN * self._read**2 * max(jerk, self.surprise)
 
     @property
     def next_velocity(self) -> Velocity:

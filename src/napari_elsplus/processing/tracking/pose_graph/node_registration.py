@@ -25,9 +25,9 @@ MIN_JOIN_OVERLAP: Final = 0.2
 FALL_OF_CORRELATION: Final = 0.08
 """Largest fall of the correlation of frames of two segments below that of successive ones. Without it pairs of
 different scenes are accepted in 2 of 20 sparse ones, with falls of 0.1 to 0.17."""
-SURE: Final = 4.8
-"""Certainty from which one edge joins segments; below it two edges without a common node must agree. Of frames of
-different places the largest was 3.3, in 140 scenes of few fibres; of the same places the median is 8 and more."""
+SURE_ODDS_NATS: Final = 48.0
+"""Odds from which one edge joins segments; below it two edges without a common node must agree. Of frames of
+different places the largest were 33, in 140 scenes of few fibres; of the same places the median is 80 and more."""
 _VELOCITY_SIGMA: Final = 0.5
 """Standard deviation of the velocities of tracked frames, pixels per frame period; chosen, above that of a track."""
 _SEARCHED_PX: Final = 16.0
@@ -96,7 +96,8 @@ class FrameRegistration:
             return None
         moved = self._shutter.displacement(link.warp, poses[1].velocity)
         covariance = edge_covariance(link, _VELOCITY_SIGMA / self._shutter.line_periods_per_frame)
-        return Edge(*numbers, (moved.row, moved.col), covariance, link.turn, link.turn_sigma, link.certainty > SURE)
+        sure = link.odds > SURE_ODDS_NATS
+        return Edge(*numbers, (moved.row, moved.col), covariance, link.turn, link.turn_sigma, sure)
 
 
 def _joins(link: PairRegistration, poses: tuple[Pose, Pose]) -> bool:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 MIN_ODDS_NATS: Final = 10.0
 """Log posterior odds from which a registration is accepted; chosen on 14 recordings a row of
 ``benchmarks.studies.acceptance`` (seeds 0 to 7 and 100 to 105) that are not those reported: in sparse and jerky scenes
-2.4 of 1,000 are wrong, at 8 nats 3.3, at 12 nats 1.9."""
+7 of 5,949 are wrong."""
 COMPETING_PX: Final = 4.0
 """Distance from which two peaks of the search are different shifts, pixels."""
 _AT_REST: Final = Velocity(0.0, 0.0)
@@ -108,11 +108,6 @@ class PairRegistration(NamedTuple):
     def reaches(self, odds_nats: float) -> bool:
         """Return True if the frames overlap enough and the odds are at least so many nats."""
         return self.overlap >= LEAST_OVERLAP and self.odds >= odds_nats
-
-    @property
-    def certainty(self) -> float:
-        """Odds over those that are needed."""
-        return self.odds / MIN_ODDS_NATS
 
     @property
     def sigma(self) -> float:
