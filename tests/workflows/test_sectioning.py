@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import tifffile
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.instrument.calibration import Calibration
@@ -69,3 +72,13 @@ def test_what_cannot_be_done_is_said(calibration: Calibration) -> None:
         section(RAW, calibration, "ls", cores="interpolate")
     with pytest.raises(CalibrationError, match="no bundle section"):
         section(RAW, Calibration(), "ls")
+
+
+@pytest.mark.parametrize("mode", ["ls", "els", "elsa"])
+@pytest.mark.parametrize("cores", ["none", "median"])
+def test_what_is_saved_is_what_is_computed_one_by_one(
+    calibration: Calibration, mode: str, cores: str, tmp_path: Path
+) -> None:
+    images = section(RAW, calibration, mode, cores=cores)
+    images.save(tmp_path / "images.ome.tif")
+    assert np.array_equal(tifffile.imread(tmp_path / "images.ome.tif").reshape(images.shape), images[:], equal_nan=True)

@@ -1,15 +1,16 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.workflows.tracking import Pipeline
-from napari_elsplus.workflows.two_threads import AHEAD, Pipelined
+from napari_elsplus.workflows.two_threads import AHEAD, Pipelined, computed_ahead
 from recordings import Truth, record, smooth_path, texture
 
 
@@ -96,3 +97,15 @@ def test_frames_before_one_of_another_size_are_in_the_track(truth: Truth) -> Non
         add_all(two, [*truth.frames[:6], truth.frames[6][:50]])
     assert [row.frame for row in two.rows] == list(range(6))
     assert not any(thread.name.startswith("link") for thread in threading.enumerate())
+
+
+def test_images_computed_ahead_are_those_of_one_thread_and_the_same_error_comes_in_its_place() -> None:
+    def images() -> Iterator[NDArray[np.float32]]:
+        for number in range(3):
+            yield np.full((2, 2), number, np.float32)
+        raise ValueError("the fourth")
+
+    ahead = computed_ahead(images())
+    assert [int(next(ahead)[0, 0]) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(ValueError, match="the fourth"):
+        next(ahead)

@@ -15,6 +15,7 @@ from napari_elsplus.processing.images.row_power import RowPower
 from napari_elsplus.processing.images.row_reference import shows_row_noise
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.workflows.progress import without_display
+from napari_elsplus.workflows.two_threads import computed_ahead
 
 if TYPE_CHECKING:
     import os
@@ -168,7 +169,9 @@ class SectionedImages:
         return np.array(self[:], dtype=dtype, copy=copy)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False, progress: Progress = without_display) -> None:
-        """Write the images (T, n, n), one at a time, with the calibration and the timing, in the suffix's format.
+        """Write the images (T, n, n) with the calibration and the timing, in the suffix's format.
+
+        One image at a time is written while the next is computed, on two threads.
 
         Parameters
         ----------
@@ -184,7 +187,8 @@ class SectionedImages:
         InputError
             If no format writes the suffix, or the file exists and `force` is not given.
         """
-        write_images(path, self._images(progress(range(self._count), self.mode.value)), **self._known(), force=force)
+        images = computed_ahead(self._images(progress(range(self._count), self.mode.value)))
+        write_images(path, images, **self._known(), force=force)
 
     def allocate(self, path: str | os.PathLike[str]) -> None:
         """Create the file that :meth:`save` writes, with pixels of 0; :meth:`fill` writes spans of images into it.

@@ -1,4 +1,4 @@
-"""Tracking on two threads: one prepares images, the other registers and inserts the frames before."""
+"""Work on two threads: images are computed while others are written, or while the frames before are registered."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from concurrent.futures import Future
     from types import TracebackType
 
@@ -18,6 +19,21 @@ if TYPE_CHECKING:
 
 AHEAD: Final = 4
 """Frames in progress at once; chosen so that neither thread waits for the other's slowest frame."""
+
+
+def computed_ahead(images: Iterator[NDArray[np.float32]]) -> Iterator[NDArray[np.float32]]:
+    """Yield images (n, n), the next of which a second thread computes while the caller writes one.
+
+    Parameters
+    ----------
+    images : iterator of numpy.ndarray
+        Each computed when it is asked for, in an array of its own; asked for by the second thread alone.
+    """
+    with ThreadPoolExecutor(1, thread_name_prefix="images") as thread:
+        coming = thread.submit(next, images, None)
+        while (image := coming.result()) is not None:
+            coming = thread.submit(next, images, None)
+            yield image
 
 
 class Pipelined:
