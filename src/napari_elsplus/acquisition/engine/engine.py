@@ -137,7 +137,7 @@ class Engine(ClosedOnExit):
             try:
                 self._activate(calibration)
                 if self._live and scan:
-                    self.galvo.follow(self.galvo.waveform(calibration))
+                    self.galvo.follow(self.galvo.waveform(calibration), calibration)
             except BaseException:
                 self._activate(before, restoring=True)
                 raise
@@ -225,7 +225,7 @@ class Engine(ClosedOnExit):
             if calibration is None:
                 raise InputError("there is no calibration to scan by", "calibrate, or load a calibration")
             calibration.require("galvo", "bundle")
-            self.galvo.follow(self.galvo.waveform(calibration))
+            self.galvo.follow(self.galvo.waveform(calibration), calibration)
 
     def record(self, plan: RecordingPlan) -> None:
         """Record raw frames by a plan, the active calibration beside them.
@@ -255,6 +255,11 @@ class Engine(ClosedOnExit):
         """Wait after :meth:`stop` until the recording is complete."""
         if self._run is not None and not self._live:
             self._run.finish_recording()
+
+    def _scanned_by(self) -> Calibration | None:
+        """Return the active calibration if the line scans by it; None during trials."""
+        by = self.galvo.scanned_by
+        return by if by is self.calibration else None
 
     @property
     def display(self) -> Ring | None:
@@ -327,10 +332,10 @@ class Engine(ClosedOnExit):
         self.finish_recording()
         sink = self._imaging.display.sink
         assert sink is not None
-        run = Run(self.setup, sink, self._faults, tracker=self._tracker, buffer_s=self._buffer_s)
+        run = Run(self.setup, sink, self._faults, self._scanned_by, tracker=self._tracker, buffer_s=self._buffer_s)
         try:
             self.galvo.watch_frames(lambda: run.received)
-            self.galvo.follow(waveform)
+            self.galvo.follow(waveform, self.calibration)
             run.start()
         except BaseException:
             self.galvo.try_to_park()

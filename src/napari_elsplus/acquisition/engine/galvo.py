@@ -44,8 +44,8 @@ class GalvoController:
 
     Attributes
     ----------
-    scanning : bool
-        True if the last command was to scan.
+    scanned_by : Calibration or None
+        By which the line scans; None if the last command was not to scan.
     hold_limit_s : float
         Seconds after which the rig parks a line that is held still; 20 where its scanner has no such attribute.
     """
@@ -56,7 +56,7 @@ class GalvoController:
         self._rig_park_v = rig.scanner.park_v
         self.limits: GalvoLimits = rig.limits
         self.hold_limit_s: float = getattr(rig.scanner, "hold_limit_s", DEFAULT_HOLD_LIMIT_S)
-        self.scanning = False
+        self.scanned_by: Calibration | None = None
         self._faults = faults
         self._end_subscription = rig.scanner.on_park_state(self._note)
         if rig.guardian is not None:
@@ -79,8 +79,20 @@ class GalvoController:
         """Exposure times of the rows, relative to the strobe."""
         return self._setup.timing(self._strobe)
 
-    def follow(self, waveform: Waveform | None) -> None:
-        """Scan by a waveform; without one, park a galvo that scans.
+    @property
+    def scanning(self) -> bool:
+        """True if the last command was to scan."""
+        return self.scanned_by is not None
+
+    def follow(self, waveform: Waveform | None, calibration: Calibration | None) -> None:
+        """Scan by the waveform of a calibration; without one, park a galvo that scans.
+
+        Parameters
+        ----------
+        waveform : Waveform or None
+            Of :meth:`waveform`.
+        calibration : Calibration or None
+            From which it was made.
 
         Raises
         ------
@@ -91,7 +103,7 @@ class GalvoController:
         """
         if waveform is not None:
             self._move(lambda: self._scanner.scan(waveform))
-            self.scanning = True
+            self.scanned_by = calibration
         elif self.scanning:
             self.park()
 
@@ -116,7 +128,7 @@ class GalvoController:
 
     def park(self) -> None:
         """Move the line off the bundle; waits for no lock."""
-        self.scanning = False
+        self.scanned_by = None
         self._scanner.park()
 
     def try_to_park(self) -> None:
@@ -157,7 +169,7 @@ class GalvoController:
 
     def _move(self, move: Callable[[], None]) -> None:
         self._operations.check()
-        self.scanning = False
+        self.scanned_by = None
         try:
             move()
         except DeviceError:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from napari_elsplus.acquisition.engine.status import RecordingState, Status
+from napari_elsplus.acquisition.engine.watcher import AgreementWatch
 from napari_elsplus.acquisition.engine.workers import CameraWorker, ProcessingWorker
 from napari_elsplus.acquisition.streaming.recorder import Recorder
 from napari_elsplus.acquisition.streaming.stream import FrameStream
@@ -18,7 +20,7 @@ from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.priority import full_collections_deferred
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 
 ENDING: Final = frozenset({"camera", "scanner", "engine"})
 """Sources of faults that end a stream."""
+AGREEMENT_TIMEOUT_S: Final = 0.5
+"""Time in which a frame has to come that is compared with the calibration; chosen: a stream then ends without delay."""
 MIN_DEPTH: Final = 64
 """Frames in the stream at least; chosen: for rates at which 2 s are few frames."""
 
@@ -45,6 +49,8 @@ class Run:
         Makes the live images.
     faults : FaultLog
         Receives faults.
+    scanned_by : callable
+        Returns the active calibration if the line scans by it, else None; frames are compared with it.
     tracker : FrameConsumer, optional
         Receives every frame, too.
     buffer_s : float
@@ -56,6 +62,7 @@ class Run:
         setup: CameraSetup,
         sink: DisplaySink,
         faults: FaultLog,
+        scanned_by: Callable[[], Calibration | None],
         *,
         tracker: FrameConsumer | None,
         buffer_s: float,
@@ -67,6 +74,7 @@ class Run:
         self._stream = FrameStream(camera.frame_shape, max(MIN_DEPTH, round(buffer_s * frame_rate_hz)))
         self._camera_worker = CameraWorker(camera, self._stream, self.tally, faults, setup.settling)
         self.processing = ProcessingWorker(self._stream, sink, self.tally, faults, tracker)
+        self._agreement = AgreementWatch(scanned_by, self._newest_frames, partial(faults.add, "processing"))
         self._recorder: Recorder | None = None
         self._held = ExitStack()
         self._age_s = process_age_s() - time.perf_counter()
@@ -90,6 +98,7 @@ class Run:
             self._stream.end()
             raise
         self._camera_worker.start()
+        self._agreement.start()
         self._setup.require_bus()
 
     @property
@@ -108,6 +117,7 @@ class Run:
         self._cpu_us_per_frame = {
             name: 1e6 * (end_s - self._times_s.get(name, 0.0)) / frames for name, end_s in thread_times_s().items()
         }
+        self._agreement.stop()
         self._camera_worker.stop()
         if self._camera_worker.ident is not None:
             self._camera_worker.join()
@@ -116,8 +126,9 @@ class Run:
         except DeviceError as error:
             self._faults.add("camera", error)
         self._stream.end()
-        if self.processing.ident is not None:
-            self.processing.join()
+        for worker in (self.processing, self._agreement):
+            if worker.ident is not None:
+                worker.join()
         self._held.close()
 
     def record(self, plan: RecordingPlan, calibration: Calibration | None, settings: Mapping[str, Any]) -> None:
@@ -179,7 +190,11 @@ class Run:
             started_s=self._age_s + tally.first_s,
             measures=self.processing.measures,
             recording=self.recording,
+            disagreement=self._agreement.disagreement,
         )
+
+    def _newest_frames(self, count: int) -> NDArray[np.uint8]:
+        return self.fresh_frames(count, time.perf_counter(), AGREEMENT_TIMEOUT_S)
 
     def raise_ending_fault(self) -> None:
         """Raise the fault that ended the stream as a DeviceError, if there was one: the cause, not its consequence."""

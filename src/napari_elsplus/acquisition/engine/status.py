@@ -120,6 +120,8 @@ class Status:
         Oldest first.
     stale : mapping
         Sections of the calibration that are stale, with the reason.
+    disagreement : str
+        In which way the newest scanned frames contradict the calibration, with the remedy; empty if they do not.
     progress : Progress, optional
         Of the procedure that runs.
     track : TrackState, optional
@@ -147,6 +149,7 @@ class Status:
     display: tuple[str, Layout] | None = None
     faults: tuple[Fault, ...] = ()
     stale: Mapping[str, str] = field(default_factory=dict)
+    disagreement: str = ""
     progress: Progress | None = None
     track: TrackState | None = None
 

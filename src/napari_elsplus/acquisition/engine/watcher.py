@@ -1,15 +1,27 @@
-"""The thread that watches a running stream: what fails without a command ends it, parked."""
+"""The threads that watch a running stream: what fails without a command ends it, parked; a calibration is compared."""
 
 from __future__ import annotations
 
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final
 
+from napari_elsplus.errors import CalibrationError, DeviceError, InputError
+from napari_elsplus.processing.calibration.live_agreement import LiveAgreement
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+
 _PERIOD_S: Final = 0.05
 """Chosen: a tenth of the 0.5 s in which the galvo has to be parked after a fault."""
+COMPARISON_PERIOD_S: Final = 5.0
+"""From one comparison to the next; chosen: it takes 11 to 14 ms of one core."""
+COMPARED_FRAMES: Final = 8
+"""Frames that are averaged; chosen: the cores of the residual view of a sparse specimen are then clear."""
 
 
 class Watcher(Thread):
@@ -41,3 +53,77 @@ class Watcher(Thread):
                 self._check()
             except Exception as error:  # noqa: BLE001 - handled by the owner
                 self._failed(error)
+
+
+class AgreementWatch(Thread):
+    """Compares the newest frames with the calibration that they are scanned by.
+
+    Parameters
+    ----------
+    scanned_by : callable
+        Returns the calibration by which the line scans now; None while it does not, or scans by a trial.
+    fresh_frames : callable
+        Returns a number of new frames (count, rows, cols).
+    failed : callable
+        Receives a defect; the comparisons end then.
+
+    Attributes
+    ----------
+    disagreement : str
+        Problem and remedy in one line; empty while the frames agree with the calibration, or show too little. It stays
+        as it is until the frames agree, or disagree otherwise.
+    """
+
+    def __init__(
+        self,
+        scanned_by: Callable[[], Calibration | None],
+        fresh_frames: Callable[[int], NDArray[np.uint8]],
+        failed: Callable[[Exception], None],
+    ) -> None:
+        super().__init__(name="calibration-watch", daemon=True)
+        self._scanned_by, self._fresh_frames, self._failed = scanned_by, fresh_frames, failed
+        self._stopping = Event()
+        self._known: tuple[Calibration, LiveAgreement | None] | None = None
+        self.disagreement = ""
+
+    def stop(self) -> None:
+        """End the comparisons."""
+        self._stopping.set()
+
+    def run(self) -> None:
+        """Compare until :meth:`stop`."""
+        while not self._stopping.wait(COMPARISON_PERIOD_S):
+            try:
+                self.compare()
+            except (DeviceError, InputError):
+                continue  # the stream ends, or pauses
+            except Exception as error:  # noqa: BLE001 - frames go on being acquired and recorded
+                self._failed(error)
+                return
+
+    def compare(self) -> None:
+        """Compare a few frames, if the line scans by the calibration that is active, and still does afterwards."""
+        calibration = self._scanned_by()
+        if calibration is None:
+            return
+        frames = self._fresh_frames(COMPARED_FRAMES)
+        agreement = self._agreement(calibration, frames.shape[1:])
+        if agreement is None or self._scanned_by() is not calibration:
+            return
+        found = agreement.disagreement(frames)
+        text = "" if found is None else f"{found.problem}: {found.remedy}"
+        if _without_numbers(text) != _without_numbers(self.disagreement):
+            self.disagreement = text
+
+    def _agreement(self, calibration: Calibration, frame_shape: tuple[int, int]) -> LiveAgreement | None:
+        if self._known is None or self._known[0] is not calibration:
+            try:
+                self._known = calibration, LiveAgreement(calibration, frame_shape)
+            except CalibrationError:
+                self._known = calibration, None
+            self.disagreement = ""
+        return self._known[1]
+
+
+def _without_numbers(text: str) -> str:
+    return "".join(letter for letter in text if not letter.isdigit())

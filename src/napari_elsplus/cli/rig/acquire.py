@@ -102,6 +102,8 @@ def command(
     click.echo(summary(status))
     if status.notice:
         click.echo(f"note: {status.notice}")
+    if status.disagreement:
+        click.echo(f"note: {status.disagreement}")
     parking = rig.scanner.park_state  # after closing
     if parking.stage is ParkStage.NOT_PARKED:
         raise DeviceError(parking.message, "keep it off until the galvo is parked")

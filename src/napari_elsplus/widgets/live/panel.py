@@ -218,6 +218,7 @@ class LivePanel(EnginePanel):
         messages = [str(died)] if died is not None else []
         if status is not None:
             messages += [str(fault) for fault in status.faults]
+            messages += [status.disagreement] if status.disagreement else []
         for message in messages:
             if message not in self._faults_shown:
                 self._faults_shown.add(message)

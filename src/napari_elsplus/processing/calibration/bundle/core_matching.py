@@ -196,7 +196,7 @@ class CoreMatcher:
         self.rows, self.cols = rows[self.inside], cols[self.inside]
         self.residual_centre = residual.centre
         self._scale = residual.diameter_px / confocal.diameter_px
-        self.contrast = _contrast(frame, radius)
+        self.contrast = core_contrast(frame, radius)
         self.confocal = resampled(self.contrast, self.grid_to_frame(confocal.centre, np.eye(2, 3)), self.side)
 
     @property
@@ -351,8 +351,16 @@ def _rotated(motion: Floats, angle: float) -> Floats:
     return np.column_stack([turn @ motion[:, :2], motion[:, 2]])
 
 
-def _contrast(frame: Image, radius: float) -> Image:
-    """Return the contrast of the cores: light over its local mean, independent of gain and uneven light."""
+def core_contrast(frame: Image, radius: float) -> Image:
+    """Return the contrast of the cores: light over its local mean, independent of gain and uneven light.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        (rows, cols) float32 grey levels.
+    radius : float
+        Of the bundle's image, px.
+    """
     fine = cv2.GaussianBlur(frame, (0, 0), 0.6)
     mean = cv2.GaussianBlur(frame, (0, 0), max(4.0, radius / 12))
     dark = float(np.percentile(mean, 1))
