@@ -93,7 +93,7 @@ def our_stages(calibration: Calibration, raw: NDArray[np.uint8]) -> dict[str, fl
             made = clock()
             pose = tracker.add()
             tracked = clock()
-            if pose.state is TrackingState.TRACKED:
+            if pose.state is TrackingState.TRACKED and mosaic.due(pose):
                 mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle)
             laid = clock()
             keeping = tracked - made - sum(registrar.spent.values())

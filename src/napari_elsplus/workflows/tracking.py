@@ -32,12 +32,10 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
     from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
 
-
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
-"""Note for the user where fewer than two frames of a track are tracked."""
+"""Note for the user where fewer than two frames are tracked."""
 MAX_SAMPLES: Final = 64
-"""Frames from which the field of view and the static pattern of finished images are estimated; chosen, spread evenly
-over the stack."""
+"""Frames, spread evenly, from which the field of view and the static pattern of finished images are estimated."""
 _RIM_PX: Final = 4
 """Margin by which the nominal disc is smaller than the image, pixels; chosen, for the interpolation at its rim."""
 
@@ -198,15 +196,16 @@ class Pipeline:
         """Return the tracking image (side, side) of a raw frame, valid until the next call; as of :meth:`add`."""
         return self._tracking.image(raw, raw if raw_residual is None else raw_residual)
 
-    def insert(self, image: NDArray[np.float32], pose: Pose) -> Mosaic | None:
-        """Insert a tracking image (side, side) at its pose; return its mosaic, or None if it was not tracked."""
+    def insert(self, image: NDArray[np.float32], pose: Pose, *, always: bool = False) -> Mosaic | None:
+        """Insert an image (side, side) at its pose, if due or `always`; return its mosaic, or None if not tracked."""
         if pose.state is not TrackingState.TRACKED:
             return None
         mosaic = self.mosaics.get(pose.segment)
         if not isinstance(mosaic, Mosaic):
-            store = None if self._new_store is None else self._new_store(pose.segment)
+            store = self._new_store and self._new_store(pose.segment)
             mosaic = self.mosaics[pose.segment] = self.blank_mosaic(store)
-        mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle)
+        if mosaic.due(pose) or always:
+            mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle)
         return mosaic
 
     def blank_mosaic(self, store: TileStore | None = None) -> Mosaic:
@@ -292,8 +291,9 @@ class Pipeline:
             return made if light is None else made / light
 
         tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
+        last = {self.poses[k].segment: k for k in tracked}.values()
         for index in progress(tracked):
-            self.insert(image(index), self.poses[index])
+            self.insert(image(index), self.poses[index], always=index in last)
         if self._tapers_rim and (found := estimate_deformation(image, self.poses, self.mosaics, self._weights)):
             self.mosaics = {}
             for index in tracked:

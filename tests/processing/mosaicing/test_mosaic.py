@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.mosaicing.montage import montage
-from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
+from napari_elsplus.processing.mosaicing.mosaic import STILL, Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, HeapTiles, Rectangle
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import Grid
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import Pipeline
@@ -173,15 +174,15 @@ def test_front_end_allocates_nothing() -> None:
 
 
 def test_turned_frames_are_laid_upright() -> None:
-    velocity, angle, scale = Velocity(20.0, -12.0), np.deg2rad(9.0), 1.03
+    velocity, angle = Velocity(20.0, -12.0), np.deg2rad(9.0)
     r, (y, x) = GRID.shutter.line_periods_per_frame, (np.arange(GRID.side) - c for c in GRID.centre)
     y, x = np.meshgrid(y, x, indexing="ij")
     y, x = y * (1 + velocity.row / r), x + velocity.col * y / r
-    rows = scale * (np.cos(angle) * y - np.sin(angle) * x)
-    cols = scale * (np.sin(angle) * y + np.cos(angle) * x)
+    rows = np.cos(angle) * y - np.sin(angle) * x
+    cols = np.sin(angle) * y + np.cos(angle) * x
     image = wave(30.2 + rows, -11.7 + cols).astype(np.float32)
     mosaic = Mosaic(GRID)
-    mosaic.insert(image, 30.2, -11.7, velocity, angle, scale)
+    mosaic.insert(image, 30.2, -11.7, velocity, angle)
     assert miss(mosaic) < 1.0
     unturned = Mosaic(GRID)
     unturned.insert(image, 30.2, -11.7, velocity)
@@ -221,3 +222,19 @@ def test_turned_frames_are_interpolated_once() -> None:
     assert inside.sum() > 5000
     assert np.abs(image_at - once)[inside].max() < 6  # OpenCV places samples to a thirty-second of a pixel
     assert image_at[inside].std() == pytest.approx(once[inside].std(), rel=0.01)
+
+
+def test_a_dead_leaf_is_due_once_the_probe_has_moved_or_a_few_frames_were_left_out() -> None:
+    def places(insertion: Insertion, step_px: float) -> list[int]:
+        mosaic, inserted = Mosaic(GRID, insertion), []
+        for k in range(12):
+            pose = Pose(0, 0.0, step_px * k, STILL, 1.0, 0.1, TrackingState.TRACKED)
+            if mosaic.due(pose):
+                mosaic.insert(np.ones((120, 120), np.float32), pose.row, pose.col)
+                inserted.append(k)
+        return inserted
+
+    step_px = 0.03 * GRID.diameter
+    assert places(Insertion.DEAD_LEAF, step_px) == [0, 2, 4, 6, 8, 10]
+    assert places(Insertion.DEAD_LEAF, 0.0) == [0, 4, 8]
+    assert places(Insertion.FEATHERED, 0.0) == list(range(12))

@@ -7,7 +7,7 @@ inserted: each row of the mosaic is interpolated between two rows of the frame, 
 from __future__ import annotations
 
 from enum import StrEnum
-from math import ceil, floor
+from math import ceil, floor, hypot
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -35,6 +35,10 @@ _RIM_WEIGHT: Final = 0.02
 _COVERING_RATIO: Final = 0.5
 """A dead leaf covers a pixel if its weight is at least this fraction of the weight there; chosen: a rim never covers
 the inside of another frame, while frames that overlap well cover each other."""
+_RENEWED_AFTER: Final = 0.05
+"""Motion, in bundle diameters, after which a dead leaf is due; chosen: that between keyframes."""
+_MAX_LEFT_OUT: Final = 3
+"""Frames in a row that are not due; chosen: at 240 Hz the mosaic is renewed 60 times a second."""
 STILL: Final = Velocity(0.0, 0.0)
 """Velocity of a probe at rest, pixels per frame period."""
 
@@ -122,6 +126,8 @@ class Mosaic(TiledCanvas):
         self._weights = rim_weights(grid) if weights is None else weights
         self._spans = grid.spans()
         self.exposure = 1.0
+        self._newest: tuple[float, float, float] | None = None
+        self._left_out = 0
         self._upright = np.zeros((grid.side, grid.side), np.float32)
         self._upright_weights = np.zeros_like(self._upright)
         self._exposed_image = np.zeros_like(self._upright)
@@ -153,6 +159,7 @@ class Mosaic(TiledCanvas):
         Rectangle
             Part of the canvas that may have changed.
         """
+        self._newest, self._left_out = (row, col, angle), 0
         image, footprint = self._placed(image, row, col, velocity, angle)
         touched = self._extent(row, col, *self._stretch_and_shear(velocity, angle))
         blend = self.insertion is Insertion.FEATHERED
@@ -166,6 +173,19 @@ class Mosaic(TiledCanvas):
                 insert_rows(*tile, at.top, at.left, image, footprint, blend)
             self._mark_drawn(touched)
         return touched
+
+    def due(self, pose: Pose) -> bool:
+        """Return True if the next frame is worth inserting, given its `pose`; called once for each frame.
+
+        A dead leaf is only if the probe has moved since the newest one, or a few frames were left out: it would cover
+        that one with the same.
+        """
+        if self.insertion is not Insertion.DEAD_LEAF or self._newest is None:
+            return True
+        row, col, angle = self._newest
+        moved = hypot(pose.row - row, pose.col - col) / self.grid.diameter + abs(pose.angle - angle) / 2
+        self._left_out += 1
+        return moved >= _RENEWED_AFTER or self._left_out > _MAX_LEFT_OUT
 
     def extent_of(self, pose: Pose) -> Rectangle:
         """Return the part of the canvas that a frame with a pose covers at most."""
