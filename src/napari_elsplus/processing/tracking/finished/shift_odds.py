@@ -13,7 +13,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
 import numpy as np
-from scipy import fft
+
+from napari_elsplus.processing.tracking.registration.masked_correlation import (
+    CoarseImage,
+    MaskedCorrelation,
+    opposite,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,11 +44,23 @@ _REACH_DIAMETERS: Final = 0.2
 
 
 class SpectraOfImage(NamedTuple):
-    """Fourier transforms of a prepared image, of its square and of its local variance, with its autocorrelation."""
+    """What the odds need of an image.
 
-    image: NDArray[np.complex64]
-    square: NDArray[np.complex64]
-    variance: NDArray[np.complex64]
+    Parameters
+    ----------
+    image : CoarseImage
+        High-passed and smoothed.
+    variance : numpy.ndarray
+        Spectrum of its local variance.
+    variance_sums : numpy.ndarray
+        Sum of that over the overlap with the mask at each shift.
+    autocorrelation : numpy.ndarray
+        Of the image, at each lag.
+    """
+
+    image: CoarseImage
+    variance: NDArray[np.float32]
+    variance_sums: NDArray[np.float32]
     autocorrelation: NDArray[np.float32]
 
 
@@ -65,11 +82,6 @@ class ShiftEstimate(NamedTuple):
     odds: float
     correlation: float
 
-    @property
-    def accepted(self) -> bool:
-        """True if the odds reach :data:`MIN_ODDS_NATS`."""
-        return self.odds >= MIN_ODDS_NATS
-
 
 class ShiftOdds:
     """Estimates shifts between images under one mask, over all shifts.
@@ -84,30 +96,25 @@ class ShiftOdds:
 
     def __init__(self, mask: NDArray[np.float32], diameter: float) -> None:
         self._mask, self._diameter = mask, diameter
-        self._size = fft.next_fast_len(2 * max(mask.shape), real=True)
-        self._mask_spectrum = self._transform(mask)
-        self._overlap = np.maximum(self._correlate(self._mask_spectrum, self._mask_spectrum), 1e-3)
-        self._searched = self._overlap > MIN_OVERLAP * mask.sum()
-        self._smooth_mask = np.maximum(self._blur(mask, _HIGH_PASS_DIAMETERS), 1e-3)
-        self._variance_mask = np.maximum(self._blur(mask, _VARIANCE_DIAMETERS), 1e-2)
-        self._lags = fft.fftfreq(self._size, 1 / self._size)
-        distance = np.hypot(self._lags[:, None], self._lags)
-        self._near_lags = (distance < _LAGS_DIAMETERS * diameter) & self._searched
+        self._variance_px = max(1.0, _VARIANCE_DIAMETERS * diameter)
+        self._correlation = both = MaskedCorrelation(mask, MIN_OVERLAP, max(1.0, _HIGH_PASS_DIAMETERS * diameter))
+        distance = np.hypot(both.lags[:, None], both.lags)
+        self._near_lags = (distance < _LAGS_DIAMETERS * diameter) & both.searched
         prior = -1.5 * np.log1p((distance / (_REACH_DIAMETERS * diameter)) ** 2)
-        prior[~self._searched] = -np.inf
+        prior[~both.searched] = -np.inf
         self._prior = prior - _log_sum(prior)
 
     def spectra(self, image: NDArray[np.float32]) -> SpectraOfImage:
         """Return the spectra of an image (rows, cols), high-passed and smoothed within the mask."""
-        mask = self._mask
-        inside = (image - self._blur(image * mask, _HIGH_PASS_DIAMETERS) / self._smooth_mask) * mask
-        inside = cv2.GaussianBlur(inside, (0, 0), _SMOOTHING_CELLS)
+        mask, both = self._mask, self._correlation
+        inside = cv2.GaussianBlur(both.high_passed(image), (0, 0), _SMOOTHING_CELLS)
         inside = (inside - inside[mask > 0].mean()) * mask
-        spectrum = self._transform(inside)
-        variance = self._blur(inside * inside, _VARIANCE_DIAMETERS) / self._variance_mask * mask
-        lagged = np.where(self._near_lags, self._correlate(spectrum, spectrum) / self._overlap, 0.0)
+        found = both.prepare(inside)
+        smooth, weight = (cv2.GaussianBlur(values, (0, 0), self._variance_px) for values in (inside * inside, mask))
+        variance = both.spectrum(smooth / np.maximum(weight, 1e-2) * mask)
+        lagged = np.where(self._near_lags, both.correlate(found.spectrum, found.spectrum) / both.overlap, 0.0)
         own = (lagged / max(float(lagged[0, 0]), 1e-12)).astype(np.float32)
-        return SpectraOfImage(spectrum, self._transform(inside * inside), self._transform(variance), own)
+        return SpectraOfImage(found, variance, both.correlate(both.mask_spectrum, variance), own)
 
     def best(self, earlier: SpectraOfImage, later: SpectraOfImage) -> ShiftEstimate:
         """Return the most probable shift between two images.
@@ -117,54 +124,32 @@ class ShiftOdds:
         earlier, later : SpectraOfImage
             From :meth:`spectra`.
         """
-        mask, count = self._mask_spectrum, self._overlap
-        sum_e, sum_l = self._correlate(earlier.image, mask), self._correlate(mask, later.image)
-        variance_e = self._correlate(earlier.square, mask) - sum_e**2 / count
-        variance_l = self._correlate(mask, later.square) - sum_l**2 / count
-        usable = self._searched & (variance_e > 0) & (variance_l > 0)
-        product = np.sqrt(np.where(usable, variance_e * variance_l, 1.0))
-        r = np.where(usable, (self._correlate(earlier.image, later.image) - sum_e * sum_l / count) / product, 0.0)
+        r, lags = self._correlation.coefficients(earlier.image, later.image), self._correlation.lags
         values = self._independent_values(earlier, later)
         log_odds = -0.5 * values * np.log1p(-(np.clip(r, 0.0, 0.9999) ** 2)) + self._prior
         peak = np.unravel_index(np.argmax(log_odds), log_odds.shape)
-        away = np.hypot(*np.ix_(*(self._wrapped(self._lags - self._lags[k]) for k in peak)))
+        half = len(lags) / 2
+        away = np.hypot(*np.ix_(*((lags - lags[k] + half) % len(lags) - half for k in peak)))
         near = away < max(3.0, _PEAK_DIAMETERS * self._diameter)
         others = np.logaddexp(_log_sum(log_odds[~near]), 0.0)  # 0: the images are unrelated
-        row, col = (self._lags[k] + self._between(log_odds, peak, axis) for axis, k in enumerate(peak))
+        row, col = (lags[k] + _top(np.take(log_odds, peak[1 - axis], 1 - axis), k) for axis, k in enumerate(peak))
         return ShiftEstimate(float(row), float(col), float(_log_sum(log_odds[near]) - others), float(r[peak]))
 
     def _independent_values(self, earlier: SpectraOfImage, later: SpectraOfImage) -> NDArray[np.float32]:
         """Return the number of independent values in the overlap at each shift."""
         cells_each = max(1.0, float((earlier.autocorrelation * later.autocorrelation).sum()))
-        mask = self._mask_spectrum
-        sums = self._correlate(earlier.variance, mask) * self._correlate(mask, later.variance)
-        met = np.maximum(self._correlate(earlier.variance, later.variance), 1e-12)
-        values: NDArray[np.float32] = np.minimum(np.maximum(sums, 0.0) / met, self._overlap) / np.float32(cells_each)
+        sums = opposite(earlier.variance_sums) * later.variance_sums
+        met = np.maximum(self._correlation.correlate(earlier.variance, later.variance), 1e-12)
+        overlap = self._correlation.overlap
+        values: NDArray[np.float32] = np.minimum(np.maximum(sums, 0.0) / met, overlap) / np.float32(cells_each)
         return values
 
-    def _between(self, values: NDArray[np.floating], peak: tuple[np.intp, ...], axis: int) -> float:
-        """Return the top of a parabola through a peak and its neighbours along an axis, in cells from the peak."""
-        here = list(peak)
-        before, after = (values[tuple((k + s * (a == axis)) % self._size for a, k in enumerate(here))] for s in (-1, 1))
-        bend = before + after - 2 * values[peak]
-        return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if np.isfinite(bend) and bend < 0 else 0.0
 
-    def _wrapped(self, lags: NDArray[np.float64]) -> NDArray[np.float64]:
-        half = self._size / 2
-        wrapped: NDArray[np.float64] = (lags + half) % self._size - half
-        return wrapped
-
-    def _blur(self, image: NDArray[np.floating], diameters: float) -> NDArray[np.float32]:
-        blurred: NDArray[np.float32] = cv2.GaussianBlur(image, (0, 0), max(1.0, diameters * self._diameter))
-        return blurred
-
-    def _transform(self, image: NDArray[np.floating]) -> NDArray[np.complex64]:
-        spectrum: NDArray[np.complex64] = fft.rfft2(np.asarray(image, np.float32), (self._size, self._size))
-        return spectrum
-
-    def _correlate(self, template: NDArray[np.complex64], image: NDArray[np.complex64]) -> NDArray[np.float32]:
-        result: NDArray[np.float32] = fft.irfft2(np.conj(template) * image, (self._size, self._size))
-        return result
+def _top(values: NDArray[np.floating], peak: np.intp) -> float:
+    """Return the top of a parabola through a peak of periodic values and its neighbours, in cells from the peak."""
+    before, after = values[peak - 1], values[(peak + 1) % len(values)]
+    bend = before + after - 2 * values[peak]
+    return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if np.isfinite(bend) and bend < 0 else 0.0
 
 
 def _log_sum(values: NDArray[np.floating]) -> float:

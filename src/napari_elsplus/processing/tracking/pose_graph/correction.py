@@ -81,13 +81,13 @@ class Corrections:
     """
 
     def __init__(self, known: Mapping[int, Sequence[tuple[int, Correction]]] | None = None) -> None:
-        self._newest: dict[int, Correction] = {}
-        self._frames: dict[int, NDArray[np.int64]] = {}
-        self._values: dict[int, NDArray[np.float64]] = {}
-        for segment, along in (known or {}).items():
-            self._newest[segment] = along[-1][1]
-            self._frames[segment] = np.array([frame for frame, _ in along])
-            self._values[segment] = np.array([(one.row, one.col, *turned_by(one.angle)[:, 0]) for _, one in along])
+        self._known = dict(known or {})
+        self._newest = {segment: along[-1][1] for segment, along in self._known.items()}
+        self._frames = {segment: np.array([frame for frame, _ in along]) for segment, along in self._known.items()}
+        self._values = {
+            segment: np.array([(one.row, one.col, *turned_by(one.angle)[:, 0]) for _, one in along])
+            for segment, along in self._known.items()
+        }
 
     def newest(self, segment: int) -> Correction:
         """Return that of frames to come.
@@ -101,12 +101,7 @@ class Corrections:
 
     def without(self, segments: Container[int]) -> Corrections:
         """Return those of the tracker's other segments."""
-        left = Corrections()
-        kept = [segment for segment in self._newest if segment not in segments]
-        left._newest = {segment: self._newest[segment] for segment in kept}
-        left._frames = {segment: self._frames[segment] for segment in kept}
-        left._values = {segment: self._values[segment] for segment in kept}
-        return left
+        return Corrections({segment: along for segment, along in self._known.items() if segment not in segments})
 
     def of(self, frame: int, pose: Pose) -> Pose:
         """Return where a frame belongs that the tracker has at a pose."""

@@ -19,13 +19,14 @@ from napari_elsplus.processing.tracking.registration.candidates import log_likel
 from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, weakest_direction
 from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, fill_levels
 from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, descend, register
-from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP, CoarseImage, ShiftSearch, prior
+from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP, ShiftSearch, prior
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
+    from napari_elsplus.processing.tracking.registration.masked_correlation import CoarseImage
 
 MIN_ODDS_NATS: Final = 10.0
 """Log posterior odds from which a registration is accepted; chosen on 14 recordings a row of

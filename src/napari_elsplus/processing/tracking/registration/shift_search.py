@@ -1,20 +1,15 @@
-"""Every shift between two discs at once: zero-mean masked correlation by Fourier transform.
-
-References
-----------
-Padfield, IEEE Trans. Image Process. 21, 2706 (2012), doi:10.1109/TIP.2011.2181402.
-"""
+"""Search over every shift between two discs: the most likely ones, by masked correlation and a heavy-tailed prior."""
 
 from __future__ import annotations
 
 from math import log, log1p
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
-import cv2
 import numpy as np
 
 from napari_elsplus.processing.compiled import compilable, lean_kernel
 from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
+from napari_elsplus.processing.tracking.registration.masked_correlation import CoarseImage, MaskedCorrelation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,25 +25,6 @@ _NATS_PER_CELL: Final = 0.05
 _MAX_CORRELATION: Final = 0.999
 
 
-class CoarseImage(NamedTuple):
-    """What the search needs of a frame, computed once for all frames that it is registered with.
-
-    Parameters
-    ----------
-    spectrum : numpy.ndarray
-        (size, size) float32 spectrum of the coarse image, high-passed within the disc, packed as OpenCV does.
-    scale : numpy.ndarray
-        (size, size) float32: over its overlap with a disc at each shift, the reciprocal root of the sum of squared
-        deviations from the mean; 0 where the overlap is too small, or even.
-    mean : numpy.ndarray
-        (size, size) float32: the mean there, times the root of the number of pixels, times `scale`.
-    """
-
-    spectrum: NDArray[np.float32]
-    scale: NDArray[np.float32]
-    mean: NDArray[np.float32]
-
-
 class ShiftSearch:
     """Finds the few most likely shifts; what depends on the disc alone is kept.
 
@@ -61,29 +37,16 @@ class ShiftSearch:
     """
 
     def __init__(self, first: NDArray[np.int32], last: NDArray[np.int32], scale: float) -> None:
-        side = len(first)
-        self._mask = lit_pixels(first, last).astype(np.float32)
-        self._size = cv2.getOptimalDFTSize(2 * side)
-        self._mask_spectrum = self._spectrum(self._mask)
-        self._overlap = self._correlate(self._mask_spectrum, self._mask_spectrum)
-        self._overlaps = self._overlap > LEAST_OVERLAP * self._overlap[0, 0]
-        self._root_cells: NDArray[np.float32] = np.sqrt(np.maximum(self._overlap, 1.0))
-        self._shifts = np.fft.fftfreq(self._size, 1 / self._size) * scale
-        self._score = np.zeros_like(self._overlap)
+        self._correlation = MaskedCorrelation(
+            lit_pixels(first, last).astype(np.float32), LEAST_OVERLAP, _HIGH_PASS_CELLS
+        )
+        self._shifts = self._correlation.lags * scale
+        self._score = np.zeros_like(self._correlation.overlap)
         self._peaks = np.zeros((CANDIDATES, 3))
-        self._local_weight = np.maximum(cv2.GaussianBlur(self._mask, (0, 0), _HIGH_PASS_CELLS), 1e-3)
 
     def prepare(self, image: NDArray[np.float32]) -> CoarseImage:
         """Return what the search needs of a coarse image (n, n)."""
-        inside = image * self._mask
-        inside -= self._mask * cv2.GaussianBlur(inside, (0, 0), _HIGH_PASS_CELLS) / self._local_weight
-        spectrum = self._spectrum(inside)
-        sums = self._correlate(self._mask_spectrum, spectrum) / self._root_cells
-        squares = self._correlate(self._mask_spectrum, self._spectrum(inside * inside))
-        squares -= sums * sums
-        squares[~self._overlaps | (squares <= 0)] = np.inf
-        scale = np.reciprocal(np.sqrt(squares), dtype=np.float32)
-        return CoarseImage(spectrum, scale, sums * scale)
+        return self._correlation.prepare(self._correlation.high_passed(image))
 
     def peaks(self, earlier: CoarseImage, later: CoarseImage, expected: Warp, reach_px: float) -> NDArray[np.float64]:
         """Return the most likely shifts (b, d), in pixels of full resolution, best first.
@@ -97,22 +60,13 @@ class ShiftSearch:
         reach_px : float
             Scale of that prior in pixels of full resolution.
         """
-        correlation = self._correlate(earlier.spectrum, later.spectrum)
+        correlation = self._correlation.correlate(earlier.spectrum, later.spectrum)
         score_shifts(
-            correlation, *earlier[1:], *later[1:], self._overlap, self._shifts, expected.b, expected.d, reach_px,
-            self._score,
+            correlation, *earlier[1:], *later[1:], self._correlation.overlap, self._shifts, expected.b, expected.d,
+            reach_px, self._score,
         )  # fmt: skip
         found = highest_peaks(self._score, self._peaks)
         return self._shifts[self._peaks[:found, 1:].astype(np.intp)]
-
-    def _spectrum(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        padded = np.zeros((self._size, self._size), np.float32)
-        padded[: len(image), : len(image)] = image
-        return np.asarray(cv2.dft(padded, dst=padded, nonzeroRows=len(image)), np.float32)
-
-    def _correlate(self, template: NDArray[np.float32], image: NDArray[np.float32]) -> NDArray[np.float32]:
-        product = cv2.mulSpectrums(image, template, 0, conjB=True)
-        return np.asarray(cv2.idft(product, dst=product, flags=cv2.DFT_REAL_OUTPUT | cv2.DFT_SCALE), np.float32)
 
 
 @lean_kernel
