@@ -56,6 +56,12 @@ def test_slit_mean_is_the_integral() -> None:
     assert gaussian_over_slit(20.0, 8.0, 7.0) == pytest.approx(mean, rel=1e-9)
 
 
+def test_a_narrow_slit_is_averaged_over_as_a_wide_one() -> None:
+    offset_um = np.linspace(0, 20, 41)
+    just_narrow, just_wide = (gaussian_over_slit(offset_um, share * 7.0, 7.0) for share in (0.19999, 0.20001))
+    np.testing.assert_allclose(just_narrow, just_wide, atol=1e-5 / 7)
+
+
 @pytest.mark.parametrize(
     ("offset_um", "drop_3db_um", "drop_10db_um", "tolerance"),
     [

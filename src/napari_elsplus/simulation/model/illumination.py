@@ -117,8 +117,9 @@ class Edge:
         for known, face in self._faces:
             if np.array_equal(known, offsets_um):
                 return face
-        rows_um, along_cols = self._entering(offsets_um)
-        along_rows = _gaussian(self.grid_um[None, :, None] - rows_um[:, None, :], self._inner_um)
+        rows_um, along_cols = (array.astype(np.float32) for array in self._entering(offsets_um))  # in half the time
+        grid_um = self.grid_um.astype(np.float32)
+        along_rows = _gaussian(grid_um[None, :, None] - rows_um[:, None, :], self._inner_um)
         leaving: Grid = (along_rows @ along_cols) * self._disc
         self._faces.append((offsets_um, leaving))
         return leaving
@@ -142,5 +143,5 @@ class Edge:
         return np.asarray(0.5 * np.diff(edges, axis=1))
 
 
-def _gaussian(offset_um: Grid, sigma_um: float) -> Grid:
+def _gaussian(offset_um: NDArray[np.floating], sigma_um: float) -> NDArray[np.floating]:
     return np.asarray(np.exp(-0.5 * (offset_um / sigma_um) ** 2) / (np.sqrt(2 * np.pi) * sigma_um))

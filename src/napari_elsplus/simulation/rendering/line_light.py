@@ -1,8 +1,8 @@
 """Light on the cores while the laser line moves: computed where the scan changes, interpolated where the line jitters.
 
 A jittering line is on other rows in every frame, and the light of each would take ten times as long as the rest of the
-frame. As a function of the jitter it is smooth, since the line is wider than a row: it is interpolated linearly between
-jitters that are computed once.
+frame. As a function of the jitter it is smooth, since the line is wider than a row: in a scan that lasts, it is
+interpolated linearly between jitters that are computed once.
 """
 
 from __future__ import annotations
@@ -30,6 +30,11 @@ deviation of 1.75 rows) is then off by 0.3 % of its light at most."""
 MAX_JITTER_ROWS: Final = 0.75
 """Standard deviation of a jitter that is interpolated, rows; derived: four of them to either side take 25 steps and, at
 3 MB each, 80 MB; a wider one visits too many steps to be worth keeping them."""
+
+
+COMPUTED_FRAMES: Final = 4
+"""First frames of a scan, which are computed each for its own jitter; chosen: trial scans last for 1 to 3 frames, for
+which two jitters to interpolate between would have to be computed in each."""
 
 
 class ViewsLight(NamedTuple):
@@ -60,6 +65,7 @@ class LineLight:
         self._interpolates = 0 < jitter_rows <= MAX_JITTER_ROWS
         self._line_rows: Rows | None = None
         self._steps: dict[int, ViewsLight] = {}
+        self._frames = 0
 
     def at(self, line_rows: Rows | None, jitter_rows: float) -> ViewsLight:
         """Return the light of a frame.
@@ -79,10 +85,12 @@ class LineLight:
         if line_rows is not None and line_rows.shape != self._ideal.shape:
             problem = f"line positions of shape {line_rows.shape}"
             raise InputError(problem, f"give one for each of {len(self._ideal)} rows")
-        if not self._interpolates:
-            self._follow(line_rows if not jitter_rows else self._shifted(line_rows, jitter_rows))
-            return self._computed(0)
         self._follow(line_rows)
+        if not jitter_rows:
+            return self._computed(0)
+        self._frames += 1
+        if not self._interpolates or self._frames <= COMPUTED_FRAMES:
+            return self._light(jitter_rows)
         below = int(np.floor(jitter_rows / JITTER_STEP_ROWS))
         return _between(self._computed(below), self._computed(below + 1), jitter_rows / JITTER_STEP_ROWS - below)
 
@@ -94,19 +102,22 @@ class LineLight:
         same = line_rows is before if line_rows is None or before is None else _same(line_rows, before)
         if not same:
             self._steps.clear()
+            self._frames = 0
             self._line_rows = None if line_rows is None else line_rows.copy()
 
     def _computed(self, step: int) -> ViewsLight:
         if step not in self._steps:
-            rows = self._line_rows if not step else self._shifted(self._line_rows, step * JITTER_STEP_ROWS)
-            views = tuple(self._scan.light(view, rows) for view in self._views)
-            shifts_um = np.stack([light.shift_um for light in views])
-            bounds = zip(shifts_um.min((0, 2)).tolist(), shifts_um.max((0, 2)).tolist(), strict=True)
-            self._steps[step] = ViewsLight(views, tuple(bounds))
+            self._steps[step] = self._light(step * JITTER_STEP_ROWS)
         return self._steps[step]
 
-    def _shifted(self, line_rows: Rows | None, rows: float) -> Rows:
-        return np.asarray((self._ideal if line_rows is None else line_rows) + rows)
+    def _light(self, jitter_rows: float) -> ViewsLight:
+        rows = self._line_rows
+        if jitter_rows:
+            rows = np.asarray((self._ideal if rows is None else rows) + jitter_rows)
+        views = tuple(self._scan.light(view, rows) for view in self._views)
+        shifts_um = np.stack([light.shift_um for light in views])
+        bounds = zip(shifts_um.min((0, 2)).tolist(), shifts_um.max((0, 2)).tolist(), strict=True)
+        return ViewsLight(views, tuple(bounds))
 
 
 def _same(a: Rows, b: Rows) -> bool:

@@ -115,7 +115,10 @@ class RowProfile:
         """Return the mean profile of raw frames (rows, cols): confocal and residual view, shape (2, rows)."""
         profile = np.zeros(self.lit.shape)
         for number in range(len(frames)):
-            sums = np.cumsum(frames[number], axis=1, dtype=np.float64)
+            frame = frames[number]
+            sums: NDArray[np.uint32 | np.float64] = np.cumsum(
+                frame, axis=1, dtype=np.uint32 if frame.dtype.kind == "u" else np.float64
+            )
             rows = np.arange(len(sums))
             for view, (first, last) in enumerate(self._views):
                 profile[view] += (sums[rows, last] - sums[rows, first]) / np.maximum(last - first, 1)
