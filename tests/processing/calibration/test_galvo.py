@@ -70,6 +70,17 @@ def test_stated_uncertainty_is_the_scatter_of_repeats() -> None:
         assert stated == pytest.approx(scatter, rel=0.2)
 
 
+def test_the_middle_of_a_curved_galvo_is_as_uncertain_as_its_scatter() -> None:
+    """A straight line through a cubic leaves rows over that repeat in every sweep: they are no scatter."""
+    random = np.random.default_rng(5)
+    u = np.linspace(-1, 1, ROWS.size)
+    curved = ROWS + 2 * 1.5 * np.sqrt(3) * (u - u**3)
+    repeats = [fitted(curved + random.normal(0, 0.1, ROWS.size), 0.001 * ROWS) for _ in range(100)]
+    assert all(found.curved for found in repeats)
+    scatter = np.std([found.row(0.001 * ROWS.mean()) for found in repeats])
+    assert np.median([found.middle_uncertainty_rows for found in repeats]) == pytest.approx(scatter, rel=0.3)
+
+
 def test_a_dozen_voltages_do_and_five_lines_that_agree_by_chance_are_not_overrated() -> None:
     """The influence of these lines is 0.02 rows; what five of them leave over is often much less."""
     random = np.random.default_rng(2)

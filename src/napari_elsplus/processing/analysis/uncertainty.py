@@ -99,6 +99,22 @@ def estimator_influence(scores: Floats, curvature: Floats, clusters: NDArray[np.
         return np.asarray(np.sqrt(freedom) * (sums @ np.linalg.pinv(curvature)), np.float64)
 
 
+def small_sample_factor(free: int) -> float:
+    """Return the standard deviation of Student's t: the factor on one that was estimated from few residuals.
+
+    Parameters
+    ----------
+    free : int
+        Degrees of freedom; fewer than 3, of which t has no standard deviation, count as 3.
+
+    Examples
+    --------
+    >>> round(small_sample_factor(4), 3), round(small_sample_factor(100), 3)
+    (1.414, 1.01)
+    """
+    return float(np.sqrt(max(free, 3) / (max(free, 3) - 2)))
+
+
 def newey_west_sigma(influence: Floats, neighbours: int) -> float:
     """Return the standard deviation of an estimate from serially correlated clusters by Newey and West's estimator.
 

@@ -54,6 +54,8 @@ class GalvoMap:
         ``volts = volts_at_row_zero + volts_per_row * row``.
     volts_per_row_uncertainty, volts_at_row_zero_uncertainty : float
         One standard deviation of each.
+    middle_uncertainty_rows : float
+        One standard deviation of the line's row at the middle of the swept voltages.
     r_squared : float
         Share of the rows' variance that the straight line explains.
     rms_rows : float
@@ -80,6 +82,7 @@ class GalvoMap:
     volts_at_row_zero: float
     volts_per_row_uncertainty: float
     volts_at_row_zero_uncertainty: float
+    middle_uncertainty_rows: float
     r_squared: float
     rms_rows: float
     curvature_rows: float
@@ -246,7 +249,10 @@ def _fit(
     level, per_half = np.linalg.lstsq(jacobian, y, rcond=None)[0]
     residuals = np.asarray(y - jacobian @ (level, per_half), np.float64)
     runs = np.argsort(np.argsort(v)) * RUNS // len(v)
-    influence = overlapping_influence(jacobian, residuals, runs, RUNS, _NEIGHBOURS)
+    # The curve of a galvo that is not linear is no scatter; what it moves the middle by is added below.
+    curve = _curvature(x, y, runs)
+    scatter = curve.left_over if curve.significant else residuals
+    influence = overlapping_influence(jacobian, scatter, runs, RUNS, _NEIGHBOURS)
     volts_per_row = half / per_half
     # volts at row zero = middle - half * level / per_half, and its derivatives
     to_zero = np.array([-half / per_half, half * level / per_half**2])
@@ -255,16 +261,16 @@ def _fit(
     covariance = (influence.T @ influence * (len(v) - 2) + alone * PRIOR_LINES) / (len(v) - 2 + PRIOR_LINES)
     by_bow = bow.uncertainty_rows * np.linalg.lstsq(jacobian, bow.share[used], rcond=None)[0]
     covariance = covariance + np.outer(by_bow, by_bow)
-    curvature, curved = _curvature(x, y, runs)
     return GalvoMap(
         volts_per_row=float(volts_per_row),
         volts_at_row_zero=float(middle - half * level / per_half),
         volts_per_row_uncertainty=float(np.sqrt(covariance[1, 1]) * abs(volts_per_row / per_half)),
         volts_at_row_zero_uncertainty=float(np.sqrt(to_zero @ covariance @ to_zero)),
+        middle_uncertainty_rows=float(np.hypot(np.sqrt(covariance[0, 0]), curve.significant * curve.middle_rows)),
         r_squared=float(1 - np.square(residuals).sum() / np.square(y - y.mean()).sum()),
         rms_rows=float(np.sqrt(np.mean(np.square(residuals)))),
-        curvature_rows=curvature,
-        curved=curved,
+        curvature_rows=float(np.abs(curve.rows).max()),
+        curved=curve.significant,
         tilt_deg=tilt_deg,
         bow_rows=bow.rows,
         bow_uncertainty_rows=bow.uncertainty_rows,
@@ -278,12 +284,24 @@ def _fit(
     )
 
 
-def _curvature(x: Floats, y: Floats, runs: NDArray[np.intp]) -> tuple[float, bool]:
-    """Return the largest departure of a cubic from the straight line, and True if it is significant."""
+@dataclass(frozen=True, slots=True)
+class _Curve:
+    """Departure of a cubic from the straight line, and at the middle as far as it exceeds its noise; what is left."""
+
+    rows: Floats
+    left_over: Floats
+    middle_rows: float
+    significant: bool
+
+
+def _curvature(x: Floats, y: Floats, runs: NDArray[np.intp]) -> _Curve:
+    """Fit a cubic to the rows `y` of lines at places `x` of the sweep, from -1 to 1."""
     cubic = np.asarray(np.polynomial.legendre.legvander(x, 3), np.float64)
     coefficients = np.linalg.lstsq(cubic, y, rcond=None)[0]
-    bend = cubic[:, 2:] @ coefficients[2:]
-    influence = clustered_influence(cubic, y - cubic @ coefficients, runs, RUNS)
-    sigmas = np.abs(coefficients[2:]) / np.maximum(np.linalg.norm(influence[:, 2:], axis=0), 1e-12)
-    departure = float(np.abs(bend).max())
-    return departure, bool(departure > 0.1 and sigmas.max() > 5)
+    bend = np.asarray(cubic[:, 2:] @ coefficients[2:], np.float64)
+    left_over = np.asarray(y - cubic @ coefficients, np.float64)
+    influence = clustered_influence(cubic, left_over, runs, RUNS)
+    sigmas = np.linalg.norm(influence[:, 2:], axis=0)
+    significance = float((np.abs(coefficients[2:]) / np.maximum(sigmas, 1e-12)).max())
+    middle_rows = float(np.sqrt(max(coefficients[2] ** 2 - sigmas[0] ** 2, 0.0))) / 2  # of the second polynomial at 0
+    return _Curve(bend, left_over, middle_rows, bool(np.abs(bend).max() > 0.1 and significance > 5))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma
+from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma, small_sample_factor
 from napari_elsplus.processing.calibration.bundle import location as bundles
 from napari_elsplus.processing.calibration.bundle.laser_gain import LightCollector
 from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
@@ -246,7 +246,7 @@ def measure_offset(
     views = (lines[0], slice(0, split)), (lines[1], slice(split, None))
     single = (reference.without_row_noise(frames[k]) if noisy else frames[k] for k in range(len(frames)))
     shifts = relative_shifts(views, frame, single, background)
-    unsteady_rows = float(np.std(shifts, ddof=1) / np.sqrt(len(frames)))
+    unsteady_rows = float(np.std(shifts, ddof=1) / np.sqrt(len(frames))) * small_sample_factor(len(frames) - 1)
     uncertainty_rows = float(np.hypot(found.uncertainty_rows, unsteady_rows))
     return replace(found, uncertainty_rows=uncertainty_rows, unsteady_rows=unsteady_rows)
 

@@ -70,7 +70,8 @@ def summarize_galvo(galvo: GalvoMap, _draft: Draft, setup: Setup) -> StepSummary
     lines = [
         f"{with_uncertainty(1e3 * galvo.volts_at_row_zero, 1e3 * galvo.volts_at_row_zero_uncertainty)} mV at row 0, "
         f"tilt {galvo.tilt_deg:.2f}°",
-        f"R² {galvo.r_squared:.6f}, residuals {galvo.rms_rows:.3f} rows RMS",
+        f"R² {galvo.r_squared:.6f}, residuals {galvo.rms_rows:.3f} rows RMS, "
+        f"± {galvo.middle_uncertainty_rows:.2g} rows at the middle of the sweep",
         f"bow of the line {with_uncertainty(galvo.bow_rows, galvo.bow_uncertainty_rows)} rows at the rim",
         f"{galvo.lines} of {frames} voltages fitted, {galvo.dark} without a whole line, {galvo.outliers} outliers",
     ]

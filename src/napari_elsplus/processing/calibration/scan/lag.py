@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.analysis.uncertainty import small_sample_factor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -165,8 +166,7 @@ def _first_uncertainty(jacobian: Floats, residuals: Floats) -> float:
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     leverage = np.einsum("ij,jk,ik->i", jacobian, inverse, jacobian)
     changes = (jacobian @ inverse[:, 0]) * residuals / np.maximum(1 - leverage, 1e-3)
-    free = max(len(jacobian) - jacobian.shape[1], 3)
-    return float(np.linalg.norm(changes) * np.sqrt(free / (free - 2)))
+    return float(np.linalg.norm(changes)) * small_sample_factor(len(jacobian) - jacobian.shape[1])
 
 
 def _gaussian(x: Floats, middle: float, sigma: float, height: float, floor: float) -> Floats:
