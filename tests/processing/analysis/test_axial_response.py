@@ -163,6 +163,28 @@ def test_power_noise_from_frame_to_frame_is_in_the_stated_distances() -> None:
     assert inside[1] > 0.95
 
 
+def test_many_frames_at_few_depths_are_known_by_their_own_scatter() -> None:
+    """Depths lie so far apart that the curve bends more between them than it is uncertain."""
+    depths, random = np.repeat(np.r_[np.arange(0.0, 60, 6), np.arange(60, 400, 20)], 12), np.random.default_rng(7313)
+    ls, residual = falling(depths)
+    found = []
+    for _ in range(40):
+        power = random.normal(1, 0.02, len(depths))
+        found.append(axial_response(depths, power * ls, power * residual).els_3db)
+    scatter = np.std([drop.um for drop in found])
+    assert np.median([drop.uncertainty_um for drop in found]) == pytest.approx(scatter, rel=0.4)
+
+
+def test_more_frames_are_advised_where_power_noise_leaves_a_distance_uncertain() -> None:
+    depths, random = there_and_back(), np.random.default_rng(7314)
+    ls, residual = falling(depths)
+    assert axial_response(depths, ls, residual).frames_advised == 1
+    power = random.normal(1, 0.05, len(depths))
+    response = axial_response(depths, power * ls, power * residual)
+    shares = [drop.uncertainty_um / drop.um for drop in (response.els_3db, response.els_10db)]
+    assert response.frames_advised == np.ceil((max(shares) / 0.01) ** 2) > 3
+
+
 def test_jitter_of_the_line_from_frame_to_frame_is_in_the_stated_distances() -> None:
     """Two frames at each depth: the light of the residual view scatters; 96 % were within three standard deviations."""
     depths, random = there_and_back(), np.random.default_rng(7312)

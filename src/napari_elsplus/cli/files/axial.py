@@ -53,6 +53,8 @@ def command(
 
 
 def _summary(response: AxialResponse) -> Iterator[str]:
+    from napari_elsplus.processing.analysis.axial_response import MAX_UNCERTAINTY
+
     for name, three, ten in (
         ("LS", response.ls_3db, response.ls_10db),
         ("ELS+", response.els_3db, response.els_10db),
@@ -64,6 +66,12 @@ def _summary(response: AxialResponse) -> Iterator[str]:
     elif response.loss.significant:
         lost, sigma = 100 * response.loss.share, 100 * response.loss.share_uncertainty
         yield f"warning: the light fell by {lost:.1f} +- {sigma:.1f} % in the course of the scan: corrected"
+
+    if response.frames_advised > 1:
+        yield (
+            f"warning: ELS+ distances are uncertain by more than {100 * MAX_UNCERTAINTY:g} %: "
+            f"record {response.frames_advised} times as many frames at each depth"
+        )
 
 
 def _distance(drop: DropOff) -> str:

@@ -7,6 +7,7 @@ have fallen to a half (3 dB) and to a tenth (10 dB) of their value in contact me
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -40,6 +41,9 @@ LEVEL_3DB: Final = 0.5
 """Level of the 3 dB drop-off, fraction of the signal in contact (the paper, Sec. 3.1)."""
 LEVEL_10DB: Final = 0.1
 """Level of the 10 dB drop-off, fraction of the signal in contact (the paper, Sec. 3.1)."""
+MAX_UNCERTAINTY: Final = 0.01
+"""Standard deviation of an ELS+ distance over it, beyond which more frames are advised; chosen: three of it are the 3 %
+by which a rig may differ from another."""
 _MIN_SIGNAL_SIGMAS: Final = 3
 """Smallest signal in contact, standard deviations of its noise; chosen: the usual limit of detection."""
 
@@ -93,6 +97,13 @@ class AxialResponse:
     signal_kept: float
     signal_kept_uncertainty: float
     loss: LightLoss | None = None
+
+    @property
+    def frames_advised(self) -> int:
+        """Multiple of the frames by which the ELS+ distances are known to `MAX_UNCERTAINTY`, if they vary by chance."""
+        drops = (drop for drop in (self.els_3db, self.els_10db) if np.isfinite(drop.um) and drop.um > 0)
+        worst = max((drop.uncertainty_um / drop.um for drop in drops), default=0.0)
+        return max(1, ceil((worst / MAX_UNCERTAINTY) ** 2))
 
     def content(self) -> dict[str, Any]:
         """Return all results, ready for JSON; a distance that the scan does not reach is None."""
@@ -276,10 +287,11 @@ def axial_response(
     contact = _peak(ls_mean)
     beyond = slice(contact, None)
     ls_variance, els_variance = (variance_of_means(depths, signal)[beyond] for signal in (ls, ls - residual))
-    ls_fall = _Fall(depth[beyond], ls_mean[beyond], ls_variance, systematic.ls_zero_dn, 0 * depth[beyond])
+    repeats = len(depths) / len(depth) - 1
+    ls_fall = _Fall(depth[beyond], ls_mean[beyond], ls_variance, repeats, systematic.ls_zero_dn, 0 * depth[beyond])
     els_zero_dn = float(np.hypot(systematic.ls_zero_dn, systematic.residual_zero_dn))
     together_dn = systematic.gain * residual_mean[beyond]
-    els_fall = _Fall(depth[beyond], els_mean[beyond], els_variance, els_zero_dn, together_dn)
+    els_fall = _Fall(depth[beyond], els_mean[beyond], els_variance, repeats, els_zero_dn, together_dn)
     if not (ls_fall.contact > _MIN_SIGNAL_SIGMAS * ls_fall.noise and ls_fall.contact > 0):
         raise MeasurementError(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
@@ -313,12 +325,14 @@ class _Fall:
     """Curve that decreases from its first point, by isotonic regression of noisy signals.
 
     Its zero has the standard deviation `zero_dn`; `together_dn` (depths,) is a fully correlated error of all depths,
-    `variance` (depths,) that of each depth by repeated frames.
+    `variance` (depths,) that of each depth by repeated frames, of which there are `repeats` beyond the first.
     """
 
-    def __init__(self, depth: Curve, signal: Curve, variance: Curve, zero_dn: float, together_dn: Curve) -> None:
+    def __init__(
+        self, depth: Curve, signal: Curve, variance: Curve, repeats: float, zero_dn: float, together_dn: Curve
+    ) -> None:
         self._all_depths, self._together_dn, self._zero_dn = depth, together_dn, zero_dn
-        self._means, self._variance = signal, variance
+        self._means, self._variance, self._repeats = signal, variance, repeats
         fitted = isotonic_regression(signal, increasing=False)
         first, last = fitted.blocks[:-1], fitted.blocks[1:]
         self._signal: Curve = fitted.x[first]
@@ -342,14 +356,17 @@ class _Fall:
     def _random_dn(self, level: float) -> float:
         """Return the standard deviation of the signal at a level less that share of the signal in contact.
 
-        Scatter about a smooth curve and that of repeated frames are independent estimates, of which the mean is taken.
+        Scatter about a smooth curve and that of repeated frames are independent estimates, of which the mean is taken,
+        the latter weighted by the frames beyond the first at each depth: its degrees of freedom.
         """
         unsteady = level * self._relative * self.contact  # in contact, and again at the drop-off
         along_curve = float(np.linalg.norm([self.noise, level * self.noise, unsteady, unsteady]))
         share = self._means / self.contact
         relative = [relative_variance(share, self._variance, at) for at in (level, 1.0)]
         of_repeats = level * np.sqrt(sum(relative))
-        return along_curve if np.isnan(of_repeats) else float(np.hypot(along_curve, of_repeats) / np.sqrt(2))
+        if np.isnan(of_repeats):
+            return along_curve
+        return float(np.hypot(along_curve, np.sqrt(self._repeats) * of_repeats) / np.sqrt(1 + self._repeats))
 
 
 def _checked(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[Curve, Curve, Curve]:
