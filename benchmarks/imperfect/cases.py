@@ -183,8 +183,8 @@ def _offset_stated(rig: ImperfectRig, off: tuple[str, ...]) -> float:
     return abs(found.off) / found.stated
 
 
-def _galvo(rig: ImperfectRig, off: tuple[str, ...]) -> float:
-    return abs(measures.galvo_error(rig, corrected(rig, off)).off)
+def _galvo(rig: ImperfectRig, _: tuple[str, ...]) -> float:
+    return abs(measures.galvo_error(rig, rig.measured).off)
 
 
 def _bow(rig: ImperfectRig, off: tuple[str, ...]) -> float:

@@ -5,13 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
+from napari_elsplus.processing.analysis.axial_response import LEVEL_3DB, LEVEL_10DB, SQUARE_UM
 from napari_elsplus.processing.images.row_power import RowPower
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.images.warping import polynomial_terms
+from napari_elsplus.simulation.axial_scan import lit_for_plate
 from napari_elsplus.simulation.calibration_scenes import background, line_volts
+from napari_elsplus.simulation.model.bundle import Cores
+from napari_elsplus.simulation.rendering.scan import Scan
 from napari_elsplus.simulation.rendering.views import views
-from napari_elsplus.simulation.specimen.scenes import Plane, Scene, nuclei, uniform
+from napari_elsplus.simulation.specimen.scenes import Plane, Scene, nuclei, plate, uniform
 from napari_elsplus.simulation.specimen.textures import Mottle, Nuclei
 from napari_elsplus.simulation.specimen.trajectories import trajectory
 from napari_elsplus.workflows.axial import measure_axial_response
@@ -21,6 +26,7 @@ if TYPE_CHECKING:
     from benchmarks.imperfect.rig import ImperfectRig, Rows
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.analysis.axial_response import AxialResponse
+    from napari_elsplus.processing.calibration.draft import Draft
 
 JUDGED: Final = 0.9
 """Part of the bundle's diameter in which images and maps are judged, as the paper judges alignment."""
@@ -29,6 +35,10 @@ DEPTHS_UM: Final = np.asarray(np.random.default_rng(0).permutation(np.r_[_THERE_
 """Depths of a scan, um; chosen: a quarter of those of a whole scan, each twice, in a random order. Power that changes
 slowly then differs from one depth to the next, and is seen as noise; in order it would bend the curve."""
 
+MAX_SCANS: Final = 4
+"""Scans that are recorded at most, however many are advised; chosen: the computing time."""
+_OWN_DEPTHS_UM: Final = np.array([0.0, 28, 36, 44, 104, 120, 136])
+"""Depths, um, between which the distances of a rig itself are interpolated; chosen: about those of the ideal rig."""
 _FLAT_FRAMES: Final = 10
 """Frames of an even target for a flat field; chosen: the step takes 50, of which the noise of 10 is twice that."""
 _NEAR_UM: Final = 60.0
@@ -164,13 +174,14 @@ def gain_error(rig: ImperfectRig, calibration: Calibration) -> Error:
     return Error(bundle.residual_gain - true, bundle.residual_gain_uncertainty)
 
 
-def galvo_error(rig: ImperfectRig, calibration: Calibration) -> Error:
-    """Error of the galvo map, rows, at the middle of the bundle."""
-    galvo, instrument = calibration.galvo, rig.instrument
+def galvo_error(rig: ImperfectRig, draft: Draft) -> Error:
+    """Error of the galvo map, rows, at the middle of the bundle, about which the sweep is symmetrical."""
+    galvo, instrument = draft.calibration.galvo, rig.instrument
     assert galvo is not None
+    assert draft.galvo is not None
     volt = float(galvo.volts(instrument.confocal_centre[0]))
-    stated = (galvo.volts_at_row_zero_uncertainty or 0.0) / abs(galvo.volts_per_row)
-    return Error(instrument.confocal_centre[0] - float(instrument.line_row(volt)), stated)
+    off = instrument.confocal_centre[0] - float(instrument.line_row(volt))
+    return Error(off, draft.galvo.middle_uncertainty_rows)
 
 
 def bow_error(rig: ImperfectRig, calibration: Calibration) -> Error:
@@ -204,13 +215,50 @@ def scanned(rig: ImperfectRig, line_rows: Rows) -> Scanned:
     return Scanned(off, float(error[exposed].max()), float((kept * chord).sum() / chord.sum()))
 
 
-def axial(
-    rig: ImperfectRig, calibration: Calibration, *, line_rows: Rows | None = None, seed: int = 0
-) -> AxialResponse:
+def axial(rig: ImperfectRig, calibration: Calibration, *, seed: int = 0) -> AxialResponse:
     """Measure the axial response in a scan of depths; the background is taken in the light of the scan."""
-    scan = rig.axial_scan(DEPTHS_UM, seed=seed, line_rows=line_rows)
+    scan = rig.axial_scan(DEPTHS_UM, seed=seed)
     dark = calibration.model_copy(update={"background": background(scan.instrument, seed=seed + 1)})
     return measure_axial_response(list(scan), dark, DEPTHS_UM)  # each frame rendered once
+
+
+def axial_as_advised(rig: ImperfectRig, calibration: Calibration, line_rows: Rows, *, seed: int = 0) -> AxialResponse:
+    """Measure the axial response of a rig's scan, and record more frames where the first ones leave it uncertain."""
+    depths_um, count = np.tile(DEPTHS_UM, MAX_SCANS), len(DEPTHS_UM)
+    scan = rig.axial_scan(depths_um, seed=seed, line_rows=line_rows)
+    dark = calibration.model_copy(update={"background": background(scan.instrument, seed=seed + 1)})
+    frames = [scan[k] for k in range(count)]
+    response = measure_axial_response(frames, dark, DEPTHS_UM)
+    if (scans := min(response.frames_advised, MAX_SCANS)) > 1:
+        frames += [scan[k] for k in range(count, scans * count)]
+        response = measure_axial_response(frames, dark, depths_um[: scans * count])
+    return response
+
+
+def own_distances_um(rig: ImperfectRig, line_rows: Rows) -> tuple[float, float]:
+    """Return the 3 dB and 10 dB distances of ELS+ of a rig itself: with its halo, bow and scan, without any noise.
+
+    The difference of the light on the cores of both views, without gains and the bundle's own light; jitter of the line
+    counts by its mean effect.
+    """
+    instrument = lit_for_plate(rig.instrument)
+    known, left, right = views(instrument)
+    inside = np.maximum(np.abs(known.rows_um), np.abs(known.cols_um)) < SQUARE_UM / 2
+    cores = Cores(*(values[inside] for values in known))
+    seen = [
+        view._replace(gain=1.0, rows_px=view.rows_px[inside], cols_px=view.cols_px[inside]) for view in (left, right)
+    ]
+    jitter_rows = instrument.imperfections.line_jitter_rows
+
+    def els(depth_um: float) -> float:
+        scan = Scan(instrument, plate(depth_um + instrument.line.gap_um), cores)
+        lights = [[scan.light(view, line_rows + side * jitter_rows) for view in seen] for side in (-1, 1)]
+        ls, residual = (sum(float((one[k].steady - one[k].of_bundle).sum()) for one in lights) for k in (0, 1))
+        return ls - residual
+
+    shares = np.log([els(float(depth)) for depth in _OWN_DEPTHS_UM])
+    fall = PchipInterpolator(shares[0] - shares, _OWN_DEPTHS_UM)
+    return float(fall(-np.log(LEVEL_3DB))), float(fall(-np.log(LEVEL_10DB)))
 
 
 class Tracked(NamedTuple):

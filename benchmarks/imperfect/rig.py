@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Self
 
+import numpy as np
+
 from napari_elsplus.hardware.scan.following import drive_of, highest_rate_hz
 from napari_elsplus.hardware.scan.timing import ScanTiming
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
@@ -25,8 +27,6 @@ from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import uniform
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.calibration.scan.galvo_response import Drive
@@ -52,13 +52,18 @@ class ImperfectRig:
         Optics, bundle, camera, imperfections.
     voltages : int
         Of the galvo sweep.
+    seed : int
+        Of the noise of its recordings: camera, laser, jitter of the line.
     """
 
     instrument: Instrument
     voltages: int = 100
+    seed: int = 0
 
     @classmethod
-    def of(cls, preset: str, imperfections: Imperfections = IDEAL, *, voltages: int = 100, **fields: Any) -> Self:
+    def of(
+        cls, preset: str, imperfections: Imperfections = IDEAL, *, voltages: int = 100, seed: int = 0, **fields: Any
+    ) -> Self:
         """Return a rig of one of the camera's presets.
 
         Parameters
@@ -69,15 +74,19 @@ class ImperfectRig:
             Departures from the ideal instrument.
         voltages : int
             Of the galvo sweep.
+        seed : int
+            Of the noise of its recordings.
         **fields
             As of :meth:`Instrument.of`.
         """
-        return cls(Instrument.of(preset, imperfections=imperfections, **fields), voltages)
+        return cls(Instrument.of(preset, imperfections=imperfections, **fields), voltages, seed)
 
     @classmethod
     def drawn(cls, preset: str, seed: int, rate_hz: float | None = None) -> Self:
         """Return a rig drawn at random, with a bundle of its own, at the preset's frame rate or another."""
-        return cls.of(preset, Imperfections.drawn(seed), bundle=Bundle(seed=seed), voltages=60, rate_hz=rate_hz)
+        return cls.of(
+            preset, Imperfections.drawn(seed), bundle=Bundle(seed=seed), voltages=60, rate_hz=rate_hz, seed=seed
+        )
 
     @cached_property
     def measured(self) -> Draft:
@@ -90,16 +99,24 @@ class ImperfectRig:
         """
         instrument, optics = self.instrument, self.instrument.optics
         volts = calibration_scenes.sweep_volts(instrument)[:: max(1, calibration_scenes.SWEEP_STEPS // self.voltages)]
+        # A live sweep takes a time of its own for each voltage. At equal steps of row and time, a ripple of the power
+        # could have one phase in all lines; in a random order of the voltages it has not.
+        volts = np.random.default_rng(self.recording_seed("sweep")).permutation(volts)
+        held_volts = np.full(find_step("offset").frames, calibration_scenes.line_volts(instrument)[0])
         return measure(
-            line=self.line_frames(calibration_scenes.line_volts(instrument), SEEDS["line"]),
-            sweep=self.line_frames(volts, SEEDS["sweep"]),
+            line=self.line_frames(held_volts, self.recording_seed("line")),
+            sweep=self.line_frames(volts, self.recording_seed("sweep")),
             volts=volts,
-            bundle=list(calibration_scenes.transmission(instrument, seed=SEEDS["bundle"])),
-            background=list(calibration_scenes.dark_tube(instrument, seed=SEEDS["background"])),
+            bundle=list(calibration_scenes.transmission(instrument, seed=self.recording_seed("bundle"))),
+            background=list(calibration_scenes.dark_tube(instrument, seed=self.recording_seed("background"))),
             um_per_px=optics.um_per_px,
             line_period_s=optics.line_period_s,
             line_periods_per_frame=optics.line_periods_per_frame,
         )
+
+    def recording_seed(self, recording: str) -> int:
+        """Return the seed of the noise in one of the recordings of `SEEDS`."""
+        return SEEDS[recording] + 1000 * self.seed
 
     def line_frames(self, volts: Rows, seed: int) -> list[Frame]:
         """Return frames of a standing line, one at each voltage."""
@@ -150,7 +167,7 @@ class _Scans:
 
     def __init__(self, rig: ImperfectRig) -> None:
         self._rig = rig
-        self._renderer = rig.renderer(uniform(), seed=SEEDS["scan"])
+        self._renderer = rig.renderer(uniform(), seed=rig.recording_seed("scan"))
         self._taken = 0
 
     def frames(self, calibration: Calibration, count: int) -> list[Frame]:

@@ -33,7 +33,8 @@ DISTANCES: Final = ("ELS+ 3 dB", "ELS+ 10 dB")
 NAMES: Final = (*CALIBRATED, *DISTANCES)
 COLUMNS: Final = (
     "seed", *(f"{name}, {part}" for name in NAMES for part in ("error", "stated")),
-    *(f"{name}, relative" for name in DISTANCES), "warning", "refused",
+    *(f"{name}, {part}" for name in DISTANCES for part in ("relative to ideal", "relative stated")),
+    "warning", "refused",
 )  # fmt: skip
 
 
@@ -46,34 +47,32 @@ class Surveyed:
     seed : int
         Of the rig.
     errors : dict
-        By name: error of a calibrated number or of a drop-off (um, against the ideal rig's), and the stated standard
-        deviation.
+        By name: error of a calibrated number or of a drop-off (um, against that of the same rig without noise), and the
+        stated standard deviation.
     shares : dict
-        By name: drop-off over the ideal rig's, minus 1.
+        By name: drop-off over the ideal rig's, minus 1, and the stated standard deviation.
     refused : str
         What the software said, if it refused the rig.
     warning : str
-        What the scan's step warned of, if it did: rows that miss the slit, and the frame rate at which they would not.
+        What was warned of, if anything: rows that miss the slit, and the frame rate at which they would not; drop-offs
+        that are uncertain by more than 1 %, and how many frames there should be.
     """
 
     seed: int
     errors: dict[str, Error] = field(default_factory=dict)
-    shares: dict[str, float] = field(default_factory=dict)
+    shares: dict[str, Error] = field(default_factory=dict)
     refused: str = ""
     warning: str = ""
 
     @property
     def wrong(self) -> bool:
         """True if a drop-off is farther from the ideal rig's than `TOLERANCE`."""
-        return any(abs(share) > TOLERANCE for share in self.shares.values())
+        return any(abs(share.off) > TOLERANCE for share in self.shares.values())
 
     @property
     def silently_wrong(self) -> bool:
         """True if it is wrong by more than three standard deviations, and no warning was given."""
-        far = any(
-            abs(self.shares[name]) > TOLERANCE and abs(self.errors[name].off) > 3 * self.errors[name].stated
-            for name in self.shares
-        )
+        far = any(abs(share.off) > max(TOLERANCE, 3 * share.stated) for share in self.shares.values())
         return far and not self.warning
 
 
@@ -88,27 +87,31 @@ def survey_rig(seed: int) -> Surveyed:
         if ramp is not None and ramp.highest_rate_hz:  # as the scan's step advises
             rig = ImperfectRig.drawn(PRESET, seed, floor(ramp.highest_rate_hz))
         draft, calibration = rig.scanned, rig.scanned.calibration
-        response = measures.axial(rig, calibration, line_rows=rig.line_rows(calibration), seed=seed)
+        line_rows = rig.line_rows(calibration)
+        response = measures.axial_as_advised(rig, calibration, line_rows, seed=seed)
     except ElsPlusError as error:
         return Surveyed(seed, refused=str(error))
     found = (
         measures.offset_error(rig, calibration),
-        measures.galvo_error(rig, calibration),
+        measures.galvo_error(rig, draft),
         measures.gain_error(rig, calibration),
     )
     errors, shares = dict(zip(CALIBRATED, found, strict=True)), {}
-    for name, ideal, drop in zip(DISTANCES, _distances(_ideal()), _distances(response), strict=True):
-        errors[name] = Error(drop.off - ideal.off, float(np.hypot(drop.stated, ideal.stated)))
-        shares[name] = drop.off / ideal.off - 1
+    own_um = measures.own_distances_um(rig, line_rows)
+    for name, own, ideal, drop in zip(DISTANCES, own_um, _ideal_um(), _distances(response), strict=True):
+        errors[name] = Error(drop.off - own, drop.stated)
+        shares[name] = Error(drop.off / ideal - 1, drop.stated / ideal)
     assert draft.lag is not None
-    warnings = find_step("lag").summary(draft, draft.lag, rig.setup).warnings
+    warnings = list(find_step("lag").summary(draft, draft.lag, rig.setup).warnings)
+    if response.frames_advised > 1:
+        warnings.append(f"record {response.frames_advised} times as many frames at each depth")
     return Surveyed(seed, errors, shares, warning="; ".join(warnings))
 
 
 @cache
-def _ideal() -> AxialResponse:
+def _ideal_um() -> tuple[float, float]:
     rig = ImperfectRig.of(PRESET)
-    return measures.axial(rig, rig.measured.calibration, seed=FIRST_SEED - 1)
+    return measures.own_distances_um(rig, np.arange(rig.instrument.frame_shape[0], dtype=np.float64))
 
 
 def _distances(response: AxialResponse) -> tuple[Error, Error]:
@@ -146,8 +149,10 @@ def markdown(surveyed: list[Surveyed]) -> str:
     """Return errors, coverage and refusals as Markdown."""
     measured = [one for one in surveyed if not one.refused]
     lines = ["| quantity | RMS error | largest | within 1 sigma | within 3 sigma |", "|---|---|---|---|---|"]
-    for name in NAMES if measured else ():
-        off, stated = np.array([one.errors[name] for one in measured]).T
+    errors = {name: [one.errors[name] for one in measured] for name in NAMES}
+    errors |= {f"{name} over the ideal rig's, less 1": [one.shares[name] for one in measured] for name in DISTANCES}
+    for name, pairs in errors.items() if measured else ():
+        off, stated = np.array(pairs).T
         inside = [f"{100 * np.mean(np.abs(off) <= sigmas * stated):.0f} %" for sigmas in (1, 3)]
         lines.append(
             f"| {name} | {np.sqrt(np.mean(off**2)):.3g} | {np.abs(off).max():.3g} | {inside[0]} | {inside[1]} |"
@@ -172,7 +177,7 @@ def _counts(surveyed: Iterable[Surveyed]) -> str:
     return (
         f"{len(rigs)} rigs drawn at random (seeds {rigs[0].seed} to {rigs[-1].seed}): {refused} refused; of the others "
         f"{wrong} with an ELS+ drop-off more than {100 * TOLERANCE:g} % from the ideal rig's, of which {warned} were "
-        f"warned of in the scan's step, and {silent} silently by more than three standard deviations."
+        f"warned of, and {silent} silently by more than three standard deviations."
     )
 
 
@@ -189,7 +194,7 @@ def write_survey(surveyed: list[Surveyed], path: Path, *, force: bool = False) -
         writer.writerow(COLUMNS)
         for one in surveyed:
             errors = (value for name in NAMES for value in one.errors.get(name, Error(np.nan, np.nan)))
-            shares = (one.shares.get(name, np.nan) for name in DISTANCES)
+            shares = (value for name in DISTANCES for value in one.shares.get(name, Error(np.nan, np.nan)))
             writer.writerow([one.seed, *(f"{value:.6g}" for value in (*errors, *shares)), one.warning, one.refused])
 
 
@@ -209,8 +214,8 @@ def read_survey(path: Path) -> list[Surveyed]:
     surveyed = []
     for seed, *cells, warning, refused in rows:
         values = [float(cell) for cell in cells]
-        pairs = zip(values[: 2 * len(NAMES) : 2], values[1 : 2 * len(NAMES) : 2], strict=True)
-        errors = {} if refused else dict(zip(NAMES, (Error(*pair) for pair in pairs), strict=True))
-        shares = {} if refused else dict(zip(DISTANCES, values[2 * len(NAMES) :], strict=True))
+        pairs = [Error(*pair) for pair in zip(values[::2], values[1::2], strict=True)]
+        errors = {} if refused else dict(zip(NAMES, pairs[: len(NAMES)], strict=True))
+        shares = {} if refused else dict(zip(DISTANCES, pairs[len(NAMES) :], strict=True))
         surveyed.append(Surveyed(int(seed), errors, shares, refused, warning))
     return surveyed

@@ -33,6 +33,19 @@ def test_the_true_calibration_of_an_undistorted_rig_leaves_nothing_over() -> Non
     assert measures.true_offset_rows(level) == pytest.approx(level.instrument.offset_rows, abs=0.02)
 
 
+def test_the_ideal_rig_itself_has_the_distances_of_its_line_and_a_halo_in_collection_shortens_them() -> None:
+    rows = np.arange(524.0)
+    ideal = measures.own_distances_um(ImperfectRig.of("240hz"), rows)
+    assert ideal == pytest.approx((35.0, 119.9), rel=0.02)  # of the closed form, whose bundle has no rim
+    halo = measures.own_distances_um(ImperfectRig.of("240hz", Imperfections.parse("halo-in-collection=40")), rows)
+    assert all(0.97 < one / other < 0.995 for one, other in zip(halo, ideal, strict=True))
+
+
+def test_rigs_drawn_at_random_differ_in_the_noise_of_their_recordings() -> None:
+    rigs = [ImperfectRig.drawn("240hz", seed) for seed in (1, 2)]
+    assert rigs[0].recording_seed("line") != rigs[1].recording_seed("line")
+
+
 def test_a_line_on_its_slit_is_judged_perfect_and_a_late_one_is_not() -> None:
     rig = ImperfectRig.of("240hz")
     rows = np.arange(524.0)
@@ -71,15 +84,16 @@ def test_a_correction_switched_off_leaves_a_calibration_that_images_can_be_made_
 def test_a_survey_counts_refused_wrong_and_warned_rigs_and_is_resumed_from_its_file(tmp_path: Path) -> None:
     good = dict.fromkeys((*CALIBRATED, *DISTANCES), measures.Error(0.0, 1.0))
     bad = good | {"ELS+ 10 dB": measures.Error(12.0, 1.0)}
+    near, far = measures.Error(0.0, 0.01), measures.Error(0.1, 0.01)
     rigs = [
-        Surveyed(1, good, {"ELS+ 3 dB": 0.0, "ELS+ 10 dB": 0.0}),
-        Surveyed(2, bad, {"ELS+ 3 dB": 0.0, "ELS+ 10 dB": 0.1}),
+        Surveyed(1, good, {"ELS+ 3 dB": near, "ELS+ 10 dB": near}),
+        Surveyed(2, bad, {"ELS+ 3 dB": near, "ELS+ 10 dB": far}),
         Surveyed(3, refused="no line"),
-        Surveyed(4, bad, {"ELS+ 3 dB": 0.0, "ELS+ 10 dB": 0.1}, warning="rows miss the slit"),
+        Surveyed(4, bad, {"ELS+ 3 dB": near, "ELS+ 10 dB": far}, warning="rows miss the slit"),
     ]
     text = markdown(rigs)
     assert "4 rigs drawn at random (seeds 1 to 4): 1 refused; of the others 2 with an ELS+ drop-off" in text
-    assert "of which 1 were warned of in the scan's step, and 1 silently" in text
+    assert "of which 1 were warned of, and 1 silently" in text
     write_survey(rigs, tmp_path / "rigs.csv")
     assert markdown(read_survey(tmp_path / "rigs.csv")) == text
 
