@@ -29,7 +29,7 @@ from napari_elsplus.io import open_recording, read_calibration, write_calibratio
 from napari_elsplus.io.settings import active_calibration, recall
 from napari_elsplus.processing.calibration.scan.lag import ScanLag
 from napari_elsplus.widgets.live.form import CONTINUOUS, DEFAULT_LIMIT_S, LiveForm
-from napari_elsplus.widgets.live.layers import LiveLayers
+from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead
 from napari_elsplus.widgets.shared.calibration_state import AMBER
 from napari_elsplus.widgets.shared.connection import join
 from napari_elsplus.widgets.shared.problems import problems
@@ -464,3 +464,12 @@ def test_a_recording_has_a_limit_is_described_and_opened(viewer, panel, qtbot, t
     panel.form.opening.native.click()
     (path,) = tmp_path.glob("recording-*.ome.tif")
     assert any(layer.metadata["elsplus"]["path"] == path for layer in images(viewer))
+
+
+def test_a_panel_imports_what_the_first_layers_need_before_they_are_created(make_napari_viewer_proxy, monkeypatch):
+    begun = []
+    monkeypatch.setattr("napari_elsplus.widgets.live.panel.import_ahead", lambda: begun.append(import_ahead()))
+    make_napari_viewer_proxy().window.add_plugin_dock_widget(PLUGIN, "Live")
+    (thread,) = begun
+    thread.join(30)
+    assert "pandas" in sys.modules

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+from importlib import import_module
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -28,6 +31,18 @@ if TYPE_CHECKING:
 
 KINDS: Final = {RAW: "raw", **{mode.value: TITLES[mode] for mode in Mode}}
 """Titles of the images, by field of the display ring."""
+
+
+@cache
+def import_ahead() -> Thread:
+    """Begin to import pandas in a thread, once in a process; return the thread.
+
+    napari imports it for the first points layer, that of the titles: the window would stand still at the first live
+    image, for half of the second that creating the layers takes.
+    """
+    thread = Thread(target=import_module, args=("pandas",), name="import for layers")
+    thread.start()
+    return thread
 
 
 class LiveLayers:

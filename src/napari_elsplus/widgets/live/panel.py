@@ -13,7 +13,7 @@ from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.live.form import CONTINUOUS, FIXED, LiveForm
-from napari_elsplus.widgets.live.layers import LiveLayers
+from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead
 from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.live.status import status_text
 from napari_elsplus.widgets.shared.calibration_state import lag_advice
@@ -51,6 +51,7 @@ class LivePanel(EnginePanel):
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
+        import_ahead()
         self.layers = LiveLayers(viewer)
         self.canvas, self.layer_list = CanvasMonitor(self), LayerListModels(self)
         self._faults_shown: set[str] = set()
