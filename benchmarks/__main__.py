@@ -28,6 +28,7 @@ from benchmarks.imperfect import study, survey
 from benchmarks.imperfect.cases import CASES
 from benchmarks.programs.acquire import acquire
 from benchmarks.programs.batch import batch
+from benchmarks.programs.long_process import process
 from benchmarks.programs.mutations import mutations
 from benchmarks.programs.start import start
 from benchmarks.studies import ablation, line_fit
@@ -235,6 +236,7 @@ def docs(folder: Path, quick: bool, only: tuple[str, ...], photographs: Path | N
 
 bench.add_command(batch)
 bench.add_command(acquire)
+bench.add_command(process)
 bench.add_command(mutations)
 bench.add_command(start)
 

@@ -1,0 +1,118 @@
+"""A long recording processed to ELS+, beside what the disk alone takes: ``python3 run.py bench process``.
+
+The recording repeats simulated frames; it and the images, 22 GB for 14,400 frames, are deleted afterwards.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
+import numpy as np
+from rich.progress import track
+
+from benchmarks.programs.start import COMMAND_LINE, HERE
+from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
+from napari_elsplus.io import RecordingWriter
+from napari_elsplus.io.atomic import replacing
+from napari_elsplus.workflows.simulated import simulate_recording
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+DIFFERENT: Final = 120
+"""Frames that are simulated and repeated; chosen: rendered in seconds, and more than the processor's caches hold."""
+SAMPLE_BYTES: Final = 2 << 30
+"""Bytes that are written and read to measure the disk; chosen: a sixth of the images of 60 s."""
+BLOCK_BYTES: Final = 4 << 20
+"""Bytes of one call; chosen: few calls, in blocks of whole pages."""
+TITLES: Final = (
+    "frames", "recording_gb", "images_gb", "seconds", "frames_per_s", "processor_s", "memory_mb",
+    "disk_reads_mb_per_s", "disk_writes_mb_per_s", "disk_frames_per_s", "load",
+)  # fmt: skip
+
+
+def _record(path: Path, frames: int) -> None:
+    """Write a recording of simulated frames, repeated, and leave none of it in the system's memory."""
+    simulated = simulate_recording(frames=min(frames, DIFFERENT))
+    different = [np.array(frame) for frame in simulated]
+    with RecordingWriter(path, different[0].shape, np.uint8, calibration=simulated.calibration) as writer:
+        for number in track(range(frames), description="Recording", transient=True):
+            writer.append(different[number % len(different)], number / 240, number)
+    _forget(path)
+
+
+def _forget(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDWR)
+    os.fsync(descriptor)
+    if sys.platform == "linux":
+        os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
+    os.close(descriptor)
+
+
+def _disk(folder: Path, sample_bytes: int) -> tuple[float, float]:
+    """Return the bytes per second that the disk reads and writes, by a sample of about so many bytes."""
+    path, block = folder / "sample", os.urandom(BLOCK_BYTES)
+    blocks = max(1, sample_bytes // BLOCK_BYTES)
+    begun_s = time.perf_counter()
+    with path.open("xb", buffering=0) as file:
+        for _ in range(blocks):
+            file.write(block)
+    _forget(path)
+    written_s = time.perf_counter() - begun_s
+    begun_s = time.perf_counter()
+    with path.open("rb", buffering=0) as file:
+        while file.read(BLOCK_BYTES):
+            pass
+    read_s = time.perf_counter() - begun_s
+    path.unlink()
+    return blocks * BLOCK_BYTES / read_s, blocks * BLOCK_BYTES / written_s
+
+
+def _process(recording: Path, images: Path) -> tuple[float, float, float]:
+    """Process a recording by the command line; return seconds, seconds of processor time, and memory in MB."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    calibration = recording.with_name("raw.calibration.json")
+    command = [*COMMAND_LINE, "process", str(recording), "-c", str(calibration), "--mode", "els", "-o", str(images)]
+    begun_s = time.perf_counter()
+    subprocess.run(command, check=True, capture_output=True, env={**os.environ, "PYTHONPATH": str(HERE / "src")})
+    _forget(images)
+    seconds = time.perf_counter() - begun_s
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return seconds, processor_s, after.ru_maxrss / 1024
+
+
+def _numbers(folder: Path, frames: int) -> Iterator[float]:
+    recording, images = folder / "raw.ome.tif", folder / "els.ome.tif"
+    _record(recording, frames)
+    reads, writes = _disk(folder, min(SAMPLE_BYTES, recording.stat().st_size))
+    seconds, processor_s, memory_mb = _process(recording, images)
+    raw_bytes, image_bytes = recording.stat().st_size, images.stat().st_size
+    yield from (frames, raw_bytes / 1e9, image_bytes / 1e9, seconds, frames / seconds, processor_s, memory_mb)
+    yield from (reads / 1e6, writes / 1e6, frames / (raw_bytes / reads + image_bytes / writes), os.getloadavg()[0])
+
+
+@click.command(name="process")
+@click.option("--out", type=FILE, required=True, help="Folder for process.csv, and for the files meanwhile.")
+@click.option("--frames", type=click.IntRange(1), default=14_400, show_default=True, help="Length of the recording.")
+@force_option
+def process(out: Path, frames: int, force: bool) -> None:
+    """Process a long recording to ELS+; tabulate frames per second and memory, and the disk's own pace."""
+    table = out / "process.csv"
+    out.mkdir(parents=True, exist_ok=True)
+    refuse_outputs(table, force=force)
+    with tempfile.TemporaryDirectory(dir=out) as folder:
+        row = [f"{number:.5g}" for number in _numbers(Path(folder), frames)]
+    with replacing(table, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows((TITLES, row))
+    for title, number in zip(TITLES, row, strict=True):
+        click.echo(f"{title:22} {number}")

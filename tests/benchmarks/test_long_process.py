@@ -1,0 +1,21 @@
+"""A recording is processed beside what the disk alone takes, and all files but the table are deleted."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from click.testing import CliRunner
+
+from benchmarks.programs.long_process import process
+
+
+def test_frames_memory_and_the_disks_pace_are_tabulated(tmp_path: Path) -> None:
+    result = CliRunner().invoke(process, ["--out", str(tmp_path), "--frames", "3"], catch_exceptions=False)
+    assert result.exit_code == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["process.csv"]
+    with (tmp_path / "process.csv").open(encoding="utf-8") as file:
+        (row,) = csv.DictReader(file)
+    assert float(row["frames"]) == 3
+    assert float(row["frames_per_s"]) > 0
+    assert 50 < float(row["memory_mb"]) < 1000
