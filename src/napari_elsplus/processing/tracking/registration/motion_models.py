@@ -30,6 +30,8 @@ _PARAMETERS: Final = [0, 1, 2, 3, 6]
 """Unknowns of the motion among those of :func:`fill_equations`; the others are gain and offset."""
 _TURN: Final = 6
 _RESIDUAL: Final = 7
+_ROWS_AT_ONCE: Final = 8
+"""Rows of which products are added up at once; chosen: what is kept of them stays in the processor's nearest cache."""
 
 
 class MotionModel(IntEnum):
@@ -179,7 +181,8 @@ def remainder(
     """
     scaled = np.array([warp.a, warp.b / px, warp.s, warp.d / px])
     tone = np.array(tone_between(template, image, first, last, middle[0], scaled, 4))
-    columns, sums = np.empty((_RESIDUAL + 1, len(template)), np.float32), np.empty((_RESIDUAL + 1,) * 2)
+    columns = np.empty((_RESIDUAL + 1, _ROWS_AT_ONCE * len(template)), np.float32)
+    sums = np.empty((_RESIDUAL + 1,) * 2)
     noise = correlated_px * fill_equations(template, image, first, last, *middle, scaled, tone, columns, sums)
     # variances of template and image, from the sums of what is left of the image
     of_tone, to_image = sums[np.ix_((4, 5, 7), (4, 5, 7))], np.array([*tone, 1.0])
@@ -227,12 +230,12 @@ def fill_equations(
     middle_row, middle_col : float
         Bundle's centre.
     columns : numpy.ndarray
-        (8, n) float32 scratch: of one row the derivatives by a, b, s, d, gain, offset and rotation, and the residual.
+        (8, m) float32 scratch: of some rows the derivatives by a, b, s, d, gain, offset and rotation, and the residual.
     sums : numpy.ndarray
         (8, 8) float64, filled: the sum of the product of each two of these.
     """
     sums[:] = 0.0
-    squares, half, height = 0.0, np.float32(0.5), template.shape[0]
+    squares, half, height, filled = 0.0, np.float32(0.5), template.shape[0], 0
     gain, offset, one = np.float32(tone[0]), np.float32(tone[1]), np.float32(1)
     for row in range(1, height - 1):
         above, down, whole, across, begin, end = row_shift(row, height, middle_row, warp, first, last)
@@ -241,22 +244,38 @@ def fill_equations(
         left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
         over, under = template[row - 1, begin:end], template[row + 1, begin:end]
         weights, y, x0 = bilinear(down, across), np.float32(row - middle_row), np.float32(begin - middle_col)
+        by_a, by_b = columns[0, filled : filled + size], columns[1, filled : filled + size]
+        by_s, by_d = columns[2, filled : filled + size], columns[3, filled : filled + size]
+        by_gain, by_offset = columns[4, filled : filled + size], columns[5, filled : filled + size]
+        by_turn, residual = columns[_TURN, filled : filled + size], columns[_RESIDUAL, filled : filled + size]
         total = np.float32(0)
+        for k in range(size):  # loops with few arrays each, which the compiler can vectorise
+            by_b[k], by_gain[k] = half * (under[k] - over[k]), here[k]
         for k in range(size):
-            gy, gx = half * (under[k] - over[k]), half * (right_of[k] - left[k])
-            e = between(corners, weights, k) - gain * here[k] - offset
-            columns[0, k], columns[1, k], columns[2, k], columns[3, k] = y * gy, gy, y * gx, gx
-            columns[4, k], columns[5, k], columns[6, k], columns[7, k] = here[k], one, (x0 + np.float32(k)) * gy, e
-            total += (gy * gy + gx * gx) * e * e
+            by_d[k], by_offset[k] = half * (right_of[k] - left[k]), one
+        for k in range(size):
+            residual[k] = between(corners, weights, k) - gain * here[k] - offset
+        for k in range(size):
+            by_a[k], by_s[k], by_turn[k] = y * by_b[k], y * by_d[k], (x0 + np.float32(k)) * by_b[k]
+        for k in range(size):
+            total += (by_b[k] * by_b[k] + by_d[k] * by_d[k]) * residual[k] * residual[k]
         squares += float(total)
-        for m in range(8):
-            for n in range(m + 1):
-                product = np.float32(0)
-                for k in range(size):
-                    product += columns[m, k] * columns[n, k]
-                sums[m, n] += float(product)
-    for m in range(8):
-        for n in range(m):
-            sums[n, m] = sums[m, n]
+        filled += size
+        if filled + height > columns.shape[1]:
+            _add_products(columns, filled, sums)
+            filled = 0
+    _add_products(columns, filled, sums)
     steep = sums[1, 1] + sums[3, 3]
     return squares / steep if steep > 0 else 0.0
+
+
+@lean_kernel
+def _add_products(columns: NDArray[np.float32], size: int, sums: NDArray[np.float64]) -> None:
+    """Add the sum of the product of each two rows of an array, of which so many columns are filled."""
+    for m in range(len(columns)):
+        for n in range(m + 1):
+            one, other, product = columns[m, :size], columns[n, :size], np.float32(0)
+            for k in range(size):
+                product += one[k] * other[k]
+            sums[m, n] += float(product)
+            sums[n, m] = sums[m, n]
