@@ -193,7 +193,6 @@ def changes() -> list[Change]:
         *constant("moved, share", candidates, "_MOVED_SHARE"),
         *constant("fall of correlation", "tracker", "FALL_OF_CORRELATION", without="inf"),
         *constant("memory of the correlation", "tracker", "_MEMORY"),
-        *constant("correlation without search", "tracker", "SURE_CORRELATION", without="-1.0", factors=(0.5, 1.05)),
         *constant("largest standard deviation, px", "tracker", "MAX_SIGMA_PX", without="inf"),
         *constant("within-frame acceleration", prediction, "_UNEVEN", without="0.0"),
         *left_out("jolts count as such", prediction, ("            jerk = max(jerk, missed_px)\n", "")),

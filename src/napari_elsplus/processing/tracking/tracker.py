@@ -38,8 +38,6 @@ PATIENCE_FRAMES: Final = 5
 """Frames without a link that are predicted before the track is lost."""
 MAX_DISPLACEMENT_DIAMETERS: Final = 0.6
 """Predicted displacement, in bundle diameters, beyond which no link is tried."""
-SURE_CORRELATION: Final = 0.9
-"""Correlation below which a predicted link is compared with all other shifts."""
 MAX_SIGMA_PX: Final = 0.6
 """Standard deviation of a displacement, pixels, up to which it is used: below a core pitch; chosen: at 0.7 of 3,662
 registrations of jerky motion 11 are wrong, at 0.5 a tenth fewer are kept."""
@@ -49,8 +47,9 @@ noise, which is the same for all."""
 _MEMORY: Final = 0.2
 _TEST_EVERY: Final = 4
 """Frames between two score tests for rotation of a moving probe, as long as none is found; at rest each is tested."""
-_WAITING_ODDS_NATS: Final = 0.0
-"""Odds from which a first registration waits for the next one; derived: it is more probable than not."""
+_WAITING_ODDS_NATS: Final = 5.0
+"""Odds from which a first registration waits for the next one; chosen: from 0 the slide of a fibre along itself was
+accepted, since a second registration, which starts from the motion of the first, repeats it."""
 _MIN_REACH_PX: Final = 8.0
 """Smallest scale of the heavy-tailed prior of a searched shift; chosen, a jerk of a hand."""
 
@@ -304,8 +303,8 @@ class Tracker:
         if self.model is not MotionModel.TRANSLATION:
             return self._turned_link(earlier, here, motion)
         if self._motion.known:
-            link = self.registrar.link(earlier.view, here.view, motion, SURE_CORRELATION)
-            if link.correlation > SURE_CORRELATION and self._accepted(link):
+            link = self.registrar.link(earlier.view, here.view, motion, self._min_correlation)
+            if self._accepted(link):
                 return link
         found = self.registrar.search(
             earlier.view, here.view, motion, _reach(motion), min_odds_nats, self._min_correlation
@@ -320,7 +319,7 @@ class Tracker:
         spread = self._turning.spread(here.index - last.index) if known and self.model is MotionModel.RIGID else inf
         for reach in (None, _reach(motion)) if known else (_reach(motion),):
             link = self.registrar.turned_link(earlier.view, here.view, motion, turn, self._scratch, reach, spread)
-            if link is not None and self._accepted(link) and (reach or link.correlation > SURE_CORRELATION):
+            if link is not None and self._accepted(link):
                 return link
         return None
 

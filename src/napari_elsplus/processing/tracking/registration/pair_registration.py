@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 MIN_ODDS_NATS: Final = 10.0
 """Log posterior odds from which a registration is accepted; chosen on 14 recordings a row of
 ``benchmarks.studies.acceptance`` (seeds 0 to 7 and 100 to 105) that are not those reported: in sparse and jerky scenes
-7 of 5,949 are wrong."""
+7 of 5,912 are wrong."""
 COMPETING_PX: Final = 4.0
 """Distance from which two peaks of the search are different shifts, pixels."""
 _AT_REST: Final = Velocity(0.0, 0.0)
