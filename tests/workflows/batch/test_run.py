@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -160,6 +161,7 @@ def test_local_workers_have_one_thread_keep_their_memory_and_have_a_dashboard() 
     before = dict(os.environ)
     with batch_client(None, 1) as client:
         (environment,) = client.run(lambda: dict(os.environ)).values()
+        assert list(client.run(lambda: signal.getsignal(signal.SIGINT) == signal.SIG_IGN).values()) == [True]
         with urlopen(client.dashboard_link) as page:
             assert b"bokeh" in page.read()
     assert dict(os.environ) == before
@@ -204,4 +206,6 @@ def test_a_scheduler_that_is_not_there_is_one_line(
         batch(recordings, tmp_path / "out", scheduler="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match="no scheduler answers at nonsense"):
         batch(recordings, tmp_path / "out", scheduler="nonsense:x")
+    with pytest.raises(InputError, match=r"the scheduler tcp://127\.0\.0\.1:9 has workers of its own"):
+        batch(recordings, tmp_path / "out", scheduler="tcp://127.0.0.1:9", workers=2)
     assert not (tmp_path / "out").exists()

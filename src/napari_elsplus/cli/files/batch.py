@@ -34,7 +34,9 @@ def _formats() -> list[str]:
     "--scheduler",
     help="Address of an existing dask scheduler. It executes whatever code it is sent: name only one that you trust.",
 )
-@click.option("--workers", type=click.IntRange(1), help="Local worker processes; one per core by default.")
+@click.option(
+    "--workers", type=click.IntRange(1), help="Local worker processes, without --scheduler; one per core by default."
+)
 def command(
     source: Path,
     calibration: Path | None,

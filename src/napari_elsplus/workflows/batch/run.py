@@ -89,7 +89,7 @@ def batch(
         Address of an existing dask scheduler, whose workers see the same files and have this package; it executes the
         code that it is sent. By default workers are started here and listen on 127.0.0.1 only.
     workers : int, optional
-        Number of local workers, a process each; one per core by default.
+        Number of local workers, a process each; one per core by default. Not with `scheduler`, which has its own.
     announce : callable
         Receives the address of the dashboard.
     progress : Progress
@@ -102,11 +102,13 @@ def batch(
     Raises
     ------
     InputError
-        If there are no recordings, the format is unknown or not installed, the output folder holds anything else, or no
-        scheduler answers.
+        If there are no recordings, the format is unknown or not installed, the output folder holds anything else, no
+        scheduler answers, or a number of workers is given for one.
     CalibrationError
         If the given calibration cannot be used.
     """
+    if scheduler is not None and workers is not None:
+        raise InputError(f"the scheduler {scheduler} has workers of its own", "give a number of workers without it")
     if calibration is not None:
         read_calibration(calibration)  # refused here, once
     _require_format(file_format)
@@ -139,8 +141,8 @@ def _require_format(name: str) -> None:
 def _ordered(items: list[BatchItem], job: BatchJob, workers: int) -> list[tuple[str, BatchItem]]:
     """Return the stages of all recordings in the order in which they are begun.
 
-    A mosaic takes longest and cannot be split: those of as many recordings as there are workers precede a recording's
-    images, so that short tasks are left for the end, and the recording is still in the computer's memory.
+    A mosaic cannot be split: those of as many recordings as there are workers precede a recording's images, so that
+    short tasks are left for the end, and the recording is still in the computer's memory.
     """
     lag = {"mosaic": 0, "section": workers if job.mosaic else 0}
     begun = [(place + lag[stage], stage, item) for place, item in enumerate(items) for stage in job.stages]

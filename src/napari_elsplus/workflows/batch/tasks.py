@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 ERROR: Final = "error"
 """Key of a failed task's message."""
-STAGES_MODULE: Final = "napari_elsplus.workflows.batch.stages"
-"""Imported by local workers when they start."""
 
 
 def _returning_errors(task: Callable[Arguments, Values]) -> Callable[Arguments, Values]:
