@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, overload
+from typing import TYPE_CHECKING, Any, Final, Literal, overload
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -168,10 +168,15 @@ class SectionedImages:
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         return np.array(self[:], dtype=dtype, copy=copy)
 
-    def save(self, path: str | os.PathLike[str], *, force: bool = False, progress: Progress = without_display) -> None:
-        """Write the images (T, n, n) with the calibration and the timing, in the suffix's format.
-
-        One image at a time is written while the next is computed, on two threads.
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        force: bool = False,
+        threads: Literal[1, 2] = 2,
+        progress: Progress = without_display,
+    ) -> None:
+        """Write the images (T, n, n), one at a time, with the calibration and the timing, in the suffix's format.
 
         Parameters
         ----------
@@ -179,6 +184,8 @@ class SectionedImages:
             ``NAME.ome.tif`` for OME-TIFF, ``NAME.ome.zarr`` for OME-Zarr.
         force : bool
             Overwrite an existing file.
+        threads : int
+            2 to compute the next image while one is written.
         progress : Progress
             Wraps the images' numbers.
 
@@ -187,8 +194,8 @@ class SectionedImages:
         InputError
             If no format writes the suffix, or the file exists and `force` is not given.
         """
-        images = computed_ahead(self._images(progress(range(self._count), self.mode.value)))
-        write_images(path, images, **self._known(), force=force)
+        images = self._images(progress(range(self._count), self.mode.value))
+        write_images(path, images if threads == 1 else computed_ahead(images), **self._known(), force=force)
 
     def allocate(self, path: str | os.PathLike[str]) -> None:
         """Create the file that :meth:`save` writes, with pixels of 0; :meth:`fill` writes spans of images into it.

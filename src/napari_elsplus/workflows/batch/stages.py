@@ -38,7 +38,7 @@ def _section(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
     spans = split(len(images))
     if len(spans) > 1:
         return {SPANS: SpannedImages(item, job).open(images, spans, values)}
-    images.save(item.folder(job) / job.images_name, force=True)
+    images.save(item.folder(job) / job.images_name, force=True, threads=1)
     return values | _described(images, spans[0], item, job)
 
 
