@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 SEEDS: Final = (31, 32)
 """Seeds of the scenes, over which a number is averaged; none of them was used to settle a threshold."""
 TRACKED_FRAMES: Final = 120
+MOVED_BY_POWER_ROWS: Final = 0.1
+"""Error of the slit offset, rows, under 5 % of power noise; derived: 2 % moved the mean of five frames by 0.03 rows
+(standard deviation), so 5 % that of ten frames by 0.05, of which this is twice as much."""
 ROWS: Final = "rows"
 """The corrections of rows when images are made: the camera's noise, and the laser's power."""
 
@@ -157,6 +160,14 @@ def _nuclei(rig: ImperfectRig, off: tuple[str, ...]) -> float:
     return float(np.mean([measures.sectioning(rig, calibration, nuclei(seed), seed=seed).els for seed in SEEDS]))
 
 
+def _haze_flat_fielded(rig: ImperfectRig, off: tuple[str, ...]) -> float:
+    calibration, line_rows = corrected(rig, off), np.arange(rig.instrument.frame_shape[0], dtype=np.float64)
+    straight = ImperfectRig(replace(rig.instrument, imperfections=IDEAL))
+    scenes = [(measures.hazy_nuclei(seed), seed) for seed in SEEDS]
+    found = [measures.flat_fielded(rig, straight, calibration, scene, line_rows, seed=seed) for scene, seed in scenes]
+    return float(np.mean(found))
+
+
 def _nuclei_scanned(rig: ImperfectRig, off: tuple[str, ...]) -> float:
     calibration = without(rig.scanned.calibration, off)
     line_rows = rig.line_rows(calibration)
@@ -212,6 +223,7 @@ def _scanned(rig: ImperfectRig, off: tuple[str, ...]) -> measures.Scanned:
 
 
 HAZE: Final = Quantity("haze: ELS+ correlation", "", 3, _haze, {})
+HAZE_FLAT_FIELDED: Final = Quantity("haze, flat-fielded: ELS+ correlation", "", 3, _haze_flat_fielded, {})
 NUCLEI: Final = Quantity("nuclei, line b: ELS+ correlation", "", 4, _nuclei, {"line": LINE_MODELS["b"]})
 NUCLEI_SCANNED: Final = Quantity(
     "nuclei, line b, scanned and flat-fielded: ELS+ correlation",
@@ -254,9 +266,11 @@ def _distortion(name: str, imperfections: str, *, quick: bool = False) -> tuple[
     )
 
 
-def _offset_cases(name: str, imperfections: str, preset: str, *, quick: bool = False) -> tuple[Case, ...]:
+def _offset_cases(
+    name: str, imperfections: str, preset: str, limit_rows: float = 0.02, *, quick: bool = False
+) -> tuple[Case, ...]:
     return (
-        Case(name, imperfections, OFFSET, at_most(0.02), preset, quick=quick),
+        Case(name, imperfections, OFFSET, at_most(limit_rows), preset, quick=quick),
         Case(name, imperfections, OFFSET_STATED, at_most(3), preset),
     )
 
@@ -288,14 +302,15 @@ CASES: Final = (
     Case("laser power noise of 5 % from row to row", "power-noise=5", HAZE, at_least(0.66), corrections=(ROWS,)),
     Case("laser power ripple of 5 % at 2.3 kHz", "power-ripple=5", HAZE, at_least(0.66), corrections=(ROWS,)),
     Case("laser power ripple of 5 % at 100 Hz", "power-ripple=5,ripple-frequency=100", HAZE, of_clean(0.98)),
-    *_offset_cases("laser power noise of 5 % from row to row", "power-noise=5", "240hz"),
-    *_offset_cases("laser power ripple of 5 % at 2.3 kHz", "power-ripple=5", "240hz"),
+    *_offset_cases("laser power noise of 5 % from row to row", "power-noise=5", "240hz", MOVED_BY_POWER_ROWS),
+    *_offset_cases("laser power ripple of 5 % at 2.3 kHz", "power-ripple=5", "240hz", MOVED_BY_POWER_ROWS),
     Case("laser power noise of 5 % from row to row", "power-noise=5", TRACKING, of_clean(2.0), "240hz"),
     Case("line bowed by 3 rows", "line-bow=3", GALVO, at_most(0.1)),
     Case("line bowed by 3 rows", "line-bow=3", BOW, at_most(0.1)),
     Case("line bowed by 3 rows", "line-bow=3", NUCLEI_SCANNED, at_least(0.990)),
     Case("line jitters by 3 rows", "line-jitter=3", TRACKED, at_least(0.98), "240hz"),
-    Case("line dimmer by 30 % at its ends, slanted by 10 %", "line-fall-off=30,line-slant=10", HAZE, of_clean(0.97)),
+    Case("line dimmer by 30 % at its ends, slanted by 10 %", "line-fall-off=30,line-slant=10", HAZE_FLAT_FIELDED,
+         of_clean(0.97)),
     Case("specimen bleached by 20 % in the scan", "bleaching=28", ELS_10DB, near_clean(0.03)),
     Case("specimen bleached by 20 % in the scan", "bleaching=28", LS_10DB, near_clean(0.03)),
     Case("half of the halo in collection", "halo-in-collection=50", NUCLEI, of_clean(0.98)),
