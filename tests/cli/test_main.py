@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from io import StringIO
+from time import sleep
 
 import click
 import pytest
@@ -129,3 +131,12 @@ def test_a_kernel_that_is_compiled_is_named_on_a_terminal(terminal: bool) -> Non
     written = console.file.getvalue()
     assert ("compiling before, once after an installation" in written) == terminal
     assert ("Tracking (compiling align, once after an installation)" in written) == terminal
+
+
+def test_a_progress_bar_displays_steps_in_a_second() -> None:
+    console = Console(file=StringIO(), force_terminal=True, width=120)
+    for _ in Display(console).progress(range(50), "els"):
+        sleep(0.01)
+    rates = [float(rate) for rate in re.findall(r"([\d.]+)/s", console.file.getvalue())]
+    assert rates
+    assert 10 < rates[-1] < 100

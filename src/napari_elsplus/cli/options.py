@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import Progress, ProgressColumn, Task
+from rich.text import Text
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import refuse_existing
@@ -145,6 +146,14 @@ def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | Non
             raise InputError(f"{path} is named twice", "name another file for one of them")
 
 
+class _Rate(ProgressColumn):
+    """Steps done in a second, most of them frames; empty before it is known."""
+
+    def render(self, task: Task) -> Text:
+        speed = task.speed
+        return Text("" if speed is None else f"{speed:.0f}/s" if speed >= 10 else f"{speed:.1f}/s")
+
+
 class Display:
     """Progress bars on a console, and beside them the kernel that is being compiled; nothing without a terminal.
 
@@ -171,7 +180,7 @@ class Display:
             self._console.print(compilation_remark(kernel))
 
     def _with_bar(self, numbers: Iterable[Item], step: str) -> Iterator[Item]:
-        with Progress(*Progress.get_default_columns(), console=self._console, transient=True) as bar:
+        with Progress(*Progress.get_default_columns(), _Rate(), console=self._console, transient=True) as bar:
             self._bar, self._step, self._task = bar, step, bar.add_task(step)
             try:
                 yield from bar.track(numbers, task_id=self._task)

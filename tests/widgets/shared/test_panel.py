@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from threading import Event
 
 import pytest
-from qtpy.QtWidgets import QLabel, QPushButton
+from qtpy.QtWidgets import QLabel, QProgressBar, QPushButton
 
 from napari_elsplus.acquisition.engine.status import Status
 from napari_elsplus.processing.compilation import report_compilation
@@ -47,6 +48,26 @@ def test_the_bar_names_the_kernel_that_is_compiled_meanwhile(qtbot):
         ended.set()
     qtbot.waitUntil(lambda: not work.busy, timeout=10_000)
     assert results == [3]
+
+
+def test_the_bar_displays_steps_in_a_second(qtbot):
+    ended = Event()
+    work = Work(lambda: None)
+    qtbot.addWidget(work)
+    bar = work.findChild(QProgressBar)
+
+    def compute():
+        for step in work.progress(range(50)):
+            if step == 40:
+                ended.wait(10)
+
+    work.begin(0, compute, lambda result: None)
+    try:
+        qtbot.waitUntil(lambda: re.fullmatch(r"%p %, \d+/s", bar.format()) is not None, timeout=10_000)
+        assert bar.value() == 40
+    finally:
+        ended.set()
+    qtbot.waitUntil(lambda: not work.busy, timeout=10_000)
 
 
 def test_the_status_line_names_the_kernel_that_the_engine_compiles():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from operator import length_hint
 from threading import Event
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from napari.qt.threading import create_worker
@@ -43,7 +44,7 @@ class Work(QWidget):
         self._cancel_elsewhere = cancel
         self._ended = ended
         self._cancelled = Event()
-        self._done, self._total, self._counts = 0, 0, True
+        self._done, self._total, self._counts, self._since = 0, 0, True, perf_counter()
         self._worker: Any = None
         self._name, self._kernel = "", [""]
         self._bar, self._step = QProgressBar(), text_label()
@@ -78,7 +79,7 @@ class Work(QWidget):
             Called with the result in the window's thread; not called after a failure or Cancel.
         """
         self._cancelled.clear()
-        self._done, self._total, self._counts = 0, total, total == 0
+        self._done, self._total, self._counts, self._since = 0, total, total == 0, perf_counter()
         self._name = ""
         self._step.hide()
         self._bar.setRange(0, total)
@@ -106,7 +107,7 @@ class Work(QWidget):
     def progress(self, items: Iterable[Item]) -> Iterator[Item]:
         """Iterate over items in the thread: count them for the bar, and raise `Cancelled` after Cancel."""
         if self._counts:
-            self._done, self._total = 0, length_hint(items)
+            self._done, self._total, self._since = 0, length_hint(items), perf_counter()
         for item in items:
             self.stop_if_cancelled()
             yield item
@@ -145,6 +146,8 @@ class Work(QWidget):
         self._step.setVisible(bool(self._step.text()))
         self._bar.setRange(0, self._total)
         self._bar.setValue(self._done)
+        rate = self._done / (perf_counter() - self._since)
+        self._bar.setFormat(f"%p %, {rate:.0f}/s" if rate >= 1 and not self._name else "%p %")
 
     def _take(self, outcome: tuple[Any, Exception | None]) -> None:
         result, error = outcome
