@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError
@@ -66,9 +67,10 @@ class LineLight:
         self._line_rows: Rows | None = None
         self._steps: dict[int, ViewsLight] = {}
         self._frames = 0
+        self._mixed: ViewsLight | None = None
 
     def at(self, line_rows: Rows | None, jitter_rows: float) -> ViewsLight:
-        """Return the light of a frame.
+        """Return the light of a frame; that of an interpolated jitter is overwritten by the next call.
 
         Parameters
         ----------
@@ -92,7 +94,10 @@ class LineLight:
         if not self._interpolates or self._frames <= COMPUTED_FRAMES:
             return self._light(jitter_rows)
         below = int(np.floor(jitter_rows / JITTER_STEP_ROWS))
-        return _between(self._computed(below), self._computed(below + 1), jitter_rows / JITTER_STEP_ROWS - below)
+        steps = self._computed(below), self._computed(below + 1)
+        if self._mixed is None:
+            self._mixed = ViewsLight(tuple(CoreLight(*map(np.empty_like, view)) for view in steps[0].views), ())
+        return _between(*steps, jitter_rows / JITTER_STEP_ROWS - below, self._mixed)
 
     def _follow(self, line_rows: Rows | None) -> None:
         """Discard what was computed if the line positions differ from those before."""
@@ -124,11 +129,12 @@ def _same(a: Rows, b: Rows) -> bool:
     return np.array_equal(a, b) or bool(np.allclose(a, b, rtol=0, atol=SAME_LINE_ROWS, equal_nan=True))
 
 
-def _between(first: ViewsLight, second: ViewsLight, share: float) -> ViewsLight:
-    """Return the light between two jitters, at a share of the step from the first to the second."""
-    views = tuple(
-        CoreLight(*(a + np.float32(share) * (b - a) for a, b in zip(*pair, strict=True)))
-        for pair in zip(first.views, second.views, strict=True)
-    )
+def _between(first: ViewsLight, second: ViewsLight, share: float, out: ViewsLight) -> ViewsLight:
+    """Return the light between two jitters, at a share of the step from the first to the second, in arrays of `out`."""
+    for one, other, mixed in zip(first.views, second.views, out.views, strict=True):
+        for a, b, between in zip(one, other, mixed, strict=True):
+            if between.size:
+                flat = (a.reshape(1, -1), b.reshape(1, -1), between.reshape(1, -1))
+                cv2.addWeighted(flat[0], 1 - share, flat[1], share, 0, dst=flat[2])
     bounds = zip(first.shifts_um, second.shifts_um, strict=True)
-    return ViewsLight(views, tuple((min(a[0], b[0]), max(a[1], b[1])) for a, b in bounds))
+    return ViewsLight(out.views, tuple((min(a[0], b[0]), max(a[1], b[1])) for a, b in bounds))
