@@ -46,7 +46,8 @@ FALL_OF_CORRELATION: Final = 0.05
 noise, which is the same for all."""
 _MEMORY: Final = 0.2
 _TEST_EVERY: Final = 4
-"""Frames between two score tests for rotation of a moving probe, as long as none is found; at rest each is tested."""
+"""Frames between two score tests for rotation, as long as none is found; at rest each frame is tested that correlates
+less than usual, as all do of a probe that turns."""
 _WAITING_ODDS_NATS: Final = 5.0
 """Odds from which a first registration waits for the next one; chosen: from 0 the slide of a fibre along itself was
 accepted, since a second registration, which starts from the motion of the first, repeats it."""
@@ -255,7 +256,7 @@ class Tracker:
         key, last, link = self._key, self._last, self._newest
         assert key is not None
         assert last is not None
-        wait = _TEST_EVERY if renew else 1
+        wait = 1 if not renew and link is not None and link.correlation < self._usual else _TEST_EVERY
         if link is None or not link.tells_turn or last is key or last.index - self._tested < wait:
             return
         self._tested = last.index
