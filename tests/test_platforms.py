@@ -19,7 +19,10 @@ SYSTEM_FOLDERS = ("/proc", "/dev", "/sys")
 
 
 def depends_on_the_system(path: Path) -> bool:
-    """Return True if a module names its system, a module or folder of some systems, or a signal but SIGINT."""
+    """Return True if a module names its system, a module or folder of some systems, or a signal but SIGINT.
+
+    Every system has the handlers SIG_IGN and SIG_DFL.
+    """
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         match node:
             case (
@@ -27,7 +30,11 @@ def depends_on_the_system(path: Path) -> bool:
                 | ast.Attribute(value=ast.Name(id="os"), attr="name")
             ):
                 return True
-            case ast.Attribute(value=ast.Name(id="signal"), attr=attr) if attr.startswith("SIG") and attr != "SIGINT":
+            case ast.Attribute(value=ast.Name(id="signal"), attr=attr) if attr.startswith("SIG") and attr not in {
+                "SIGINT",
+                "SIG_IGN",
+                "SIG_DFL",
+            }:
                 return True
             case ast.Import(names=names) if {name.name for name in names} & POSIX_MODULES:
                 return True

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -79,16 +78,18 @@ def _disk(folder: Path, sample_bytes: int) -> tuple[float, float]:
 
 def _process(recording: Path, images: Path) -> tuple[float, float, float]:
     """Process a recording by the command line; return seconds, seconds of processor time, and memory in MB."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     calibration = recording.with_name("raw.calibration.json")
     command = [*COMMAND_LINE, "process", str(recording), "-c", str(calibration), "--mode", "els", "-o", str(images)]
     begun_s = time.perf_counter()
-    subprocess.run(command, check=True, capture_output=True, env={**os.environ, "PYTHONPATH": str(HERE / "src")})
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, env={**os.environ, "PYTHONPATH": str(HERE / "src")}
+    ) as running:
+        _, status, used = os.wait4(running.pid, 0)
+        running.returncode = os.waitstatus_to_exitcode(status)
+    if running.returncode:
+        raise subprocess.CalledProcessError(running.returncode, command)
     _forget(images)
-    seconds = time.perf_counter() - begun_s
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    processor_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return seconds, processor_s, after.ru_maxrss / 1024
+    return time.perf_counter() - begun_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
 
 
 def _numbers(folder: Path, frames: int) -> Iterator[float]:

@@ -139,4 +139,4 @@ def test_a_progress_bar_displays_steps_in_a_second() -> None:
         sleep(0.01)
     rates = [float(rate) for rate in re.findall(r"([\d.]+)/s", console.file.getvalue())]
     assert rates
-    assert 10 < rates[-1] < 100
+    assert 10 < rates[-1] < 110  # rich starts its clock within the first step

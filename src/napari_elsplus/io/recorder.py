@@ -233,10 +233,10 @@ class RecordingWriter(ClosedOnExit):
 @cache
 def _fallocate() -> Callable[[int, int, int, int], int] | None:
     """Return Linux' ``fallocate``, of which Python has only the part that makes files longer; None elsewhere."""
-    if sys.platform != "linux":
-        return None
-    function = ctypes.CDLL(None).fallocate
-    function.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
+    function = None
+    if sys.platform == "linux":
+        function = ctypes.CDLL(None).fallocate
+        function.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
     return function
 
 

@@ -89,7 +89,7 @@ class SectionedImages:
     flat_field : bool
         Divide by the calibration's flat field.
     row_reference : bool
-        Take the camera's row noise off the frames if the dark pixels beside the bundle show it in some of them.
+        Take the camera's row noise off the frames if the dark pixels beside the bundle show it in the first ones.
     row_power : bool
         Divide rows by the laser's power where it differs from row to row, as both views show it; needs a flat field.
 
@@ -327,7 +327,7 @@ def section(
     flat_field : bool
         Divide by the calibration's flat field.
     row_reference : bool
-        Take the camera's row noise off the frames if the dark pixels beside the bundle show it in some of them.
+        Take the camera's row noise off the frames if the dark pixels beside the bundle show it in the first ones.
     row_power : bool
         Divide rows by the laser's power where it differs from row to row, as both views show it; needs a flat field.
 

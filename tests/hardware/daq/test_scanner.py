@@ -56,8 +56,9 @@ def test_the_whole_sequence(cards, calibration, ramp, wait_for) -> None:
         train = bench.strobe_now()
         wait_for(lambda: scanner.ramps_begun > 4)
         for frame in range(4):  # confocal, residual, confocal, residual
-            at = train.start_s + frame * PERIOD_S + np.array([0.002])
-            wanted = both.volts.reshape(2, -1)[frame % 2][int(0.002 * both.sample_rate_hz)]
+            sample = 500
+            at = train.start_s + frame * PERIOD_S + np.array([(sample + 0.5) / both.sample_rate_hz])
+            wanted = both.volts.reshape(2, -1)[frame % 2][sample]
             assert volts_at(bench.card.programs(), at)[0] == pytest.approx(wanted)
         scanner.check()
         scanner.park()

@@ -79,7 +79,9 @@ def dark_columns(frame: Image) -> Mask:
 
 
 TESTED_FRAMES: Final = 4
-"""Frames of a recording that are tested for row noise; chosen: its amplitude is the camera's, and does not change."""
+"""Frames of a series that are tested for row noise; chosen: its amplitude is the camera's, and does not change."""
+OPENED_FRAMES: Final = 2
+"""First frames of a recording that are tested for row noise; chosen: those that are read to open it anyway."""
 STRAY_LIGHT_ROWS: Final = 61
 """Rows of the running median that images keep of their dark pixels; chosen: stray light varies over more."""
 
@@ -103,7 +105,7 @@ def reference_of_rows(calibration: Calibration, frame_shape: tuple[int, ...], te
 
 
 def shows_row_noise(frames: Frames, calibration: Calibration) -> bool:
-    """Return True if one of a few frames of a recording shows row noise.
+    """Return True if one of the first frames of a recording shows row noise.
 
     Parameters
     ----------
@@ -112,7 +114,8 @@ def shows_row_noise(frames: Frames, calibration: Calibration) -> bool:
     calibration : Calibration
         Of the rig that recorded them; with its bundle section.
     """
-    return reference_of_rows(calibration, frames[0].shape).some_show_noise(frames)
+    reference = reference_of_rows(calibration, frames[0].shape)
+    return any(reference.shows_noise(frames[number]) for number in range(min(OPENED_FRAMES, len(frames))))
 
 
 class RowReference:
