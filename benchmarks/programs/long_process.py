@@ -33,6 +33,15 @@ SAMPLE_BYTES: Final = 2 << 30
 """Bytes that are written and read to measure the disk; chosen: a sixth of the images of 60 s."""
 BLOCK_BYTES: Final = 4 << 20
 """Bytes of one call; chosen: few calls, in blocks of whole pages."""
+MEASURED: Final = """
+import resource, subprocess, sys
+done = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL)
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(used.ru_utime + used.ru_stime, used.ru_maxrss)
+sys.exit(done.returncode)
+"""
+"""Runs a command and prints its processor time, s, and memory, kB. A small process, for those that it starts count its
+own memory as theirs."""
 TITLES: Final = (
     "frames", "recording_gb", "images_gb", "seconds", "frames_per_s", "processor_s", "memory_mb",
     "disk_reads_mb_per_s", "disk_writes_mb_per_s", "disk_frames_per_s", "load",
@@ -81,15 +90,13 @@ def _process(recording: Path, images: Path) -> tuple[float, float, float]:
     calibration = recording.with_name("raw.calibration.json")
     command = [*COMMAND_LINE, "process", str(recording), "-c", str(calibration), "--mode", "els", "-o", str(images)]
     begun_s = time.perf_counter()
-    with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, env={**os.environ, "PYTHONPATH": str(HERE / "src")}
-    ) as running:
-        _, status, used = os.wait4(running.pid, 0)
-        running.returncode = os.waitstatus_to_exitcode(status)
-    if running.returncode:
-        raise subprocess.CalledProcessError(running.returncode, command)
+    environment = {**os.environ, "PYTHONPATH": str(HERE / "src")}
+    measured = [sys.executable, "-c", MEASURED, *command]
+    done = subprocess.run(measured, check=True, capture_output=True, text=True, env=environment)
     _forget(images)
-    return time.perf_counter() - begun_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+    seconds = time.perf_counter() - begun_s
+    processor_s, memory_kb = map(float, done.stdout.split())
+    return seconds, processor_s, memory_kb / 1024
 
 
 def _numbers(folder: Path, frames: int) -> Iterator[float]:
