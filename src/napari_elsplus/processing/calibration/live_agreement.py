@@ -16,6 +16,7 @@ from scipy import fft
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC, core_contrast
+from napari_elsplus.processing.calibration.frame_regions import mean_frame
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
@@ -148,12 +149,9 @@ class LiveAgreement:
 
     def _views(self, frames: Frames) -> tuple[Image, Image]:
         """Return the middle of the mean confocal and residual view of some frames."""
-        total = np.zeros(frames[0].shape, np.float32)
-        for number in range(len(frames)):
-            np.add(total, frames[number], out=total, casting="unsafe")
-        total /= len(frames)
-        residual = self._sectioner.residual(total)[self._middle]
-        return self._sectioner.ls(total)[self._middle], np.nan_to_num(residual)
+        mean = mean_frame(frames)
+        residual = self._sectioner.residual(mean)[self._middle]
+        return self._sectioner.ls(mean)[self._middle], np.nan_to_num(residual)
 
     def _too_far(self, rows: float, cols: float) -> bool:
         return max(abs(rows), abs(cols)) > self._limit_px
