@@ -71,7 +71,7 @@ rig = simulated_rig()
 warm_up(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)
 called = (
     pyramid_descent.register, pyramid_descent.descend, pyramid.fill_levels, odds.weakest_direction, odds.log_likelihood,
-    motion_models.fill_equations, model_selection.largest_sum, model_selection.steady_turn,
+    motion_models.score_rotation, model_selection.shows_rotation,
 )
 print([kernel.__name__ for kernel in called if not kernel.signatures])
 """

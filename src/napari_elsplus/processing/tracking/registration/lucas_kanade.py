@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 
 PARAMETERS = 4
 """a, b, s, d of the warp."""
-_UNKNOWNS = PARAMETERS + 2  # and the gain and offset between the frames
+UNKNOWNS = PARAMETERS + 2
+"""These, and the gain and offset between the frames."""
 _TONE_ROWS = 4
 """Of the rows that are used, every how many the first regression of gain and offset takes: chosen, steps refine it."""
 
@@ -62,7 +63,7 @@ class Workspace(NamedTuple):
         side : int
             Rows and columns of the frames.
         """
-        return cls(np.zeros((7, _UNKNOWNS, _UNKNOWNS)), np.zeros((2, side), np.float32), np.array([1.0, 0.0, 1.0]))
+        return cls(np.zeros((7, UNKNOWNS, UNKNOWNS)), np.zeros((2, side), np.float32), np.array([1.0, 0.0, 1.0]))
 
 
 @lean_kernel
@@ -183,7 +184,7 @@ def accumulate(
     normal[5, 5] = count
     right[4] = sum_ti - tone[0] * sum_tt - tone[1] * sum_t
     right[5] = sum_i - tone[0] * sum_t - tone[1] * count
-    for m in range(_UNKNOWNS):
+    for m in range(UNKNOWNS):
         for n in range(m):
             normal[m, n] = normal[n, m]
     if count == 0 or steep == 0:
@@ -266,13 +267,7 @@ def align(
         noise = max(noise, 1e-6 * image_sum / count) * correlated_px
         # a pixel of motion changes the image by the template's gradient times the gain
         gain = tone[2] = np.sqrt(image_sum / template_sum)
-        for i in range(PARAMETERS):
-            right[i] *= gain
-            for k in range(PARAMETERS):
-                normal[i, k] *= gain * gain
-            for k in range(PARAMETERS, _UNKNOWNS):
-                normal[i, k] *= gain
-                normal[k, i] *= gain
+        scale_by_gain(normal, right, gain)
         for i in range(PARAMETERS):
             for k in range(PARAMETERS):
                 normal[i, k] += stiffness[i, k] * noise
@@ -296,6 +291,26 @@ def align(
         if abs(db) + abs(dd) + (abs(da) + abs(ds)) * 0.5 * len(first) < tolerance_px:
             break
     return ncc, count
+
+
+@lean_kernel
+def scale_by_gain(normal: NDArray[np.float64], right: NDArray[np.float64], gain: float) -> None:
+    """Multiply the derivatives by the warp in normal equations, which are the template's, by the gain of the image.
+
+    Parameters
+    ----------
+    normal, right : numpy.ndarray
+        As of :func:`accumulate`.
+    gain : float
+        Ratio of the frames' standard deviations.
+    """
+    for i in range(PARAMETERS):
+        right[i] *= gain
+        for k in range(PARAMETERS):
+            normal[i, k] *= gain * gain
+        for k in range(PARAMETERS, UNKNOWNS):
+            normal[i, k] *= gain
+            normal[k, i] *= gain
 
 
 @lean_kernel

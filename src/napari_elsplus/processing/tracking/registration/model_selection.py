@@ -9,12 +9,11 @@ Schwarz, Ann. Stat. 6, 461 (1978), doi:10.1214/aos/1176344136.
 
 from __future__ import annotations
 
-from math import log
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.compiled import kernel
+from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, Remainder
 
 if TYPE_CHECKING:
@@ -36,26 +35,41 @@ _FEWEST_STEADY: Final = 16
 """Registrations from which their scatter is estimated."""
 
 
-def selected_model(found: Sequence[Remainder], before: Sequence[Remainder] = ()) -> MotionModel:
-    """Return the model that the sum of score tests selects, at its largest: a probe may rotate to and fro.
+def selected_model(found: Sequence[Remainder]) -> MotionModel:
+    """Return the model that the sum of score tests, `found` in their order, selects at its largest.
 
-    Parameters
-    ----------
-    found : sequence of Remainder
-        Score tests of registrations in their order.
-    before : sequence of Remainder
-        Of registrations before these: by as much as they scatter, these may as well. Deforming tissue turns to and fro.
+    A probe may rotate to and fro.
     """
     if not found:
         return MotionModel.TRANSLATION
-    turns, sigmas = np.array([(one.step[-1], one.sigma) for one in found]).T.copy()
-    turns_before, sigmas_before = np.array([(one.step[-1], one.sigma) for one in before]).reshape(-1, 2).T.copy()
-    statistic = max(largest_sum(turns, sigmas, turns_before, sigmas_before), steady_turn(turns, sigmas))
-    needed = _MARGIN * log(sum(one.values for one in found))
-    return MotionModel.RIGID if statistic > needed else MotionModel.TRANSLATION
+    turns, sigmas, values = np.array([(one.step[-1], one.sigma, one.values) for one in found]).T.copy()
+    return MotionModel.RIGID if shows_rotation(turns, sigmas, values, 0) else MotionModel.TRANSLATION
 
 
-@kernel
+@lean_kernel
+def shows_rotation(
+    turns: NDArray[np.float64], sigmas: NDArray[np.float64], values: NDArray[np.float64], first: int
+) -> bool:
+    """Return True if score tests, from one of them on, select a rotation.
+
+    Parameters
+    ----------
+    turns, sigmas, values : numpy.ndarray
+        (m,) float64: rotation by each score test, its standard deviation, and the independent values compared.
+    first : int
+        Of the tests from which a rotation is sought. By as much as those before scatter, these may as well: deforming
+        tissue turns to and fro.
+    """
+    needed = 0.0
+    for k in range(first, len(values)):
+        needed += values[k]
+    needed = _MARGIN * np.log(needed)
+    if largest_sum(turns[first:], sigmas[first:], turns[:first], sigmas[:first]) > needed:
+        return True
+    return bool(steady_turn(turns[first:], sigmas[first:]) > needed)
+
+
+@lean_kernel
 def steady_turn(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> float:
     """Return the largest square of the weighted mean of the first registrations, over its variance.
 
@@ -67,20 +81,30 @@ def steady_turn(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> floa
     steps, sigmas : numpy.ndarray
         (m,) rotation by each score test, and its standard deviation.
     """
-    if len(steps) < _FEWEST_STEADY:
-        return 0.0
-    weights = 1 / (sigmas * sigmas)
-    weighted, total = np.cumsum(weights * steps), np.cumsum(weights)
-    largest = 0.0
-    for count in range(_FEWEST_STEADY, len(steps) + 1):
-        about = weights[:count] * (steps[:count] - weighted[count - 1] / total[count - 1])
-        square = max((about * about).sum(), total[count - 1])  # no better than stated
-        alike = min(max((about[1:] * about[:-1]).sum() / square, 0.0), _MOST_ALIKE)
-        largest = max(largest, weighted[count - 1] ** 2 / (square * (1 + alike) / (1 - alike)))
+    largest, total, weighted = 0.0, 0.0, 0.0
+    # sums of weighted steps' squares, and of the products of successive ones, as polynomials of the mean
+    s0, s1, s2, p0, p1, p2, last = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(len(steps)):
+        weight, step = 1 / (sigmas[k] * sigmas[k]), steps[k]
+        total += weight
+        weighted += weight * step
+        s0 += (weight * step) ** 2
+        s1 += weight * weight * step
+        s2 += weight * weight
+        if k > 0:
+            p0 += weight * last * step * steps[k - 1]
+            p1 += weight * last * (step + steps[k - 1])
+            p2 += weight * last
+        last = weight
+        if k + 1 >= _FEWEST_STEADY:
+            mean = weighted / total
+            square = max(s0 - 2 * mean * s1 + mean * mean * s2, total)  # no better than stated
+            alike = min(max((p0 - mean * p1 + mean * mean * p2) / square, 0.0), _MOST_ALIKE)
+            largest = max(largest, weighted * weighted / (square * (1 + alike) / (1 - alike)))
     return largest
 
 
-@kernel
+@lean_kernel
 def scatter(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> float:
     """Return the variance of registrations about their mean over the stated one, as that of a sum of them counts.
 
@@ -89,15 +113,20 @@ def scatter(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> float:
     steps, sigmas : numpy.ndarray
         (m,) estimate of each registration, and its standard deviation.
     """
-    links = len(steps)
-    about = steps / sigmas
-    about -= about.mean()
-    found = ((about * about).sum() + _SCATTER * _PRIOR_LINKS) / (links + _PRIOR_LINKS)
-    alike = min(max((about[1:] * about[:-1]).sum() / (links * found), 0.0), _MOST_ALIKE)
+    links, mean, squares, products, before = len(steps), 0.0, 0.0, 0.0, 0.0
+    for k in range(links):
+        mean += steps[k] / sigmas[k] / links
+    for k in range(links):
+        about = steps[k] / sigmas[k] - mean
+        squares += about * about
+        products += about * before
+        before = about
+    found = (squares + _SCATTER * _PRIOR_LINKS) / (links + _PRIOR_LINKS)
+    alike = min(max(products / (links * found), 0.0), _MOST_ALIKE)
     return float(found * (1 + alike) / (1 - alike))
 
 
-@kernel
+@lean_kernel
 def largest_sum(
     steps: NDArray[np.float64],
     sigmas: NDArray[np.float64],
@@ -114,9 +143,14 @@ def largest_sum(
         (n,) of registrations before these, by whose scatter these may err as well.
     """
     usual = scatter(steps, sigmas)
-    if len(steps_before):
+    if len(steps_before) > 0:
         usual = max(usual, scatter(steps_before, sigmas_before))
-    return float((np.cumsum(steps) ** 2 / np.cumsum(sigmas * sigmas)).max() / usual)
+    largest, turned, variance = 0.0, 0.0, 0.0
+    for k in range(len(steps)):
+        turned += steps[k]
+        variance += sigmas[k] * sigmas[k]
+        largest = max(largest, turned * turned / variance)
+    return float(largest / usual)
 
 
 class ModelSelection:
@@ -139,7 +173,8 @@ class ModelSelection:
 
     def __init__(self) -> None:
         self.model = MotionModel.TRANSLATION
-        self._found: list[Remainder] = []
+        self._found = np.zeros((3, 2 * _REMEMBERED))
+        self._stored = 0
 
     def weigh(self, found: Remainder, *, keep: bool = True) -> MotionModel:
         """Test a registration together with those before; return the model selected. It is stored if it is to be kept.
@@ -151,9 +186,15 @@ class ModelSelection:
         keep : bool
             Add its evidence to that of the earlier ones.
         """
-        every = [*self._found[1 - _REMEMBERED :], found]
-        for first in (max(0, len(every) - _SUDDEN), 0):
-            self.model = max(self.model, selected_model(every[first:], every[:first]))
+        stored = self._stored
+        self._found[:, stored] = found.step[-1], found.sigma, found.values
+        turns, sigmas, values = self._found[:, max(0, stored + 1 - _REMEMBERED) : stored + 1]
+        sudden = max(0, len(turns) - _SUDDEN)
+        if shows_rotation(turns, sigmas, values, sudden) or shows_rotation(turns, sigmas, values, 0):
+            self.model = MotionModel.RIGID
         if keep:
-            self._found = every
+            self._stored = stored + 1
+            if self._stored == len(self._found[0]):
+                self._found[:, :_REMEMBERED] = self._found[:, _REMEMBERED:]
+                self._stored = _REMEMBERED
         return self.model

@@ -8,7 +8,6 @@ back before it is registered, so that all else remains as for a probe that does 
 from __future__ import annotations
 
 from enum import IntEnum
-from math import inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
@@ -17,21 +16,26 @@ import numpy as np
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+from napari_elsplus.processing.tracking.registration.lucas_kanade import (
+    PARAMETERS,
+    UNKNOWNS,
+    accumulate,
+    scale_by_gain,
+    solve,
+)
 from napari_elsplus.processing.tracking.registration.similarity import tone_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
+    from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
 
     Matrix = NDArray[np.float64]
 
-_PARAMETERS: Final = [0, 1, 2, 3, 6]
-"""Unknowns of the motion among those of :func:`fill_equations`; the others are gain and offset."""
-_TURN: Final = 6
-_RESIDUAL: Final = 7
-_ROWS_AT_ONCE: Final = 8
-"""Rows of which products are added up at once; chosen: what is kept of them stays in the processor's nearest cache."""
+_SCORED: Final = (1, False, 4)
+"""Of the rows of half resolution, every how many are used; whether they are sampled finely; and every how many for the
+first estimate of gain and offset."""
 
 
 class MotionModel(IntEnum):
@@ -141,7 +145,8 @@ def composed(warp: Warp, step: Matrix) -> tuple[Warp, float]:
     return Warp(float(np.hypot(m11, m12)), float(b), float(shear), float(d)), float(angle)
 
 
-def remainder(
+@lean_kernel
+def score_rotation(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
     first: NDArray[np.int32],
@@ -151,9 +156,11 @@ def remainder(
     px: float,
     stiffness: tuple[float, float],
     correlated_px: float,
-    turn: tuple[float, float] = (0.0, inf),
-) -> Remainder | None:
-    """Estimate what a rotation would add to a warp.
+    turn: tuple[float, float],
+    work: Workspace,
+    found: NDArray[np.float64],
+) -> bool:
+    """Estimate what a rotation would add to a warp; return False where the frames do not overlap or show nothing.
 
     Parameters
     ----------
@@ -173,109 +180,101 @@ def remainder(
         Pixels of these images that share one noise value.
     turn : tuple of float
         Rotation that is expected, radians, and its standard deviation.
-
-    Returns
-    -------
-    Remainder or None
-        None where the frames do not overlap or show nothing.
+    work : Workspace
+        For frames of this size or larger.
+    found : numpy.ndarray
+        (7,) float64, filled: the fields of :class:`Remainder`.
     """
-    scaled = np.array([warp.a, warp.b / px, warp.s, warp.d / px])
-    tone = np.array(tone_between(template, image, first, last, middle[0], scaled, 4))
-    columns = np.empty((_RESIDUAL + 1, _ROWS_AT_ONCE * len(template)), np.float32)
-    sums = np.empty((_RESIDUAL + 1,) * 2)
-    noise = correlated_px * fill_equations(template, image, first, last, *middle, scaled, tone, columns, sums)
-    # variances of template and image, from the sums of what is left of the image
-    of_tone, to_image = sums[np.ix_((4, 5, 7), (4, 5, 7))], np.array([*tone, 1.0])
-    total, count = of_tone[1], of_tone[1, 1]
-    if not noise > 0:
-        return None
-    variances = [of_tone[0, 0] - total[0] ** 2 / count, to_image @ of_tone @ to_image - (to_image @ total) ** 2 / count]
-    if not min(variances) > 0:
-        return None
-    # a pixel of motion changes the image by the template's gradient times the gain
-    gain = np.ones(_RESIDUAL)
-    gain[_PARAMETERS] = np.sqrt(variances[1] / variances[0])
-    normal, right = gain[:, None] * sums[:_RESIDUAL, :_RESIDUAL] * gain, gain * sums[:_RESIDUAL, _RESIDUAL]
+    normal, right, copy, tone = work.equations[0], work.equations[1, 0], work.equations[3], work.tone
+    with_turn, along, scaled = work.equations[1, 1], work.equations[1, 2], work.equations[5, 0]
+    scaled[0], scaled[1], scaled[2], scaled[3] = warp.a, warp.b / px, warp.s, warp.d / px
+    row_step, finely, tone_rows = _SCORED
+    tone[0], tone[1] = tone_between(template, image, first, last, middle[0], scaled, tone_rows)
+    count, template_sum, image_sum, _, noise = accumulate(
+        template, image, first, last, middle[0], scaled, tone, row_step, finely, normal, right, work.samples
+    )
+    noise *= correlated_px
+    if not (noise > 0 and template_sum > 0 and image_sum > 0):
+        return False
+    itself, left = _rotation_products(template, image, first, last, middle, scaled, tone, with_turn)
+    gain = np.sqrt(image_sum / template_sum)
+    scale_by_gain(normal, right, gain)
+    for k in range(UNKNOWNS):
+        with_turn[k] *= gain * gain if k < PARAMETERS else gain
+        along[k] = with_turn[k]
     normal[0, 0] += stiffness[0] * noise
     normal[2, 2] += stiffness[1] * noise
-    normal[_TURN, _TURN] += noise / turn[1] ** 2
-    right[_TURN] += turn[0] * noise / turn[1] ** 2
-    try:
-        inverse = np.linalg.inv(normal)
-    except np.linalg.LinAlgError:
-        return None
-    step = (inverse @ right)[_PARAMETERS] * (1, px, 1, px, 1)
-    return Remainder(step, float(np.sqrt(max(noise * inverse[_TURN, _TURN], 0.0))), count / correlated_px)
+    for i in range(UNKNOWNS):
+        for k in range(UNKNOWNS):
+            copy[i, k] = normal[i, k]
+    if not (solve(normal, right, work.equations[2]) and solve(copy, along, work.equations[2])):
+        return False
+    of_prior = noise / turn[1] ** 2
+    known, score = gain * gain * itself + of_prior, gain * left + turn[0] * of_prior
+    for k in range(UNKNOWNS):
+        known -= with_turn[k] * along[k]
+        score -= with_turn[k] * right[k]
+    if not known > 0:
+        return False
+    angle = score / known
+    for k in range(PARAMETERS):
+        found[k] = right[k] - along[k] * angle
+    found[1] *= px
+    found[3] *= px
+    found[4], found[5], found[6] = angle, np.sqrt(noise / known), count / correlated_px
+    return True
 
 
 @lean_kernel
-def fill_equations(
+def _rotation_products(
     template: NDArray[np.float32],
     image: NDArray[np.float32],
     first: NDArray[np.int32],
     last: NDArray[np.int32],
-    middle_row: float,
-    middle_col: float,
+    middle: tuple[float, float],
     warp: NDArray[np.float64],
     tone: NDArray[np.float64],
-    columns: NDArray[np.float32],
-    sums: NDArray[np.float64],
-) -> float:
-    """Fill the normal equations of all unknowns about a warp; return the mean squared residual where structure is.
+    with_others: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Return the sum of the product of a rotation's derivative with itself, and with the residual.
 
     Parameters
     ----------
     template, image, first, last, warp, tone
         As of :func:`~.lucas_kanade.accumulate`.
-    middle_row, middle_col : float
-        Bundle's centre.
-    columns : numpy.ndarray
-        (8, m) float32 scratch: of some rows the derivatives by a, b, s, d, gain, offset and rotation, and the residual.
-    sums : numpy.ndarray
-        (8, 8) float64, filled: the sum of the product of each two of these.
+    middle : tuple of float
+        Row and column of the bundle's centre.
+    with_others : numpy.ndarray
+        (6,) float64, filled: with the derivatives by a, b, s, d, gain and offset.
     """
-    sums[:] = 0.0
-    squares, half, height, filled = 0.0, np.float32(0.5), template.shape[0], 0
-    gain, offset, one = np.float32(tone[0]), np.float32(tone[1]), np.float32(1)
+    with_others[:] = 0.0
+    itself, left, half, height = 0.0, 0.0, np.float32(0.5), template.shape[0]
+    gain, offset = np.float32(tone[0]), np.float32(tone[1])
     for row in range(1, height - 1):
-        above, down, whole, across, begin, end = row_shift(row, height, middle_row, warp, first, last)
-        size = end - begin
-        here, corners = template[row, begin:end], neighbours(image, above, begin + whole, size)
-        left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
+        above, down, whole, across, begin, end = row_shift(row, height, middle[0], warp, first, last)
+        if end <= begin:
+            continue
+        here, corners = template[row, begin:end], neighbours(image, above, begin + whole, end - begin)
+        before, after = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
         over, under = template[row - 1, begin:end], template[row + 1, begin:end]
-        weights, y, x0 = bilinear(down, across), np.float32(row - middle_row), np.float32(begin - middle_col)
-        by_a, by_b = columns[0, filled : filled + size], columns[1, filled : filled + size]
-        by_s, by_d = columns[2, filled : filled + size], columns[3, filled : filled + size]
-        by_gain, by_offset = columns[4, filled : filled + size], columns[5, filled : filled + size]
-        by_turn, residual = columns[_TURN, filled : filled + size], columns[_RESIDUAL, filled : filled + size]
-        total = np.float32(0)
-        for k in range(size):  # loops with few arrays each, which the compiler can vectorise
-            by_b[k], by_gain[k] = half * (under[k] - over[k]), here[k]
-        for k in range(size):
-            by_d[k], by_offset[k] = half * (right_of[k] - left[k]), one
-        for k in range(size):
-            residual[k] = between(corners, weights, k) - gain * here[k] - offset
-        for k in range(size):
-            by_a[k], by_s[k], by_turn[k] = y * by_b[k], y * by_d[k], (x0 + np.float32(k)) * by_b[k]
-        for k in range(size):
-            total += (by_b[k] * by_b[k] + by_d[k] * by_d[k]) * residual[k] * residual[k]
-        squares += float(total)
-        filled += size
-        if filled + height > columns.shape[1]:
-            _add_products(columns, filled, sums)
-            filled = 0
-    _add_products(columns, filled, sums)
-    steep = sums[1, 1] + sums[3, 3]
-    return squares / steep if steep > 0 else 0.0
-
-
-@lean_kernel
-def _add_products(columns: NDArray[np.float32], size: int, sums: NDArray[np.float64]) -> None:
-    """Add the sum of the product of each two rows of an array, of which so many columns are filled."""
-    for m in range(len(columns)):
-        for n in range(m + 1):
-            one, other, product = columns[m, :size], columns[n, :size], np.float32(0)
-            for k in range(size):
-                product += one[k] * other[k]
-            sums[m, n] += float(product)
-            sums[n, m] = sums[m, n]
+        weights, x0, zero = bilinear(down, across), np.float32(begin - middle[1]), np.float32(0)
+        ww, we, wy, wx, wt, w1 = zero, zero, zero, zero, zero, zero
+        for k in range(end - begin):
+            gx, gy = half * (after[k] - before[k]), half * (under[k] - over[k])
+            w, t = (x0 + np.float32(k)) * gy, here[k]
+            ww += w * w
+            we += w * (between(corners, weights, k) - gain * t - offset)
+            wy += w * gy
+            wx += w * gx
+            wt += w * t
+            w1 += w
+        y = row - middle[0]
+        itself += float(ww)
+        left += float(we)
+        with_others[0] += y * wy
+        with_others[1] += wy
+        with_others[2] += y * wx
+        with_others[3] += wx
+        with_others[4] += wt
+        with_others[5] += w1
+    return itself, left

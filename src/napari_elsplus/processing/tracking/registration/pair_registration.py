@@ -272,11 +272,14 @@ class Registrar:
         turn : tuple of float
             Rotation that is expected, radians, and its standard deviation.
         """
-        first, last = self._spans[1]
-        stiffness = spread[0] ** -2, spread[1] ** -2
-        return motion_models.remainder(
-            earlier.levels[1], later.levels[1], first, last, self._centre, warp, 2.0, stiffness, CORRELATED_PX / 4, turn
-        )
+        stiffness, found = (spread[0] ** -2, spread[1] ** -2), self._found
+        if not motion_models.score_rotation(
+            earlier.levels[1], later.levels[1], *self._spans[1], self._centre, warp, 2.0, stiffness, CORRELATED_PX / 4,
+            turn, self._tools.work, found,
+        ):  # fmt: skip
+            return None
+        a, b, s, d, angle, sigma, values, *_ = found.tolist()
+        return motion_models.Remainder(np.array([a, b, s, d, angle]), sigma, values)
 
     def turned_link(
         self,
