@@ -74,7 +74,6 @@ def test_an_installed_package_is_found_by_the_command_line(tmp_path: Path) -> No
 
 def test_frames_that_are_not_registered_are_predicted_then_lost_and_a_new_segment_follows() -> None:
     places = [1] * 4 + [0] * 7 + [2] * 3  # on tissue, lifted, on other tissue
-    image = np.ones((4, 4), np.float32)
 
     def register(fixed, moving, expected):
         alike = fixed.max() == moving.max() > 0
@@ -84,11 +83,12 @@ def test_frames_that_are_not_registered_are_predicted_then_lost_and_a_new_segmen
     instrument = Instrument.of("120hz")
     method = tracking_method("steps").factory(true_calibration(instrument), instrument.frame_shape, Mode.LS)
     unregister_tracking_method("steps")
+    image = np.ones((method.grid.side, method.grid.side), np.float32)
     poses = [method.estimate_pose(image * place) for place in places]
     assert "".join(pose.state[0] for pose in poses) == "tttt" + "ppppp" + "ll" + "ltt"
     assert [pose.segment for pose in poses[-2:]] == [1, 1]
     assert (poses[-2].row, poses[-2].col) == (0.0, 0.0)
-    assert poses[3].sigma == pytest.approx(0.2)
+    assert 0.2 < poses[3].sigma < 0.203  # that of the shift, and what uneven motion adds
 
 
 @pytest.mark.parametrize("bad", [PairwiseShift((np.nan, 0.0), np.eye(2)), PairwiseShift((0.0, 0.0), np.eye(3))])

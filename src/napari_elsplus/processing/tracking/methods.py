@@ -18,6 +18,7 @@ from napari_elsplus.processing.tracking.pose_graph.node_registration import Fram
 from napari_elsplus.processing.tracking.pose_graph.refinement import refine
 from napari_elsplus.processing.tracking.pose_graph.rotation_review import review_rotation
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
+from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.registration.shutter_timing import (
     LinePeriodsPerFrame,
     estimate_line_periods_per_frame,
@@ -43,7 +44,9 @@ class TrackingMethod(Protocol):
     """Estimates the pose of the probe for each frame of a sequence.
 
     Frames are (rows, cols) as the camera delivers them. `raw_residual` is the frame of which the residual view is used:
-    the same as `raw` except in ELSA. Images are (n, n) float32 on `grid`; poses are in pixels of `grid`.
+    the same as `raw` except in ELSA. Images are (n, n) float32 on `grid`; poses are in pixels of `grid`. A method that
+    derives from this class has to add :meth:`prepare_image` and :meth:`estimate_pose`; the other members are those of a
+    method without a pose graph.
 
     Attributes
     ----------
@@ -56,8 +59,8 @@ class TrackingMethod(Protocol):
     grid: Grid
     scale: float
 
-    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
-        """Return the pose of the next raw frame, and its image, which is valid until the next call.
+    def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
+        """Write the image of a raw frame into `out`, (n, n); may run while another thread is in `estimate_pose`.
 
         Parameters
         ----------
@@ -65,24 +68,6 @@ class TrackingMethod(Protocol):
             (rows, cols) frame with the confocal view.
         raw_residual : numpy.ndarray
             Frame with the residual view: the same one, but for ELSA.
-        """
-
-    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the image of a raw frame, which is valid until the next call.
-
-        Parameters
-        ----------
-        raw, raw_residual : numpy.ndarray
-            As in :meth:`track`.
-        """
-
-    def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        """Write the image of a raw frame into `out`, (n, n); may run while another thread is in `estimate_pose`.
-
-        Parameters
-        ----------
-        raw, raw_residual : numpy.ndarray
-            As in :meth:`track`.
         out : numpy.ndarray
             (side, side) float32, filled.
         """
@@ -90,22 +75,50 @@ class TrackingMethod(Protocol):
     def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
         """Return the pose of the next frame from its prepared image."""
 
+    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
+        """Return the image of a raw frame.
+
+        Parameters
+        ----------
+        raw, raw_residual : numpy.ndarray
+            As in :meth:`prepare_image`.
+        """
+        image = np.empty((self.grid.side, self.grid.side), np.float32)
+        self.prepare_image(raw, raw_residual, image)
+        return image
+
+    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
+        """Return the pose of the next raw frame, and its image, which is valid until the next call.
+
+        Parameters
+        ----------
+        raw, raw_residual : numpy.ndarray
+            As in :meth:`prepare_image`.
+        """
+        image = self.image(raw, raw_residual)
+        return self.estimate_pose(image), image
+
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         """Return the poses refined over the whole sequence; `image` returns a frame's image by its index."""
+        del image
+        return poses
 
     def discard_registrations(self) -> None:
         """Free what only :meth:`refine` uses: for sequences without end."""
+        return
 
     @property
     def newest_registration(self) -> tuple[int, int, PairRegistration] | None:
         """Indices of the earlier and the later frame last registered, and their registration; None if there is none."""
+        return None
 
     @property
     def motion_model(self) -> MotionModel:
         """The motion model in use: translation or rigid."""
+        return MotionModel.TRANSLATION
 
 
-class FrontEndImages:
+class FrontEndImages(TrackingMethod):
     """Images of the front end: split, subtracted, flat-fielded and binned near one pixel per core.
 
     Parameters
@@ -122,11 +135,6 @@ class FrontEndImages:
         self._front_end = FrontEnd(calibration, frame_shape, mode)
         self.grid = self._front_end.grid
         self.scale = float(self.grid.binning)
-        self._image = np.zeros((self.grid.side, self.grid.side), np.float32)
-
-    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        """See :meth:`TrackingMethod.image`."""
-        return self._front_end.image(raw, self._image, raw_residual)
 
     def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
         """See :meth:`TrackingMethod.prepare_image`; the image of a frame without contrast is zero."""
@@ -138,12 +146,20 @@ class FrontEndImages:
 class RegistrationTracking(FrontEndImages):
     """Sub-pixel registration to keyframes with rolling-shutter correction, acceptance tests, and loop closure.
 
-    Parameters are those of :class:`FrontEndImages`.
+    Parameters
+    ----------
+    calibration, frame_shape, mode
+        As of :class:`FrontEndImages`.
+    registrar : callable
+        Makes the registrar of a grid.
     """
 
-    def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
+    def __init__(
+        self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode,
+        registrar: Callable[[Grid], Registrar] = Registrar,
+    ) -> None:  # fmt: skip
         super().__init__(calibration, frame_shape, mode)
-        self._tracker = Tracker(self.grid)
+        self._tracker = Tracker(self.grid, registrar(self.grid))
 
     def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
         """See :meth:`TrackingMethod.track`."""
@@ -193,27 +209,7 @@ class RegistrationTracking(FrontEndImages):
         return refine(poses, links, PoseGraph(registrar.grid, FrameRegistration(registrar), frame), model)
 
 
-class WithoutPoseGraph:
-    """The part of :class:`TrackingMethod` that a method without a pose graph leaves as it is."""
-
-    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        """Return the poses unchanged: no loops are closed; see :meth:`TrackingMethod.refine`."""
-        return poses
-
-    def discard_registrations(self) -> None:
-        """Do nothing: no registrations are kept."""
-
-    @property
-    def newest_registration(self) -> None:
-        """None: no registrations are kept."""
-
-    @property
-    def motion_model(self) -> MotionModel:
-        """Translation."""
-        return MotionModel.TRANSLATION
-
-
-class TemplateTracking(WithoutPoseGraph):
+class TemplateTracking(TrackingMethod):
     """Whole-pixel template matching (Thrapp and Hughes 2021); parameters as of :class:`FrontEndImages`."""
 
     def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
@@ -223,19 +219,10 @@ class TemplateTracking(WithoutPoseGraph):
         self._tracker = TemplateTracker(self._sectioner.diameter_px, self._sectioner.side, seen, away)
         self.grid, self.scale = self._tracker.grid, self._tracker.scale
 
-    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
-        """See :meth:`TrackingMethod.track`."""
-        image = self.image(raw, raw_residual)
-        return self._tracker.add(image), image
-
     def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
         """See :meth:`TrackingMethod.prepare_image`."""
-        out[:] = self.image(raw, raw_residual)
+        out[:] = self._tracker.prepare(self._sectioner.section(raw, raw_residual, self._mode))
 
     def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
         """See :meth:`TrackingMethod.estimate_pose`."""
         return self._tracker.add(image)
-
-    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        """See :meth:`TrackingMethod.image`."""
-        return self._tracker.prepare(self._sectioner.section(raw, raw_residual, self._mode))

@@ -38,12 +38,6 @@ PATIENCE_FRAMES: Final = 5
 """Frames without a link that are predicted before the track is lost."""
 MAX_DISPLACEMENT_DIAMETERS: Final = 0.6
 """Predicted displacement, in bundle diameters, beyond which no link is tried."""
-MAX_SIGMA_PX: Final = 0.6
-"""Standard deviation of a displacement, pixels, up to which it is used: below a core pitch; chosen: at 0.7 of 3,662
-registrations of jerky motion 11 are wrong, at 0.5 a tenth fewer are kept."""
-FALL_OF_CORRELATION: Final = 0.05
-"""Correlation of a registration below the recent mean from which it is rejected: frames that show the same differ by
-noise, which is the same for all."""
 _MEMORY: Final = 0.2
 _TEST_EVERY: Final = 4
 """Frames between two score tests for rotation, as long as none is found; at rest each frame is tested that correlates
@@ -85,6 +79,8 @@ class Tracker:
     ----------
     grid : Grid
         The grid of the images, with the timing of its rows.
+    registrar : Registrar, optional
+        Registers two frames on that grid.
 
     Attributes
     ----------
@@ -92,10 +88,10 @@ class Tracker:
         (earlier frame, later frame, displacement in the later one's orientation, link) of every accepted link.
     """
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: Grid, registrar: Registrar | None = None) -> None:
         self.grid = grid
         self._max_displacement_px = MAX_DISPLACEMENT_DIAMETERS * grid.diameter
-        self.registrar = Registrar(grid)
+        self.registrar = registrar or Registrar(grid)
         self.links: list[tuple[int, int, Displacement, PairRegistration]] = []
         self._slots = [self.registrar.view() for _ in range(4)]
         self._scratch = self.registrar.view()
@@ -331,7 +327,7 @@ class Tracker:
     @property
     def _min_correlation(self) -> float:
         """Correlation that registrations need: somewhat less than the usual one; 0 before any was accepted."""
-        return 0.0 if isnan(self._usual) else self._usual - FALL_OF_CORRELATION
+        return 0.0 if isnan(self._usual) else self._usual - self.registrar.fall_of_correlation
 
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose and velocity; return False if the probe moved too unevenly within the frames."""
@@ -343,7 +339,7 @@ class Tracker:
         here.sigma = hypot(
             link.sigma, self._motion.unevenness(after, link.warp, missed_px), by_velocity * here.velocity_variance**0.5
         )
-        if here.sigma > MAX_SIGMA_PX:
+        if here.sigma > self.registrar.max_sigma_px:
             return False
         if not self._motion.known:
             earlier.velocity, earlier.velocity_variance = after, here.velocity_variance

@@ -16,11 +16,11 @@ import numpy as np
 
 from napari_elsplus.processing.tracking.finished.registration import FinishedFrame, FinishedRegistration
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
+from napari_elsplus.processing.tracking.methods import TrackingMethod
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.refinement import refine
-from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 from napari_elsplus.processing.tracking.tracker import KEY_FRAME_REACH
 
 if TYPE_CHECKING:
@@ -47,8 +47,8 @@ _MAX_HELD: Final = 64
 """Frames whose spectra are held while segments are joined, some 2 MB each; chosen, others are computed again."""
 
 
-class FinishedTracking:
-    """Tracks finished images; implements :class:`~.methods.TrackingMethod`.
+class FinishedTracking(TrackingMethod):
+    """Tracks finished images.
 
     Parameters
     ----------
@@ -62,31 +62,20 @@ class FinishedTracking:
         self.grid = field.grid
         self._field = field
         self._registration = FinishedRegistration(field)
-        self._image = np.zeros((self.grid.side,) * 2, np.float32)
         y, x = (np.arange(self.grid.side) - c for c in self.grid.centre)
         self._inside = np.hypot(y[:, None], x) < 0.5 * FIELD * self.grid.diameter - 1
         self._tracked: FinishedFrame | None = None
         self._keyframe: FinishedFrame | None = None
         self._previous: FinishedFrame | None = None
-        self._previous_image = np.zeros_like(self._image)
+        self._previous_image = np.zeros((self.grid.side,) * 2, np.float32)
         self._poses: list[Pose] = []
         self._image_of_frame: list[int] = []
         self._links: dict[int, tuple[int, int, Displacement, PairRegistration]] = {}
         self._segment = -1
 
-    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
-        """See :meth:`~.methods.TrackingMethod.image`."""
-        self.prepare_image(raw, raw_residual, self._image)
-        return self._image
-
     def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
         """See :meth:`~.methods.TrackingMethod.prepare_image`."""
         out[:] = self._field.window(raw)
-
-    def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
-        """See :meth:`~.methods.TrackingMethod.track`."""
-        image = self.image(raw, raw_residual)
-        return self.estimate_pose(image), image
 
     def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
         """See :meth:`~.methods.TrackingMethod.estimate_pose`; a repeated frame has the pose of its twin."""
@@ -110,15 +99,6 @@ class FinishedTracking:
     def discard_registrations(self) -> None:
         """See :meth:`~.methods.TrackingMethod.discard_registrations`."""
         self._links.clear()
-
-    @property
-    def newest_registration(self) -> None:
-        """None: registrations of finished images do not carry live loop closure."""
-
-    @property
-    def motion_model(self) -> MotionModel:
-        """Translation."""
-        return MotionModel.TRANSLATION
 
     def _continue(self, here: FinishedFrame) -> Pose | None:
         """Register a frame to the newest tracked one, and where the scene is rigid to the keyframe instead."""

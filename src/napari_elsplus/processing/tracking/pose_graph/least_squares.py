@@ -13,10 +13,12 @@ and Huber's M-estimators after Zhang, Image Vis. Comput. 15, 59 (1997), doi:10.1
 
 from __future__ import annotations
 
+from itertools import compress
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy import sparse
+from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse.linalg import spsolve
 
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
@@ -153,71 +155,43 @@ def least_squares_positions(edges: Sequence[Edge], fixed: int = 0) -> dict[int, 
     >>> [round(row, 2) for row, col in least_squares_positions(edges).values()]
     [0.0, 10.1, 20.2]
     """
-    frames = _connected(edges, fixed)
-    edges = [edge for edge in edges if edge.earlier in frames]
-    number = {frame: k for k, frame in enumerate(sorted(frames))}
-    if len(number) == 1:
+    joined = DisjointSet([fixed])
+    closing = np.array([not _join(joined, edge) for edge in edges])
+    connected = joined.subset(fixed)
+    within = np.array([edge.earlier in connected for edge in edges], bool)
+    if not within.any():
         return {fixed: (0.0, 0.0)}
-    from_, to = (
-        np.array([number[frame] for frame in ends]) for ends in zip(*((e[0], e[1]) for e in edges), strict=True)
-    )
+    edges, closing = list(compress(edges, within)), closing[within]
+    number = {node: k for k, node in enumerate(sorted(connected))}
     measured = np.array([edge.displacement for edge in edges])
     information = np.linalg.inv(np.stack([edge.covariance for edge in edges]))
     root = np.linalg.cholesky(information).transpose(0, 2, 1).astype(np.float64, copy=False)
-    free = [k for k in range(2 * len(number)) if k // 2 != number[fixed]]
-    closing = _closing(edges)
+    incidence = _incidence(edges, number)
+    free = np.arange(2 * len(number)) // 2 != number[fixed]
     weight = np.where(closing, _FIRST_WEIGHT, 1.0)
     places = np.zeros((len(number), 2))
     for _ in range(_ROUNDS):
         scaled = root * np.sqrt(weight)[:, None, None]
-        design = _design(scaled, from_, to, len(number))[:, free]
+        blocks = sparse.bsr_matrix((scaled, np.arange(len(edges)), np.arange(len(edges) + 1)))
+        design = (blocks @ incidence).tocsc()[:, free]
         right = np.einsum("eij,ej->ei", scaled, measured).ravel()
         places.ravel()[free] = spsolve((design.T @ design).tocsc(), design.T @ right)
-        miss = np.einsum("eij,ej->ei", root, places[to] - places[from_] - measured)
+        miss = np.einsum("eij,ej->ei", root, (incidence @ places.ravel()).reshape(-1, 2) - measured)
         tails = np.hypot(*miss.T) / _TAIL
         weight = np.where(closing, 1 / (1 + tails**2), 1 / np.maximum(tails, 1.0))
-    return {frame: (float(places[k, 0]), float(places[k, 1])) for frame, k in number.items()}
+    return {node: (float(places[k, 0]), float(places[k, 1])) for node, k in number.items()}
 
 
-def _closing(edges: Sequence[Edge]) -> list[bool]:
-    """Return for each edge True if it closes a loop of edges before it."""
-    root: dict[int, int] = {}
-
-    def find(frame: int) -> int:
-        while root.setdefault(frame, frame) != frame:
-            frame = root[frame] = root[root[frame]]
-        return frame
-
-    closing = []
-    for edge in edges:
-        a, b = find(edge.earlier), find(edge.later)
-        closing.append(a == b)
-        root[b] = a
-    return closing
+def _join(joined: DisjointSet, edge: Edge) -> bool:
+    """Join the nodes of an edge; return False if edges before it have, so that it closes a loop."""
+    joined.add(edge.earlier)
+    joined.add(edge.later)
+    return bool(joined.merge(edge.earlier, edge.later))
 
 
-def _connected(edges: Sequence[Edge], start: int) -> set[int]:
-    neighbours: dict[int, list[int]] = {}
-    for edge in edges:
-        neighbours.setdefault(edge.earlier, []).append(edge.later)
-        neighbours.setdefault(edge.later, []).append(edge.earlier)
-    found, ahead = {start}, [start]
-    while ahead:
-        for frame in neighbours.get(ahead.pop(), ()):
-            if frame not in found:
-                found.add(frame)
-                ahead.append(frame)
-    return found
-
-
-def _design(
-    scaled: NDArray[np.float64], from_: NDArray[np.int_], to: NDArray[np.int_], frames: int
-) -> sparse.csc_matrix:
-    """Return the design matrix: rows 2 e and 2 e + 1 are edge e in units of its standard deviations."""
-    links = len(scaled)
-    rows = np.broadcast_to(np.arange(2 * links).reshape(links, 2, 1), scaled.shape)
-    later = np.broadcast_to((2 * to[:, None] + np.arange(2))[:, None, :], scaled.shape)
-    earlier = np.broadcast_to((2 * from_[:, None] + np.arange(2))[:, None, :], scaled.shape)
-    values = np.concatenate([scaled.ravel(), -scaled.ravel()])
-    places = (np.concatenate([rows.ravel(), rows.ravel()]), np.concatenate([later.ravel(), earlier.ravel()]))
-    return sparse.csc_matrix((values, places), shape=(2 * links, 2 * frames))
+def _incidence(edges: Sequence[Edge], number: Mapping[int, int]) -> sparse.csr_matrix:
+    """Return the matrix that makes displacements of edges, (row, col) of each, of the coordinates of numbered nodes."""
+    ends = np.array([(number[edge.later], number[edge.earlier]) for edge in edges])
+    signs = np.tile((1.0, -1.0), len(edges))
+    of_nodes = sparse.csr_matrix((signs, (np.arange(len(edges)).repeat(2), ends.ravel())), (len(edges), len(number)))
+    return sparse.kron(of_nodes, np.eye(2), "csr")

@@ -32,6 +32,12 @@ MIN_ODDS_NATS: Final = 10.0
 """Log posterior odds from which a registration is accepted; chosen on 14 recordings a row of
 ``benchmarks.studies.acceptance`` (seeds 0 to 7 and 100 to 105) that are not those reported: in sparse and jerky scenes
 7 of 5,912 are wrong."""
+MAX_SIGMA_PX: Final = 0.6
+"""Standard deviation of a displacement, pixels, up to which it is used: below a core pitch; chosen: at 0.7 of 3,662
+registrations of jerky motion 11 are wrong, at 0.5 a tenth fewer are kept."""
+FALL_OF_CORRELATION: Final = 0.05
+"""Correlation of a registration below the recent mean from which it is rejected: frames that show the same differ by
+noise, which is the same for all."""
 COMPETING_PX: Final = 4.0
 """Distance from which two peaks of the search are different shifts, pixels."""
 _AT_REST: Final = Velocity(0.0, 0.0)
@@ -144,7 +150,16 @@ class Registrar:
     lit : float
         Part of the diameter within which images are lit, all of it by default: dark pixels beyond would leave a static
         rim in high-passed images.
+
+    Attributes
+    ----------
+    max_sigma_px : float
+        Standard deviation of a displacement up to which the tracker uses registrations.
+    fall_of_correlation : float
+        Correlation below the recent mean from which it does not.
     """
+
+    max_sigma_px, fall_of_correlation = MAX_SIGMA_PX, FALL_OF_CORRELATION
 
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
