@@ -86,7 +86,13 @@ class PairwiseRegistrar(Registrar):
     def link(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0
     ) -> PairRegistration:
-        """Register two frames; without odds where the function returned None."""
+        """Register two frames; without odds where the function returned None.
+
+        Parameters
+        ----------
+        earlier, later, motion, min_correlation
+            As of :meth:`~.Registrar.link`; any correlation is enough.
+        """
         warp = motion.warp
         found = self._register(earlier.image, later.image, (-warp.b, -warp.d))
         if found is None:
@@ -136,5 +142,11 @@ class PairwiseTracking(RegistrationTracking):
         super().__init__(calibration, frame_shape, mode, partial(PairwiseRegistrar, register=register))
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        """Return the poses unchanged: the function gives no odds by which loops could be closed."""
+        """Return the poses unchanged: the function gives no odds by which loops could be closed.
+
+        Parameters
+        ----------
+        poses, image
+            As of :meth:`~.TrackingMethod.refine`.
+        """
         return poses
