@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 from scipy import fft
 
-from napari_elsplus.processing.compiled import kernel
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared, upright
@@ -44,6 +43,8 @@ _CELLS_PER_VALUE: Final = 2.0
 """Cells that share one independent value; chosen, so that of unrelated nuclei one in ten thousand has positive odds."""
 _MIN_ENERGY: Final = 1e-3
 """Part of a thumbnail's energy below which an overlap counts as empty; chosen, against division by zero."""
+_MAX_CORRELATION: Final = 0.999
+"""Largest correlation that is counted; chosen, against the logarithm of zero."""
 
 
 class Thumbnail(NamedTuple):
@@ -164,10 +165,11 @@ class PlaceIndex:
         best, at = np.empty(len(rows), np.float32), np.empty(len(rows), np.int64)
         for begin in range(0, len(rows), _BATCH):
             some = slice(begin, begin + _BATCH)
-            product = np.conj(self._spectra[rows[some]])
-            product *= thumbnail.spectrum
-            correlation = fft.irfft2(product, (self._size, self._size), overwrite_x=True)
-            most_likely(correlation, self._norms, rows[some], thumbnail.as_later, self._values, best[some], at[some])
+            alike = self._at_shifts(np.conj(self._spectra[rows[some]]) * thumbnail.spectrum)
+            alike *= self._norms[rows[some]] * thumbnail.as_later
+            np.clip(alike, 0.0, _MAX_CORRELATION, out=alike)
+            likelihood = (-0.5 * self._values * np.log1p(-alike * alike)).reshape(len(alike), -1)
+            best[some], at[some] = likelihood.max(axis=1), likelihood.argmax(axis=1)
         odds = best - np.log(np.count_nonzero(self._values)) - np.log(max(len(rows), 1))
         found = []
         for k in np.argsort(-odds)[:limit].tolist():
@@ -184,50 +186,3 @@ class PlaceIndex:
         """Return correlations at the shifts that are searched, (..., shifts, shifts)."""
         whole = fft.irfft2(spectra, (self._size, self._size))
         return np.ascontiguousarray(whole[..., self._shifts[:, None], self._shifts], np.float32)
-
-
-@kernel
-def most_likely(
-    correlations: NDArray[np.float32],
-    norms: NDArray[np.float32],
-    rows: NDArray[np.int64],
-    norm: NDArray[np.float32],
-    values: NDArray[np.float32],
-    best: NDArray[np.float32],
-    at: NDArray[np.int64],
-) -> None:
-    """Find the most likely shift of a thumbnail against each of some others.
-
-    Parameters
-    ----------
-    correlations : numpy.ndarray
-        (n, size, size) float32 sums of products at all shifts, negative ones wrapped.
-    norms : numpy.ndarray
-        (m, shifts, shifts) float32 :attr:`Thumbnail.as_earlier` of the index.
-    rows : numpy.ndarray
-        (n,) int64 places of the others in it.
-    norm : numpy.ndarray
-        (shifts, shifts) float32 :attr:`Thumbnail.as_later`.
-    values : numpy.ndarray
-        (shifts, shifts) float32 number of independent values in the overlap.
-    best : numpy.ndarray
-        (n,) float32, filled: log likelihood of the best shift, nats.
-    at : numpy.ndarray
-        (n,) int64, filled: its index.
-    """
-    shifts, size = norm.shape[0], correlations.shape[1]
-    reach = shifts // 2
-    for k in range(len(rows)):
-        highest, where = np.float32(0), 0
-        for i in range(shifts):
-            for j in range(shifts):
-                r = correlations[k, (i - reach) % size, (j - reach) % size] * norms[rows[k], i, j] * norm[i, j]
-                if r <= 0:
-                    continue
-                square = min(r * r, np.float32(0.998))
-                half = np.float32(0.5) * values[i, j]
-                if half * square > highest * (1 - square):  # -ln(1 - x) is at most x / (1 - x)
-                    likelihood = np.float32(-half * np.log1p(-square))
-                    if likelihood > highest:
-                        highest, where = likelihood, i * shifts + j
-        best[k], at[k] = highest, where
