@@ -13,12 +13,13 @@ import numpy as np
 
 from napari_elsplus.acquisition.mosaic.insertion import ElsaInsertion, LiveInsertion, TrackedFrame
 from napari_elsplus.acquisition.mosaic.loop_closure import LoopClosureThread, NewNode
+from napari_elsplus.acquisition.mosaic.path import Path
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.priority import ordinary_priority
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
-from napari_elsplus.processing.tracking.pose_graph.correction import Corrections, Path
+from napari_elsplus.processing.tracking.pose_graph.correction import Corrections
 from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector
 from napari_elsplus.processing.tracking.registry import tracking_method
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan

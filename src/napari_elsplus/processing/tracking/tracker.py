@@ -102,9 +102,7 @@ class Tracker:
         self._turned = 0.0
         self._turning = Turning()
         self._motion = Motion(grid.shutter, FIELD * grid.diameter)
-        self._key: _Placed | None = None
-        self._last: _Placed | None = None
-        self._previous: _Placed | None = None
+        self._key = self._last = self._previous = _Placed(self._slots[0])
         self._usual = nan
         self._start: _Start | None = None
         self._segment = 0
@@ -125,7 +123,7 @@ class Tracker:
         self._coming.renew()
         here = _Placed(self._coming, self._frames)
         self._frames += 1
-        if self._key is None:
+        if here.index == 0:
             self._key = self._last = here
             pose = Pose(self._segment, 0.0, 0.0, AT_REST, nan, nan, TrackingState.TRACKED)
         else:
@@ -135,7 +133,7 @@ class Tracker:
         return pose
 
     def _free(self) -> PreparedFrame:
-        taken = [placed.view for placed in (self._key, self._last, self._previous) if placed is not None]
+        taken = [placed.view for placed in (self._key, self._last, self._previous)]
         return next(view for view in self._slots if not any(view is other for other in taken))
 
     def _register(self, here: _Placed) -> Pose | None:
@@ -145,7 +143,6 @@ class Tracker:
         start waits, it is tested first.
         """
         last = self._last
-        assert last is not None
         if here.index - last.index <= PATIENCE_FRAMES:
             return self._continue(here) or self._restart(here)
         reachable = hypot(*self._expected(last, here.index)) <= self._max_displacement_px
@@ -155,8 +152,6 @@ class Tracker:
     def _continue(self, here: _Placed) -> Pose | None:
         """Register a frame to the key frame of the segment, or to the last frame that was."""
         key, last = self._key, self._last
-        assert key is not None
-        assert last is not None
         ahead = self._expected(key, here.index)
         renew = hypot(*ahead) > KEY_FRAME_REACH * self.grid.diameter
         if self.model is MotionModel.TRANSLATION:
@@ -176,7 +171,6 @@ class Tracker:
     def _restart(self, here: _Placed) -> Pose | None:
         """Begin a segment with a frame once it can be registered to the one before, which itself has no place."""
         previous, start = self._previous, self._start
-        assert previous is not None
         self._start = None
         if previous is self._last and self._motion.known:
             return None
@@ -234,9 +228,7 @@ class Tracker:
 
     def _coast(self, here: _Placed) -> Pose:
         """Predict a frame that cannot be linked, or give the track up."""
-        key, last = self._key, self._last
-        assert key is not None
-        assert last is not None
+        last = self._last
         ahead = self._expected(last, here.index)
         patient = here.index - last.index <= PATIENCE_FRAMES
         if not patient or hypot(*ahead) > self._max_displacement_px or not self._motion.known:
@@ -250,8 +242,6 @@ class Tracker:
     def _test_rotation(self, *, renew: bool) -> None:
         """Test, now and then, for rotation since the key frame, and from when on it is modelled."""
         key, last, link = self._key, self._last, self._newest
-        assert key is not None
-        assert last is not None
         wait = 1 if not renew and link is not None and link.correlation < self._usual else _TEST_EVERY
         if link is None or not link.tells_turn or last is key or last.index - self._tested < wait:
             return
@@ -273,7 +263,6 @@ class Tracker:
     def _expected(self, earlier: _Placed, index: int) -> Displacement:
         """Displacement from a placed frame that the motion so far suggests, in the orientation of the last one."""
         last = self._last
-        assert last is not None
         if not self._motion.known:
             return Displacement(0.0, 0.0)
         ahead = self._motion.ahead(index - last.index)
@@ -286,7 +275,6 @@ class Tracker:
     def _prior(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> MotionPrior:
         """Return the prior of the motion from a placed frame."""
         last = self._last
-        assert last is not None
         if not self._motion.known:
             return self._motion.prior(ahead, here.index - earlier.index, min_share=0.0)
         before = None if earlier is last else (earlier.velocity, earlier.velocity_variance)
@@ -311,7 +299,6 @@ class Tracker:
     def _turned_link(self, earlier: _Placed, here: _Placed, motion: MotionPrior) -> PairRegistration | None:
         """Register two frames of a probe that rotates."""
         last, known = self._last, self._motion.known
-        assert last is not None
         turn = last.angle - earlier.angle + self._turning.rate * (here.index - last.index) if known else 0.0
         spread = self._turning.spread(here.index - last.index) if known and self.model is MotionModel.RIGID else inf
         for reach in (None, _reach(motion)) if known else (_reach(motion),):
@@ -351,7 +338,6 @@ class Tracker:
 
     def _track(self, here: _Placed, link: PairRegistration) -> Pose:
         last = self._last
-        assert last is not None
         gap = here.index - last.index
         if self.model is not MotionModel.TRANSLATION:
             self._turning.follow(here.angle - last.angle, gap)

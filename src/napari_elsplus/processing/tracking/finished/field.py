@@ -174,12 +174,9 @@ def _finite(image: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _window(image: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:
-    out = np.zeros((grid.side, grid.side), np.float32)
-    (top, left), (rows, cols) = grid.origin, image.shape
-    r0, c0 = max(top, 0), max(left, 0)
-    r1, c1 = min(top + grid.side, rows), min(left + grid.side, cols)
-    out[r0 - top : r1 - top, c0 - left : c1 - left] = image[r0:r1, c0:c1]
-    return out
+    top, left = grid.origin
+    shift = np.array([[1.0, 0.0, -left], [0.0, 1.0, -top]])
+    return np.asarray(cv2.warpAffine(image, shift, (grid.side, grid.side), flags=cv2.INTER_NEAREST), np.float32)
 
 
 def _disc(grid: Grid) -> NDArray[np.bool_]:

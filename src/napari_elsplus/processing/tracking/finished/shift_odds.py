@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
 import numpy as np
+from scipy.special import logsumexp
 
 from napari_elsplus.processing.tracking.registration.masked_correlation import (
     CoarseImage,
@@ -102,7 +103,7 @@ class ShiftOdds:
         self._near_lags = (distance < _LAGS_DIAMETERS * diameter) & both.searched
         prior = -1.5 * np.log1p((distance / (_REACH_DIAMETERS * diameter)) ** 2)
         prior[~both.searched] = -np.inf
-        self._prior = prior - _log_sum(prior)
+        self._prior = prior - logsumexp(prior)
 
     def spectra(self, image: NDArray[np.float32]) -> SpectraOfImage:
         """Return the spectra of an image (rows, cols), high-passed and smoothed within the mask."""
@@ -131,9 +132,9 @@ class ShiftOdds:
         half = len(lags) / 2
         away = np.hypot(*np.ix_(*((lags - lags[k] + half) % len(lags) - half for k in peak)))
         near = away < max(3.0, _PEAK_DIAMETERS * self._diameter)
-        others = np.logaddexp(_log_sum(log_odds[~near]), 0.0)  # 0: the images are unrelated
+        others = np.logaddexp(logsumexp(log_odds[~near]), 0.0)  # 0: the images are unrelated
         row, col = (lags[k] + _top(np.take(log_odds, peak[1 - axis], 1 - axis), k) for axis, k in enumerate(peak))
-        return ShiftEstimate(float(row), float(col), float(_log_sum(log_odds[near]) - others), float(r[peak]))
+        return ShiftEstimate(float(row), float(col), float(logsumexp(log_odds[near]) - others), float(r[peak]))
 
     def _independent_values(self, earlier: SpectraOfImage, later: SpectraOfImage) -> NDArray[np.float32]:
         """Return the number of independent values in the overlap at each shift."""
@@ -150,9 +151,3 @@ def _top(values: NDArray[np.floating], peak: np.intp) -> float:
     before, after = values[peak - 1], values[(peak + 1) % len(values)]
     bend = before + after - 2 * values[peak]
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if np.isfinite(bend) and bend < 0 else 0.0
-
-
-def _log_sum(values: NDArray[np.floating]) -> float:
-    """Return the logarithm of a sum of exponentials."""
-    top = float(values.max())
-    return top + float(np.log(np.exp(values - top).sum())) if np.isfinite(top) else top

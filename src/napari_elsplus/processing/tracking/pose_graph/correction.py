@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import atan2
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Mapping, Sequence
+    from collections.abc import Container, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -82,10 +81,8 @@ class Corrections:
 
     def __init__(self, known: Mapping[int, Sequence[tuple[int, Correction]]] | None = None) -> None:
         self._known = dict(known or {})
-        self._newest = {segment: along[-1][1] for segment, along in self._known.items()}
-        self._frames = {segment: np.array([frame for frame, _ in along]) for segment, along in self._known.items()}
-        self._values = {
-            segment: np.array([(one.row, one.col, *turned_by(one.angle)[:, 0]) for _, one in along])
+        self._tables = {
+            segment: np.array([(frame, one.row, one.col, *turned_by(one.angle)[:, 0]) for frame, one in along])
             for segment, along in self._known.items()
         }
 
@@ -97,7 +94,7 @@ class Corrections:
         segment : int
             As the tracker numbers them.
         """
-        return self._newest.get(segment) or Correction(segment)
+        return self._known[segment][-1][1] if segment in self._known else Correction(segment)
 
     def without(self, segments: Container[int]) -> Corrections:
         """Return those of the tracker's other segments."""
@@ -105,12 +102,9 @@ class Corrections:
 
     def of(self, frame: int, pose: Pose) -> Pose:
         """Return where a frame belongs that the tracker has at a pose."""
-        segment = pose.segment
-        if segment not in self._frames:
-            return pose
-        row, col, cosine, sine = self._between(segment, np.array([frame]))[:, 0].tolist()
-        into = self._newest[segment].segment
-        return Correction(into, row, col, atan2(sine, cosine)).of(pose)
+        values = (np.array([value]) for value in (frame, pose.segment, pose.row, pose.col))
+        segment, row, col, turned = (float(value[0]) for value in self.of_frames(*values))
+        return pose._replace(segment=int(segment), row=row, col=col, angle=pose.angle + turned)
 
     def of_frames(
         self,
@@ -127,80 +121,10 @@ class Corrections:
             (n,) each: which frames, and where the tracker has them.
         """
         into, down, across, turned = segment.copy(), row.copy(), col.copy(), np.zeros(len(frame))
-        for number in np.unique(segment).tolist():
-            if number not in self._frames:
-                continue
-            those = np.flatnonzero(segment == number)
-            top, left, cosine, sine = self._between(number, frame[those])
-            into[those], turned[those] = self._newest[number].segment, np.arctan2(sine, cosine)
+        for number in self._tables.keys() & set(segment.tolist()):
+            those, (known, *values) = np.flatnonzero(segment == number), self._tables[number].T
+            top, left, cosine, sine = (np.interp(frame[those], known, value) for value in values)
+            into[those], turned[those] = self.newest(number).segment, np.arctan2(sine, cosine)
             down[those] = cosine * row[those] - sine * col[those] + top
             across[those] = sine * row[those] + cosine * col[those] + left
         return into, down, across, turned
-
-    def _between(self, segment: int, frames: NDArray[np.int64]) -> NDArray[np.float64]:
-        known, values = self._frames[segment], self._values[segment]
-        return np.stack([np.interp(frames, known, column) for column in values.T])
-
-
-class Path:
-    """Poses of every frame as tracked; lost ones are nan.
-
-    Attributes
-    ----------
-    segments : list of int
-        Those that there are, in their order.
-
-    Examples
-    --------
-    >>> path = Path()
-    >>> [path.add(0, 1.5 * k, 0.0) for k in range(3)], path.row.tolist()
-    ([0, 1, 2], [0.0, 1.5, 3.0])
-    """
-
-    def __init__(self) -> None:
-        self._count = 0
-        self.segments: list[int] = []
-        self._segment = np.zeros(1 << 10, np.int64)
-        self._where = np.zeros((1 << 10, 2))
-
-    def add(self, segment: int, row: float, col: float) -> int:
-        """Add a frame; return its index.
-
-        Parameters
-        ----------
-        segment : int
-            As the tracker numbers them.
-        row, col : float
-            Tracked position, pixels of the grid.
-        """
-        index = self._count
-        if index == len(self._segment):
-            self._segment = np.concatenate([self._segment, np.zeros_like(self._segment)])
-            self._where = np.concatenate([self._where, np.zeros_like(self._where)])
-        self._segment[index], self._where[index] = segment, (row, col)
-        if segment not in self.segments[-1:]:
-            self.segments.append(segment)
-        self._count += 1
-        return index
-
-    def __len__(self) -> int:
-        return self._count
-
-    def forget(self, segments: Iterable[int]) -> None:
-        """Call the frames of some segments lost."""
-        self._where[np.isin(self._segment, list(segments))] = np.nan
-
-    @property
-    def segment(self) -> NDArray[np.int64]:
-        """(n,) by the tracker's count."""
-        return self._segment[: self._count]
-
-    @property
-    def row(self) -> NDArray[np.float64]:
-        """(n,) rows."""
-        return self._where[: self._count, 0]
-
-    @property
-    def col(self) -> NDArray[np.float64]:
-        """(n,) columns."""
-        return self._where[: self._count, 1]

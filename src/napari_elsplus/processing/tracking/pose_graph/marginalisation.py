@@ -45,20 +45,14 @@ def retained_nodes(
     [True, False, False, False, True, True, True]
     """
     stays = np.ones(len(path), bool)
-    surplus = len(path) - count
-    while surplus > 0:
+    for _ in range(len(path) - count):
         left = np.flatnonzero(stays)
         before, here, after = left[:-2], left[1:-1], left[2:]
-        within = (segment[before] == segment[here]) & (segment[here] == segment[after]) & free[here]
+        within = (segment[before] == segment[after]) & free[here]
         if not within.any():
             break
         gaps = np.where(within, path[after] - path[before], np.inf)
-        beside: set[int] = set()
-        for k in np.argsort(gaps, kind="stable")[: min(int(within.sum()), surplus)].tolist():
-            if k not in beside:
-                stays[here[k]] = False
-                surplus -= 1
-                beside |= {k - 1, k + 1}
+        stays[here[np.argmin(gaps)]] = False
     return stays
 
 
