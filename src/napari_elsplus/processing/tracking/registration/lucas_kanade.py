@@ -23,7 +23,7 @@ from napari_elsplus.processing.tracking.front_end.sampling import (
     reaches,
     row_shift,
 )
-from napari_elsplus.processing.tracking.registration.similarity import correlation_from_sums, tone_between
+from napari_elsplus.processing.tracking.registration.similarity import correlation_from_sums
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,8 +32,6 @@ PARAMETERS = 4
 """a, b, s, d of the warp."""
 UNKNOWNS = PARAMETERS + 2
 """These, and the gain and offset between the frames."""
-_TONE_ROWS = 4
-"""Of the rows that are used, every how many the first regression of gain and offset takes: chosen, steps refine it."""
 
 
 class Workspace(NamedTuple):
@@ -244,7 +242,7 @@ def align(
     information : numpy.ndarray
         (4, 4) float64: inverse covariance of the result, the prior included.
     work : Workspace
-        For frames of this size or larger; its tone is filled.
+        For frames of this size or larger; its gain and offset are where to start, and refined.
 
     Returns
     -------
@@ -254,7 +252,6 @@ def align(
         Number of pixels in it.
     """
     normal, right, tone = work.equations[0], work.equations[1, 0], work.tone
-    tone[0], tone[1] = tone_between(template, image, first, last, middle, warp, _TONE_ROWS * row_step)
     ncc, count = 0.0, 0.0
     information[:] = 0.0
     for _ in range(steps):

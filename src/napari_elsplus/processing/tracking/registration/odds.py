@@ -18,6 +18,7 @@ from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.motion_prior import DEGREES_OF_FREEDOM
 from napari_elsplus.processing.tracking.registration.lucas_kanade import align
+from napari_elsplus.processing.tracking.registration.similarity import tone_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,10 +37,11 @@ _COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0)
 """Distances of competing shifts, pixels of full resolution."""
 _HELD: Final = 1e8
 """Information that holds a competing shift where it is, 1 / px^2."""
-_FIT: Final = (2, 2, 0.02, False)
+_FIT: Final = (2, 2, 0.02, False, 8)
 """Of the rows of half resolution, every how many competing warps are fitted to (likelihoods take all); Gauss-Newton
-steps; the smallest step, pixels; whether they are sampled finely. In a kernel, a tuple's elements have the types of
-variables, whereas each literal number would have what it is passed to compiled once more."""
+steps; the smallest step, pixels; whether they are sampled finely; every how many rows gain and offset start from. In
+a kernel, a tuple's elements have the types of variables, whereas each literal number would have what it is passed to
+compiled once more."""
 
 
 def blocks(side: int) -> NDArray[np.float64]:
@@ -280,7 +282,7 @@ def log_odds(
     against = np.exp(-unrelated)
     # one competitor stands for all shifts that the prior allows
     alike = max(1.0, 1 / (terms[2] * _COMPETITORS_PX[0] ** 2))
-    row_step, steps, tolerance_px, finely = _FIT
+    row_step, steps, tolerance_px, finely, tone_rows = _FIT
     for px in _COMPETITORS_PX:
         b, d = warp[1] + px * down, warp[3] + px * across
         full[0], full[1] = warp[0] + px * a_follows, b
@@ -296,6 +298,7 @@ def log_odds(
         held[3, 1] += 4 * _HELD * down * across
         held[3, 3] += 4 * _HELD * across * across
         in_pixels_of(2.0, (full[0], full[1], full[2], full[3]), rival)
+        work.tone[0], work.tone[1] = tone_between(template, image, first, last, middle, rival, tone_rows)
         align(
             template, image, first, last, middle, row_step, steps, tolerance_px, finely, start, held,
             CORRELATED_PX / 4 / row_step, rival, scratch, work,

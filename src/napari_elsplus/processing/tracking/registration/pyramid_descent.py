@@ -25,6 +25,7 @@ from napari_elsplus.processing.tracking.registration.odds import (
     write_prior,
 )
 from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, Pyramid, fill_levels, high_pass
+from napari_elsplus.processing.tracking.registration.similarity import tone_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,6 +46,9 @@ _STAGES: Final = (
 )
 """Down the pyramid: level, every how many rows are used, whether they are sampled finely, largest number of steps, and
 smallest step in the level's own pixels."""
+_TONE_PX: Final = 16
+"""Distance of the rows, pixels of full resolution, whose regression gives gain and offset to start from: chosen, steps
+refine them."""
 
 
 class Tools(NamedTuple):
@@ -213,7 +217,7 @@ def descend(
     """
     equations = work.equations
     stiff, centre, scaled = equations[3], equations[5, 0], equations[5, 1]
-    correlation, count, sharp = 0.0, 0.0, False
+    correlation, count, sharp, begun = 0.0, 0.0, False, LEVELS
     for level, row_step, finely, steps, tolerance_px in _STAGES:
         if level > coarsest or level < finest:
             continue
@@ -226,6 +230,12 @@ def descend(
         in_pixels_of(px, (expected[0], expected[1], expected[2], expected[3]), centre)
         in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
         at, side = (LEVELS if sharp else level), len(earlier[level])
+        if begun == LEVELS or level == 0 < begun:  # from half to full resolution offsets differ
+            rows = _TONE_PX >> level
+            work.tone[0], work.tone[1] = tone_between(
+                earlier[level], later[level], lit[at, 0, :side], lit[at, 1, :side], middles[level], scaled, rows
+            )
+        begun = level
         correlation, count = align(
             earlier[level], later[level], lit[at, 0, :side], lit[at, 1, :side], middles[level], row_step, steps,
             tolerance_px, finely, centre, stiff, CORRELATED_PX / row_step / 4**level, scaled, information, work,
