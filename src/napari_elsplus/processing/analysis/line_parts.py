@@ -29,6 +29,8 @@ _HONEYCOMB: Final = 0.1
 """Scatter of a group's profile over its level, from the cores' transmission; chosen, that of a few cores."""
 _MIN_HALO_SHARE: Final = 0.02
 """Share of the light below which no halo is stated; chosen: its width is then unknown."""
+_MIN_SIGMAS: Final = 3.0
+"""Standard deviations of the share, of core and of halo, below which none is stated; chosen: one in 400 by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,12 +91,13 @@ def measure_line_parts(
         lambda parameters: (_derivatives(parameters, u) * weights[:, None]).reshape(len(start), -1).T,
         x_scale=np.maximum(np.abs(start), 0.1),
     )
-    whole = _parts(best.x)
     sigma = _jackknife_sigma(best.x, best.jac, best.fun, np.arange(profiles.size) % GROUPS)
-    core, halo, share = whole
-    if not (_MIN_HALO_SHARE < share < 1 and halo > 2 * core):
+    core, halo, share = _parts(best.x)
+    significant = min(share, 1 - share) > _MIN_SIGMAS * sigma[2]
+    if not (share > _MIN_HALO_SHARE and significant and halo > 2 * core):
         raise MeasurementError(
-            f"the line's profile has no halo (share {share:.2f}, {halo:.1f} rows beside a core of {core:.1f})",
+            f"the line's profile has no halo (share {share:.2f} +- {sigma[2]:.2f}, {halo:.1f} rows beside a core of "
+            f"{core:.1f})",
             "let the line stand near the middle of the bundle",
         )
     return LineParts(core, halo, share, float(sigma[0]), float(sigma[1]), float(sigma[2]))
@@ -102,13 +105,16 @@ def measure_line_parts(
 
 def _jackknife_sigma(best: Floats, jacobian: Floats, misfit: Floats, group: NDArray[np.intp]) -> Floats:
     """Return one standard deviation of core, halo and share, from fits without each group: one step from the best."""
-    left_out = []
+    steps = []
     for k in range(GROUPS):
         kept = group != k
         slopes = jacobian[kept]
-        left_out.append(_parts(best - np.linalg.lstsq(slopes.T @ slopes, slopes.T @ misfit[kept], rcond=None)[0]))
-    spread = np.square(np.array(left_out) - np.mean(left_out, axis=0)).sum(axis=0)
-    return np.asarray(np.sqrt((GROUPS - 1) / GROUPS * spread), np.float64)
+        steps.append(np.linalg.lstsq(slopes.T @ slopes, slopes.T @ misfit[kept], rcond=None)[0])
+    core_peak, log_core, halo_peak, log_halo, _, _ = (np.array(steps) - np.mean(steps, axis=0)).T
+    core, halo, share = _parts(best)
+    by_share = halo_peak / best[2] + log_halo - core_peak / best[0] - log_core
+    left_out = np.stack([core * log_core, halo * log_halo, share * (1 - share) * by_share])
+    return np.asarray(np.sqrt((GROUPS - 1) / GROUPS * np.square(left_out).sum(axis=1)), np.float64)
 
 
 def _profiles(view: Floats, row: float, slope: float, columns: tuple[int, int]) -> tuple[Floats, Floats]:

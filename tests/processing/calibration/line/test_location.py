@@ -43,6 +43,23 @@ def test_a_noiseless_line_is_found_exactly(row: float, slope: float, width: floa
     assert line.width_rows == pytest.approx(width, rel=0.05)
 
 
+@pytest.mark.parametrize("width", [1.2, 2.5])
+@pytest.mark.parametrize("bow_rows", [-5.0, 2.2, 5.0])
+def test_a_bowed_line_is_located_to_a_hundredth_of_a_row(bow_rows: float, width: float) -> None:
+    """One step from the straight line left 0.03 to 1 row at the vertex, more the longer the chord."""
+    y, x = np.mgrid[:80, :240]
+    u = x - 119.5
+    for half in (75, 105):
+        curve = 41.3 + 0.01 * u + bow_rows * (u / 105) ** 2
+        light = 3 + 90 * np.exp(-((y - curve) ** 2) / (2 * width**2)) * (abs(u) < half)
+        line = locate_line(light)
+        for found in (line, locate_line(light, near=line)):
+            assert 105**2 * found.bend == pytest.approx(bow_rows, rel=0.01)
+            assert found.row_at(119.5) - found.bend * found.mean_square_px == pytest.approx(41.3, abs=0.01)
+            assert found.slope == pytest.approx(0.01, abs=2e-4)
+            assert found.width_rows == pytest.approx(width, rel=0.03)
+
+
 @pytest.mark.parametrize("tilt_deg", [-2.0, 0.0, 2.0])
 def test_tilt_is_measured_and_does_not_bias_the_row(tilt_deg: float) -> None:
     rig = replace(RIG, tilt_deg=tilt_deg)

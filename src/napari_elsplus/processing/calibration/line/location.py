@@ -37,6 +37,9 @@ MAX_UNCERTAINTY_ROWS: Final = 1.0
 """Chosen: a slit of three rows that is a row off loses a good part of the light."""
 MAX_MISFIT: Final = 0.04
 """Weighted departure of the mean profile from a Gaussian, over its height; chosen: lines stay below 0.008."""
+MIN_BEND_ROWS: Final = 0.3
+"""Root mean square of a bow that is fitted along its own curve; chosen: of a smaller one the vertex is a hundredth of
+a row off in the linear estimate, and a straight line's noise stays below."""
 _ROW, _SLOPE = 3, 4
 """Indices of row and slope among the fitted parameters."""
 
@@ -104,6 +107,14 @@ class Line:
         bell = np.exp(-0.5 * np.square(self.profile_rows / self.width_rows))
         return np.asarray(self.level + self.ramp * self.profile_rows + self.amplitude * bell, np.float64)
 
+    @property
+    def streak(self) -> Streak:
+        """The line as the start of another fit: its vertex on a whole row, its bow where it is not negligible."""
+        bowed = abs(self.bend) * self.mean_square_px > MIN_BEND_ROWS
+        bend = self.bend if bowed else 0.0
+        vertex = self.row - bend * self.mean_square_px
+        return Streak(round(vertex), self.column, self.slope, self.width_rows, bend)
+
     def row_at(self, column: float) -> float:
         """Return the row of the line at a column."""
         return self.row + self.slope * (column - self.column)
@@ -161,7 +172,9 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None, near
         first, band = _band_around(image, streak)
         line = _fit(band, streak._replace(row=streak.row - first))
         # Centred on a whole row: interpolation then skews both sides alike.
-        line = _fit(band, Streak(round(line.row), line.column, line.slope, line.width_rows))
+        line = _fit(band, line.streak)
+        if line.streak.bend:
+            line = _fit(band, line.streak)
         line = replace(line, row=line.row + first)
     if line.width_rows > len(image) / 8:
         raise MeasurementError(
@@ -189,7 +202,7 @@ def parts_of(line: Line, view: NDArray[np.generic]) -> LineParts | None:
 
 def _still_near(image: Image, near: Line) -> Line | None:
     """Fit the line near its last position; return None if it has moved by more than its width."""
-    streak = Streak(round(near.row), near.column, near.slope, near.width_rows)
+    streak = near.streak
     first, band = _band_around(image, streak)
     try:
         line = _fit(band, streak._replace(row=streak.row - first))
@@ -201,7 +214,8 @@ def _still_near(image: Image, near: Line) -> Line | None:
 
 def _band_around(image: Image, streak: Streak) -> tuple[int, Image]:
     """Return the first row, and the rows that a fit may need, without hot pixels."""
-    reach = MAX_REACH_ROWS + int(np.ceil(abs(streak.slope) * image.shape[1] / 2))
+    half = image.shape[1] / 2
+    reach = MAX_REACH_ROWS + int(np.ceil(abs(streak.slope) * half + abs(streak.bend) * half**2))
     first = max(int(streak.row) - reach, 0)
     return first, without_hot_pixels(image[first : int(streak.row) + reach + 1])
 
@@ -230,15 +244,16 @@ def _fit(image: Image, streak: Streak) -> Line:
     parameters, influence, left, jacobian, taper = _gauss_newton(data[seen], u, x, run, width)
     bend, mean_square_px = _bend(left, jacobian[:, _ROW], taper, x, run)
     amplitude, level, log_width, shift, turn, ramp = (float(value) for value in parameters)
+    away = middle - streak.column
     fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2 - spread, 0.1)))
     misfit = _misfit(left * taper, seen, amplitude)
     # In dim light only a part of the line may be visible: its uncertainty in the middle of the view counts.
     across = influence[:, _ROW] + ((image.shape[1] - 1) / 2 - middle) * influence[:, _SLOPE]
     _must_be_a_line(amplitude, np.linalg.norm([influence[:, 0], across], axis=1), shift, reach, misfit)
     return Line(
-        row=streak.row + streak.slope * (middle - streak.column) + shift,
+        row=streak.row + streak.slope * away + streak.bend * (away**2 + mean_square_px) + shift,
         column=middle,
-        slope=streak.slope + turn,
+        slope=streak.slope + 2 * streak.bend * away + turn,
         width_rows=fitted,
         amplitude=amplitude * float(np.exp(log_width)) / fitted,
         level=level + ramp * shift,
@@ -247,18 +262,19 @@ def _fit(image: Image, streak: Streak) -> Line:
         profile=profiles.mean(axis=1),
         profile_rows=np.arange(len(profiles), dtype=np.float64) - (len(profiles) - 1) / 2 - shift,
         influence=influence[:, [_ROW, _SLOPE]],
-        bend=bend,
+        bend=streak.bend + bend,
         mean_square_px=mean_square_px,
     )
 
 
 def _along(image: Image, streak: Streak, reach: int) -> tuple[Floats, NDArray[np.bool_], float]:
-    """Return profiles of all columns, each shifted so that the streak lies in their middle: (2 reach + 1, cols).
+    """Return profiles of all columns, each shifted so that the streak lies in its middle: (2 reach + 1, cols).
 
     The shift interpolates linearly; the variance that this adds to the profile is returned last.
     """
     rows, cols = image.shape
-    where = streak.row + streak.slope * (np.arange(cols) - streak.column)
+    along = np.arange(cols) - streak.column
+    where = streak.row + streak.slope * along + streak.bend * along**2
     base = np.floor(where).astype(int)
     part = (where - base).astype(np.float32)
     index = base + np.arange(-reach, reach + 2)[:, None]

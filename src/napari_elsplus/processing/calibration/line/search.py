@@ -35,12 +35,13 @@ _NEIGHBOURS: Final = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 
 
 class Streak(NamedTuple):
-    """Row at a column, rows per column, and the standard deviation across, in rows."""
+    """Row and rows per column at a column, the standard deviation across, in rows, and rows per squared column."""
 
     row: float
     column: float
     slope: float
     width_rows: float
+    bend: float = 0.0
 
 
 def without_hot_pixels(image: Image) -> Image:
