@@ -3,10 +3,19 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from threading import Thread
 
 import pytest
 
-from napari_elsplus.hardware.priority import full_collections_deferred, keep_pace, ordinary_priority, settle_memory
+from napari_elsplus.hardware.priority import (
+    Rank,
+    full_collections_deferred,
+    join_frame_core,
+    keep_pace,
+    leave_frame_core,
+    ordinary_priority,
+    settle_memory,
+)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="policies of scheduling are those of Linux")
@@ -22,6 +31,38 @@ def test_priority_is_ordinary_within_the_context_and_as_before_after_it() -> Non
     finally:
         os.sched_setscheduler(0, policy, parameters)
         sys.setswitchinterval(interval_s)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="policies of scheduling are those of Linux")
+def test_threads_that_hand_frames_to_each_other_share_a_core_which_others_leave() -> None:
+    found: list[tuple[int, int]] = []
+
+    def note() -> None:
+        found.append((len(os.sched_getaffinity(0)), os.sched_getparam(0).sched_priority))
+
+    def stray() -> None:
+        note()
+        leave_frame_core()
+        note()
+
+    def camera() -> None:
+        with ordinary_priority():
+            join_frame_core(Rank.CAMERA)
+            note()
+        if keep_pace():
+            join_frame_core(Rank.CAMERA)
+            other = Thread(target=stray)
+            other.start()
+            other.join()
+
+    interval_s, cores = sys.getswitchinterval(), len(os.sched_getaffinity(0))
+    thread = Thread(target=camera)
+    thread.start()
+    thread.join()
+    sys.setswitchinterval(interval_s)
+    if len(found) == 1:
+        pytest.skip("this user may not have real-time priority")
+    assert found == [(cores, 0), (1, Rank.CAMERA), (cores, Rank.REST)]
 
 
 def test_only_young_garbage_is_collected_while_frames_stream() -> None:

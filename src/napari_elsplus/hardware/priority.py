@@ -1,4 +1,4 @@
-"""Priority of threads: real time for those that keep the pace of camera and card, where the system allows it."""
+"""Priority and core of threads: real time for those that keep the pace of camera and card, where the system allows."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import gc
 import os
 import sys
 from contextlib import contextmanager, suppress
+from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_MIN_REAL_TIME_PRIORITY: Final = 1
-"""Lowest priority of SCHED_RR on Linux: above every thread of ordinary programs, below the kernel's own."""
 _SWITCH_INTERVAL_S: Final = 2e-4
 """Interval after which a Python thread releases the interpreter's lock; chosen: a 25th of the default, because the
 tracking thread acquires the lock after each of its ten or so kernels per frame of 4 ms. With a quarter of it latencies
@@ -20,6 +19,14 @@ were alike, and a frame cost 7 % more processor time: each thread that waits wak
 
 _NEVER: Final = 1 << 30
 """Collections of young objects before a full one; chosen: more than a stream of a year makes."""
+
+
+class Rank(IntEnum):
+    """Priority of a thread in SCHED_RR on Linux: above every thread of ordinary programs, below the kernel's own."""
+
+    REST = 1
+    PROCESSING = 2
+    CAMERA = 3
 
 
 def settle_memory() -> None:
@@ -59,9 +66,35 @@ def keep_pace() -> bool:
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     if sys.platform == "linux":
         with suppress(PermissionError):
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_MIN_REAL_TIME_PRIORITY))
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(Rank.REST))
             return True
     return False
+
+
+def join_frame_core(rank: Rank) -> None:
+    """Run this thread on the one core of the threads that hand frames to each other; does nothing without real time.
+
+    Frames are in the caches there, and a thread that wakes another one need not interrupt a second core, which costs
+    tens of microseconds on a virtual machine. Threads on one core contend for the interpreter's lock only where one of
+    a higher rank wakes.
+
+    Parameters
+    ----------
+    rank : Rank
+        The camera's threads come before processing, so that a frame's time of arrival is right; processing before
+        the rest. A thread that this one starts inherits core and rank.
+    """
+    if sys.platform == "linux" and os.sched_getscheduler(0) == os.SCHED_RR:
+        cores = sorted(os.sched_getaffinity(os.getpid()))
+        os.sched_setaffinity(0, {cores[os.getpid() % len(cores)]})  # the engines of two rigs seldom share one
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(rank))
+
+
+def leave_frame_core() -> None:
+    """Run this thread, which one of the frames' core has started, on any core, at the lowest rank."""
+    if sys.platform == "linux" and os.sched_getscheduler(0) == os.SCHED_RR:
+        os.sched_setaffinity(0, os.sched_getaffinity(os.getpid()))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(Rank.REST))
 
 
 @contextmanager

@@ -5,16 +5,17 @@ from threading import Event, Thread
 import numpy as np
 import pytest
 
-from napari_elsplus.acquisition.streaming.ring import Layout, Ring
+from napari_elsplus.acquisition.streaming.ring import Layout, Ring, Slot
 
 LAYOUT = Layout(slots=4, fields=(("raw", (30, 40), "uint8"), ("els", (20, 20), "float32")))
 
 
-def write(ring: Ring, value: int) -> None:
+def write(ring: Ring, value: int) -> Slot:
     slot = ring.acquire()
     slot.arrays["raw"][...] = value
     slot.arrays["els"][...] = value
     ring.finalize(slot, frame_number=10 + value, received_s=value / 240, readout_start_s=value / 240)
+    return slot
 
 
 def test_a_reader_gets_the_newest_frame_once() -> None:
@@ -52,12 +53,10 @@ def test_an_overwritten_frame_has_no_stamp() -> None:
 
 def test_fields_do_not_overlap() -> None:
     ring = Ring(bytearray(LAYOUT.nbytes), LAYOUT)
-    for value in range(4):
-        write(ring, value)
-    for value in range(4):
-        arrays = ring.peek(value).arrays
-        assert (arrays["raw"] == value).all()
-        assert (arrays["els"] == value).all()
+    slots = [write(ring, value) for value in range(4)]
+    for value, slot in enumerate(slots):
+        assert (slot.arrays["raw"] == value).all()
+        assert (slot.arrays["els"] == value).all()
 
 
 def test_a_reader_never_sees_pieces_of_two_frames() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from threading import Thread
+from time import sleep
 
 from napari_elsplus.acquisition.streaming.stream import FrameStream
 
@@ -85,6 +86,42 @@ def test_a_waiting_consumer_is_woken_by_a_frame() -> None:
     put(stream, 1)
     thread.join(10)
     assert got == [0]
+
+
+def test_a_consumer_of_batches_is_woken_once_for_each() -> None:
+    stream = FrameStream(SHAPE, 8)
+    cursor = stream.join(batch=3)
+    woken: list[int] = []
+
+    def wait() -> None:
+        while cursor.take(60) is not None:
+            woken.append(stream.written)
+            while cursor.behind and cursor.take(0) is not None:
+                pass
+
+    thread = Thread(target=wait)
+    thread.start()
+    for _ in range(2):
+        while cursor.awaited is None:
+            sleep(1e-4)
+        put(stream, 2)
+        assert cursor.awaited is not None
+        put(stream, 1)
+    while cursor.awaited is None:
+        sleep(1e-4)
+    put(stream, 1)
+    stream.end()
+    thread.join(10)
+    assert woken == [3, 6, 7]
+
+
+def test_an_incomplete_batch_is_taken_when_the_time_is_up() -> None:
+    stream = FrameStream(SHAPE, 8)
+    cursor = stream.join(batch=3)
+    put(stream, 1)
+    assert numbers(stream, cursor) == [0]
+    put(stream, 1)
+    assert numbers(stream, cursor) == [1]
 
 
 def test_a_consumer_that_left_holds_nothing_up() -> None:

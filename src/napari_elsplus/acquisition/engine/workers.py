@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from napari_elsplus.acquisition.engine.live_images import LiveImages, Measures
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.priority import Rank, join_frame_core
 from napari_elsplus.hardware.protocols import HasClock
 from napari_elsplus.processing.images.modes import elsa_pair
 
@@ -91,6 +92,7 @@ class CameraWorker(Thread):
 
     def run(self) -> None:
         """Read frames."""
+        join_frame_core(Rank.CAMERA)
         try:
             self._read()
         except Exception as error:  # noqa: BLE001 - also a driver's defect must end the stream in order
@@ -139,12 +141,14 @@ class CameraWorker(Thread):
             if expected is not None and info.frame_number > expected:
                 missing += info.frame_number - expected
             expected = info.frame_number + 1
-            known = {cause: count - before.get(cause, 0) for cause, count in camera.dropped.items()}
-            tally.lost_by_camera(known, missing)
-            stream.finalize(
+            dropped = camera.dropped
+            if missing or dropped != before:
+                known = {cause: count - before.get(cause, 0) for cause, count in dropped.items()}
+                tally.lost_by_camera(known, missing)
+            tally.arrived(info.received_s)
+            stream.finalize(  # last: it wakes the threads that wait for the frame
                 slot, frame_number=info.frame_number, received_s=info.received_s, readout_start_s=info.readout_start_s
             )
-            tally.arrived(info.received_s)
 
 
 class ProcessingWorker(Thread):
@@ -182,6 +186,7 @@ class ProcessingWorker(Thread):
 
     def run(self) -> None:
         """Process until the stream has ended and every frame has its result."""
+        join_frame_core(Rank.PROCESSING)
         cursor, tally = self._cursor, self._tally
         while True:
             taken = cursor.take(_POLL_S)

@@ -14,6 +14,7 @@ from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
+from napari_elsplus.hardware.priority import leave_frame_core
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.node_registration import FrameRegistration
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
@@ -151,6 +152,7 @@ class LoopClosureThread(Thread):
 
     def run(self) -> None:
         """Work until :meth:`stop`, or a failure."""
+        leave_frame_core()  # processing has started it
         try:
             self._work()
         except Exception as error:  # noqa: BLE001 - raised in the tracking thread, which reports it

@@ -142,20 +142,11 @@ class Ring:
             self._arrays.append(arrays)
         self._next = int(self._states.max())
 
-    @property
-    def written(self) -> int:
-        """Number of slots that this side has finalized."""
-        return self._next
-
     def acquire(self) -> Slot:
         """Return the oldest slot for writing; its content is lost."""
         index = self._next % self.layout.slots
         self._states[index] = _BEING_WRITTEN
         return Slot(self._next, self._arrays[index])
-
-    def skip(self) -> None:
-        """Skip the oldest slot, which keeps its content; its new sequence number is never given to a frame."""
-        self._next += 1
 
     def finalize(self, slot: Slot, *, frame_number: int, received_s: float, readout_start_s: float) -> None:
         """Publish an acquired slot with its frame number and the times received and start of readout."""
@@ -167,10 +158,6 @@ class Ring:
         )
         header["state"] = slot.sequence + 1
         self._next = slot.sequence + 1
-
-    def peek(self, sequence: int) -> Slot:
-        """Return the slot of a sequence number in place: only where it cannot be overwritten meanwhile."""
-        return Slot(sequence, self._arrays[sequence % self.layout.slots])
 
     def stamp(self, sequence: int) -> Stamp | None:
         """Return number and times of the frame of a sequence number; None if it is not in the ring, or not any more."""

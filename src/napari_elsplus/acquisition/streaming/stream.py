@@ -7,12 +7,12 @@ skips the oldest frames and counts them, and a recording can begin with frames o
 from __future__ import annotations
 
 import mmap
-from threading import Condition
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.acquisition.streaming.ring import Layout, Ring, Slot, Stamp
+from napari_elsplus.acquisition.streaming.ring import Slot, Stamp
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,6 +29,8 @@ class Cursor:
         Sequence number of its first frame.
     limit : int
         Frames that it may be behind; older ones are skipped and counted.
+    batch : int
+        Frames for which it waits once there is none.
 
     Attributes
     ----------
@@ -36,12 +38,17 @@ class Cursor:
         Frames lost because the consumer was too slow.
     """
 
-    def __init__(self, stream: FrameStream, start: int, limit: int) -> None:
+    def __init__(self, stream: FrameStream, start: int, limit: int, batch: int) -> None:
         self._stream = stream
         self.next = start
-        self.limit = limit
+        self.limit, self.batch = limit, batch
         self.held: int | None = None
         self.skipped = 0
+        self.awaited: int | None = None
+        """Frames that have to be written before a waiting consumer is woken; None where it does not wait."""
+        self.woken = Lock()
+        """Acquired by a consumer that waits, and released to wake it."""
+        self.woken.acquire()
 
     @property
     def behind(self) -> int:
@@ -54,7 +61,7 @@ class Cursor:
         Parameters
         ----------
         timeout_s : float
-            Time to wait for it.
+            Time to wait for it, or for a batch.
 
         Returns
         -------
@@ -71,6 +78,9 @@ class Cursor:
 
 class FrameStream:
     """The ring of raw frames and its cursors; the camera's thread writes, each consumer's thread reads.
+
+    A consumer is woken by a lock of its own, once for a batch of frames: threads that wake together contend for the
+    interpreter's lock.
 
     Parameters
     ----------
@@ -92,20 +102,19 @@ class FrameStream:
     """
 
     def __init__(self, frame_shape: tuple[int, int], frames: int) -> None:
-        layout = Layout(slots=frames, fields=(("raw", frame_shape, "uint8"),))
-        memory = mmap.mmap(-1, layout.nbytes)
+        stride = -(-frame_shape[0] * frame_shape[1] // mmap.PAGESIZE) * mmap.PAGESIZE
+        memory = mmap.mmap(-1, frames * stride)
         np.frombuffer(memory, np.uint8)[:: mmap.PAGESIZE] = 0  # so that no page is first touched while the camera runs
-        self._ring = Ring(memory, layout)
-        self._changed = Condition()
+        raws = [np.ndarray(frame_shape, np.uint8, memory, index * stride) for index in range(frames)]
+        self._arrays = [{"raw": raw} for raw in raws]
+        self._stamps: list[Stamp | None] = [None] * frames
+        self._lock = Lock()
         self._cursors: list[Cursor] = []
         self._ended = False
+        self.written = 0
+        """Frames that went into the stream."""
         self.frame_shape = frame_shape
         self.depth = frames
-
-    @property
-    def written(self) -> int:
-        """Frames that went into the stream."""
-        return self._ring.written
 
     @property
     def ended(self) -> bool:
@@ -114,30 +123,34 @@ class FrameStream:
 
     def acquire(self) -> Slot:
         """Return the oldest slot that no consumer holds, for the camera to fill."""
-        with self._changed:
-            held = {cursor.held % self.depth for cursor in self._cursors if cursor.held is not None}
-            while self._ring.written % self.depth in held:
-                self._ring.skip()
+        with self._lock:
+            held = [cursor.held % self.depth for cursor in self._cursors if cursor.held is not None]
+            while self.written % self.depth in held:
+                self.written += 1  # a number that no frame gets
             for cursor in self._cursors:
-                oldest = self._ring.written + 1 - min(cursor.limit, self.depth)
+                oldest = self.written + 1 - min(cursor.limit, self.depth)
                 while cursor.next < oldest:
-                    cursor.skipped += self._ring.stamp(cursor.next) is not None
+                    cursor.skipped += self._stamp(cursor.next) is not None
                     cursor.next += 1
-            return self._ring.acquire()
+            index = self.written % self.depth
+            self._stamps[index] = None
+            return Slot(self.written, self._arrays[index])
 
     def finalize(self, slot: Slot, *, frame_number: int, received_s: float, readout_start_s: float) -> None:
         """Publish a filled slot with its frame number and the times received and start of readout."""
-        with self._changed:
-            self._ring.finalize(slot, frame_number=frame_number, received_s=received_s, readout_start_s=readout_start_s)
-            self._changed.notify_all()
+        stamp = Stamp(slot.sequence, frame_number, received_s, readout_start_s)
+        with self._lock:
+            self._stamps[slot.sequence % self.depth] = stamp
+            self.written = slot.sequence + 1
+            self._wake()
 
     def end(self) -> None:
         """End the stream; cursors still read what is there."""
-        with self._changed:
+        with self._lock:
             self._ended = True
-            self._changed.notify_all()
+            self._wake()
 
-    def join(self, *, earlier: int = 0, limit: int | None = None) -> Cursor:
+    def join(self, *, earlier: int = 0, limit: int | None = None, batch: int = 1) -> Cursor:
         """Add a consumer.
 
         Parameters
@@ -146,30 +159,49 @@ class FrameStream:
             Frames of the past to begin with, as far as they are still there.
         limit : int, optional
             Frames that it may be behind; the ring's depth by default.
+        batch : int
+            Frames for which it waits once there is none; it gets what has come when the time is up.
         """
-        with self._changed:
-            kept = min(earlier, self._ring.written, self.depth - 2)  # one slot is being filled, one is about to be
-            cursor = Cursor(self, self._ring.written - kept, self.depth if limit is None else limit)
+        with self._lock:
+            kept = min(earlier, self.written, self.depth - 2)  # one slot is being filled, one is about to be
+            cursor = Cursor(self, self.written - kept, self.depth if limit is None else limit, batch)
             self._cursors.append(cursor)
             return cursor
 
     def leave(self, cursor: Cursor) -> None:
         """Remove a consumer's cursor."""
-        with self._changed:
+        with self._lock:
             if cursor in self._cursors:
                 self._cursors.remove(cursor)
 
     def take(self, cursor: Cursor, timeout_s: float) -> tuple[NDArray[np.uint8], Stamp] | None:
         """Return the next frame of a cursor: :meth:`Cursor.take`."""
-        with self._changed:
+        with self._lock:
             cursor.held = None
-            if cursor.next >= self._ring.written and not self._ended:
-                self._changed.wait_for(lambda: cursor.next < self._ring.written or self._ended, timeout_s)
-            while cursor.next < self._ring.written:
+            waits = cursor.next >= self.written and not self._ended
+            cursor.awaited = cursor.next + cursor.batch if waits else None
+        if waits:
+            cursor.woken.acquire(timeout=timeout_s)
+        with self._lock:
+            cursor.awaited = None
+            cursor.woken.acquire(blocking=False)  # woken at the very end of its time
+            while cursor.next < self.written:
                 sequence = cursor.next
                 cursor.next += 1
-                stamp = self._ring.stamp(sequence)
+                stamp = self._stamp(sequence)
                 if stamp is not None:  # None: the camera skipped a slot that a consumer held
                     cursor.held = sequence
-                    return self._ring.peek(sequence).arrays["raw"], stamp
+                    return self._arrays[sequence % self.depth]["raw"], stamp
             return None
+
+    def _stamp(self, sequence: int) -> Stamp | None:
+        """Return number and times of the frame of a sequence number; None if it is not in the ring."""
+        stamp = self._stamps[sequence % self.depth]
+        return stamp if stamp is not None and stamp.sequence == sequence else None
+
+    def _wake(self) -> None:
+        """Wake the consumers whose batch is complete; at the end, all."""
+        for cursor in self._cursors:
+            if cursor.awaited is not None and (self._ended or cursor.awaited <= self.written):
+                cursor.awaited = None
+                cursor.woken.release()

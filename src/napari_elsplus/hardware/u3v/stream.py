@@ -8,11 +8,14 @@ import time
 from array import array
 from collections import Counter, deque
 from math import inf
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from usb.core import USBError, USBTimeoutError
 
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.priority import Rank, join_frame_core
 from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.hardware.u3v.discovery import translate_usb_errors
 from napari_elsplus.hardware.u3v.packets import (
@@ -103,11 +106,11 @@ class U3vStream:
         self._tick_s, self._period_s = tick_s, period_s
         self._skip, self._wait = skip, wait_for_reader
         self._free = deque(_Slot(sizes) for _ in range(DEPTH))
-        self._ready: deque[_Slot] = deque()
+        self._freed = threading.Event()
+        self._ready: SimpleQueue[_Slot | None] = SimpleQueue()
         self._spill = _Slot(sizes)
         self._small = array("B", bytes(PACKET))
         self._halts, self._timed_out = 0, False
-        self._changed = threading.Condition()
         self._fault: Exception | None = None
         self._stopping = threading.Event()
         self._last_block: int | None = None
@@ -122,36 +125,36 @@ class U3vStream:
 
     def read_into(self, buffer: NDArray[np.uint8], timeout_s: float) -> FrameInfo:
         """Fill a buffer with the oldest frame; see :meth:`napari_elsplus.hardware.protocols.Camera.read_into`."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._ready or self._fault, timeout_s)
-            if not self._ready:
-                if self._fault:
-                    raise self._fault
-                raise TimeoutError(f"no frame within {timeout_s:g} s")
-            slot = self._ready.popleft()
+        try:
+            slot = self._ready.get(timeout=timeout_s)
+        except Empty:
+            raise TimeoutError(f"no frame within {timeout_s:g} s") from None
+        if slot is None:
+            self._ready.put(None)  # for whoever reads next, too
+            assert self._fault is not None
+            raise self._fault
         slot.copy_into(buffer)
         info = slot.info
-        with self._changed:
-            self._free.append(slot)
-            self._changed.notify_all()
+        self._free.append(slot)
+        if self._wait:
+            self._freed.set()
         return info
 
     def stop(self) -> None:
         """End the thread, within `POLL_MS`."""
         self._stopping.set()
-        with self._changed:
-            self._changed.notify_all()
+        self._freed.set()
         self._thread.join()
 
     def _run(self) -> None:
+        join_frame_core(Rank.CAMERA)
         try:
             with translate_usb_errors("the camera"):
                 while not self._stopping.is_set():
                     self._read_frame()
         except Exception as error:  # noqa: BLE001 - raised by the next read
-            with self._changed:
-                self._fault = error
-                self._changed.notify_all()
+            self._fault = error
+            self._ready.put(None)
 
     def _read_frame(self) -> None:
         packet = self._read_small()
@@ -184,12 +187,12 @@ class U3vStream:
         self.has_timestamps = leader.timestamp != 0
         time_s = leader.timestamp * self._tick_s if self.has_timestamps else leader.block_id * self._period_s
         slot.info = FrameInfo(leader.block_id, arrived_s, time_s)
-        with self._changed:
-            if cause is not None:
-                self.dropped[cause] += 1
-            if slot is not self._spill:
-                (self._ready if cause is None else self._free).append(slot)
-            self._changed.notify_all()
+        if cause is not None:
+            self.dropped[cause] += 1
+        if cause is None:
+            self._ready.put(slot)
+        elif slot is not self._spill:
+            self._free.append(slot)
         if trailer is not None:
             self._halts = 0
         elif self._halts == halts:  # after a halt the next packet is a leader
@@ -237,10 +240,10 @@ class U3vStream:
         self._last_block = leader.block_id
 
     def _take_slot(self) -> _Slot:
-        with self._changed:
-            if self._wait:
-                self._changed.wait_for(lambda: self._free or self._stopping.is_set())
-            return self._free.pop() if self._free else self._spill  # the last one read is still in the caches
+        while self._wait and not self._free and not self._stopping.is_set():
+            self._freed.wait()
+            self._freed.clear()
+        return self._free.pop() if self._free else self._spill  # the last one read is still in the caches
 
     def _read_small(self) -> bytes | None:
         """Return a leader or trailer; None if none came within `POLL_MS`, or the packet was empty."""
@@ -262,8 +265,6 @@ class U3vStream:
 
         `_timed_out` is set where the time was up before the transfer was whole.
         """
-        from usb.core import USBError, USBTimeoutError
-
         for _ in range(-(-timeout_ms // POLL_MS)):
             begin_s = time.perf_counter()
             try:

@@ -7,6 +7,8 @@ import threading
 import weakref
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
+from napari_elsplus.hardware.priority import Rank, join_frame_core
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -47,6 +49,7 @@ class NamedThread:
 def _serve(
     calls: queue.SimpleQueue[Callable[[], Any] | None], results: queue.SimpleQueue[tuple[Any, Exception | None]]
 ) -> None:
+    join_frame_core(Rank.REST)  # what a simulator computes delays no frame that has come
     while (call := calls.get()) is not None:
         result: tuple[Any, Exception | None]
         try:
