@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import pytest
@@ -22,10 +21,7 @@ points = st.builds(
 
 
 def same(a, b):
-    return all(
-        x == y or (isinstance(x, float) and math.isnan(x) and math.isnan(y))
-        for x, y in zip(dataclasses.astuple(a), dataclasses.astuple(b), strict=True)
-    )
+    return all(x == y or (isinstance(x, float) and math.isnan(x) and math.isnan(y)) for x, y in zip(a, b, strict=True))
 
 
 @given(st.lists(points, max_size=5))
@@ -39,7 +35,7 @@ def test_every_digit_and_nan_comes_back(tmp_path_factory, track):
 
 
 def test_lost_positions_are_written_as_nan(tmp_path):
-    lost = dataclasses.replace(POINT, row_px=math.nan, col_px=math.nan, state="lost")
+    lost = POINT._replace(row_px=math.nan, col_px=math.nan, state="lost")
     write_track(tmp_path / "track.csv", [lost])
     assert (tmp_path / "track.csv").read_text().splitlines()[1] == "0,0.0,0,nan,nan,0.0,0.0,1.0,0.0,lost"
 
@@ -62,7 +58,7 @@ def test_what_is_no_track_is_refused(tmp_path, text, said):
 
 def test_an_unknown_state_leaves_no_file(tmp_path):
     with pytest.raises(InputError, match="state 'found'"):
-        write_track(tmp_path / "t.csv", [POINT, dataclasses.replace(POINT, state="found")])
+        write_track(tmp_path / "t.csv", [POINT, POINT._replace(state="found")])
     assert list(tmp_path.iterdir()) == []
 
 

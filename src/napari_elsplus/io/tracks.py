@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
@@ -17,8 +16,7 @@ if TYPE_CHECKING:
 STATES: Final = ("tracked", "predicted", "lost")
 
 
-@dataclass(frozen=True, slots=True)
-class TrackPoint:
+class TrackPoint(NamedTuple):
     """One line of a track file.
 
     Parameters
@@ -54,7 +52,7 @@ class TrackPoint:
     state: str
 
 
-HEADER: Final = tuple(field.name for field in fields(TrackPoint))
+HEADER: Final = TrackPoint._fields
 _INTEGERS: Final = ("frame", "segment")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -244,7 +243,7 @@ class Pipeline:
         scale, um = self._scales
         where = zip(segment.tolist(), (row * scale).tolist(), (col * scale).tolist(), strict=True)
         self.rows = [
-            replace(point, segment=into, row_px=down, col_px=across, row_um=down * um, col_um=across * um)
+            point._replace(segment=into, row_px=down, col_px=across, row_um=down * um, col_um=across * um)
             for point, (into, down, across) in zip(self.rows, where, strict=True)
         ]
 

@@ -133,8 +133,8 @@ class Tracker:
         return pose
 
     def _free(self) -> PreparedFrame:
-        taken = [placed.view for placed in (self._key, self._last, self._previous)]
-        return next(view for view in self._slots if not any(view is other for other in taken))
+        key, last, previous = self._key.view, self._last.view, self._previous.view
+        return next(view for view in self._slots if view is not key and view is not last and view is not previous)
 
     def _register(self, here: _Placed) -> Pose | None:
         """Register a frame to the segment, else to the frame before; once the track is lost, to either in turn.
@@ -243,7 +243,7 @@ class Tracker:
         """Test, now and then, for rotation since the key frame, and from when on it is modelled."""
         key, last, link = self._key, self._last, self._newest
         wait = 1 if not renew and link is not None and link.correlation < self._usual else _TEST_EVERY
-        if link is None or not link.tells_turn or last is key or last.index - self._tested < wait:
+        if link is None or last is key or last.index - self._tested < wait or not link.tells_turn:
             return
         self._tested = last.index
         spread = self._motion.prior(self._motion.ahead(1), 1).spread
