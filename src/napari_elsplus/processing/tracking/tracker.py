@@ -45,8 +45,6 @@ less than usual, as all do of a probe that turns."""
 _WAITING_ODDS_NATS: Final = 5.0
 """Odds from which a first registration waits for the next one; chosen: from 0 the slide of a fibre along itself was
 accepted, since a second registration, which starts from the motion of the first, repeats it."""
-_MIN_REACH_PX: Final = 8.0
-"""Smallest scale of the heavy-tailed prior of a searched shift; chosen, a jerk of a hand."""
 
 
 @dataclass(slots=True)
@@ -292,7 +290,7 @@ class Tracker:
             if self._accepted(link):
                 return link
         found = self.registrar.search(
-            earlier.view, here.view, motion, _reach(motion), min_odds_nats, self._min_correlation
+            earlier.view, here.view, motion, motion.shift_sigma, min_odds_nats, self._min_correlation
         )
         return found if found is not None and self._accepted(found, min_odds_nats) else None
 
@@ -301,7 +299,7 @@ class Tracker:
         last, known = self._last, self._motion.known
         turn = last.angle - earlier.angle + self._turning.rate * (here.index - last.index) if known else 0.0
         spread = self._turning.spread(here.index - last.index) if known and self.model is MotionModel.RIGID else inf
-        for reach in (None, _reach(motion)) if known else (_reach(motion),):
+        for reach in (None, motion.shift_sigma) if known else (motion.shift_sigma,):
             link = self.registrar.turned_link(earlier.view, here.view, motion, turn, self._scratch, reach, spread)
             if link is not None and self._accepted(link):
                 return link
@@ -309,7 +307,7 @@ class Tracker:
 
     def _accepted(self, link: PairRegistration, min_odds_nats: float = MIN_ODDS_NATS) -> bool:
         """Return True if the odds suffice and the frames correlate about as well as frames did so far."""
-        return link.reaches(min_odds_nats) and not link.correlation < self._min_correlation
+        return link.odds >= min_odds_nats and not link.correlation < self._min_correlation
 
     @property
     def _min_correlation(self) -> float:
@@ -349,8 +347,3 @@ class Tracker:
             self._segment, here.row, here.col, here.velocity, link.correlation, here.sigma, TrackingState.TRACKED,
             here.angle,
         )  # fmt: skip
-
-
-def _reach(motion: MotionPrior) -> float:
-    """Return the scale of the prior of the shift, pixels."""
-    return max(_MIN_REACH_PX, motion.shift_sigma)

@@ -1,11 +1,11 @@
 """Log posterior odds of a registered warp against competing shifts, in nats of the whole frame.
 
 Along a straight fibre or in an empty view a correlation can be high and its shift wrong. A warp is therefore compared
-with unrelated frames, and with competing shifts along the direction in which the shift is constrained least, everything
-else fitted under the motion prior. Each block of pixels has contrast and noise of its own, so that a bright, even fibre
-does not drown its end, which alone constrains the shift along it. Above unrelated frames a block with n independent
-values and the normalised correlation r contributes n / 2 ln(1 / (1 - r^2)); above a competing warp, half the residual
-that this leaves more, over the noise.
+with competing shifts along the direction in which the shift is constrained least, everything else fitted under the
+motion prior. Each block of pixels has contrast and noise of its own, so that a bright, even fibre does not drown its
+end, which alone constrains the shift along it: above a competing warp a block contributes half the residual that this
+leaves more, over the noise. Peaks of a search are ranked against unrelated frames, to which a block with n independent
+values and the normalised correlation r contributes n / 2 ln(1 / (1 - r^2)).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _FLOOR_DN2: Final = 0.3
 _FLOOR_SHARE: Final = 0.03
 """Variance of the static pattern that flat-fielding leaves, which is no evidence: squared grey levels, and as a share
 of the brightest block's variance."""
-_COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0)
+COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0)
 """Distances of competing shifts, pixels of full resolution."""
 _HELD: Final = 1e8
 """Information that holds a competing shift where it is, 1 / px^2."""
@@ -278,12 +278,11 @@ def log_odds(
     half = equations[6, 0]
     in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), half)
     prior = prior_terms(warp, expected, terms)[1]
-    unrelated = log_likelihood(template, image, first, last, middle, half, sums) - prior
-    against = np.exp(-unrelated)
+    against = 0.0
     # one competitor stands for all shifts that the prior allows
-    alike = max(1.0, 1 / (terms[2] * _COMPETITORS_PX[0] ** 2))
+    alike = max(1.0, 1 / (terms[2] * COMPETITORS_PX[0] ** 2))
     row_step, steps, tolerance_px, finely, tone_rows = _FIT
-    for px in _COMPETITORS_PX:
+    for px in COMPETITORS_PX:
         b, d = warp[1] + px * down, warp[3] + px * across
         full[0], full[1] = warp[0] + px * a_follows, b
         full[2], full[3] = warp[2] + px * s_follows, d

@@ -15,11 +15,15 @@ import numpy as np
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
-from napari_elsplus.processing.tracking.registration.candidates import log_likelihoods
-from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, weakest_direction
+from napari_elsplus.processing.tracking.registration.odds import (
+    COMPETITORS_PX,
+    CORRELATED_PX,
+    log_likelihood,
+    weakest_direction,
+)
 from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, fill_levels
 from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, descend, register
-from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP, ShiftSearch, prior
+from napari_elsplus.processing.tracking.registration.shift_search import ShiftSearch, prior
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,8 +42,6 @@ registrations of jerky motion 11 are wrong, at 0.5 a tenth fewer are kept."""
 FALL_OF_CORRELATION: Final = 0.05
 """Correlation of a registration below the recent mean from which it is rejected: frames that show the same differ by
 noise, which is the same for all."""
-COMPETING_PX: Final = 4.0
-"""Distance from which two peaks of the search are different shifts, pixels."""
 _AT_REST: Final = Velocity(0.0, 0.0)
 _TELLING_PX: Final = 0.1
 _TURNS: Final = 4
@@ -86,7 +88,7 @@ class PairRegistration(NamedTuple):
     overlap : float
         Part of the disc that both frames show.
     odds : float
-        Log posterior odds against competing shifts and unrelated frames, nats.
+        Log posterior odds against competing shifts, or against unrelated frames where the shift is sharp; nats.
     velocity : Velocity
         Of the probe during the later frame, pixels per frame period.
     velocity_variance : float
@@ -110,11 +112,7 @@ class PairRegistration(NamedTuple):
     @property
     def observed(self) -> bool:
         """Return True if the shift is accepted."""
-        return self.reaches(MIN_ODDS_NATS)
-
-    def reaches(self, odds_nats: float) -> bool:
-        """Return True if the frames overlap enough and the odds are at least so many nats."""
-        return self.overlap >= LEAST_OVERLAP and self.odds >= odds_nats
+        return self.odds >= MIN_ODDS_NATS
 
     @property
     def sigma(self) -> float:
@@ -242,8 +240,9 @@ class Registrar:
         """
         for view in (earlier, later):
             fill_levels(view.arrays, self._tools.pyramid)
-        warps: list[Warp] = []
+        found: list[tuple[float, Warp]] = []
         expected, terms, tools, scratch = motion.warp, motion.terms, self._tools, np.empty((4, 4))
+        half = np.empty(4)
         for b, d in self._everywhere.peaks(self._coarse(earlier), self._coarse(later), expected, reach_px).tolist():
             warp = np.array(motion.at(b, d))
             correlation, _, _ = descend(
@@ -251,14 +250,16 @@ class Registrar:
                 tools.work,
             )  # fmt: skip
             if correlation > 0:
-                warps.append(Warp(*warp.tolist()))
-        if not warps:
+                peak = Warp(*warp.tolist())
+                half[:] = peak.a, peak.b / 2, peak.s, peak.d / 2
+                nats = log_likelihood(
+                    earlier.levels[1], later.levels[1], *self._spans[1], self._centre[0], half, tools.sums
+                )
+                found.append((nats + prior(peak.b - expected.b, peak.d - expected.d, reach_px), peak))
+        if not found:
             return None
-        nats = log_likelihoods(earlier.levels[1], later.levels[1], self._spans[1], self._centre[0], warps, tools.sums)
-        priors = [prior(warp.b - expected.b, warp.d - expected.d, reach_px) for warp in warps]
-        found = [(like + before, warp) for like, before, warp in zip(nats, priors, warps, strict=True)]
         highest, best = max(found)
-        others = [nats for nats, warp in found if hypot(warp.b - best.b, warp.d - best.d) > COMPETING_PX]
+        others = [nats for nats, peak in found if hypot(peak.b - best.b, peak.d - best.d) > COMPETITORS_PX[0]]
         competing = sum(exp(max(nats - highest, -700.0)) for nats in others)
         if competing > 0 and -log(competing) < min_odds_nats:
             return None
