@@ -166,7 +166,7 @@ def changes() -> list[Change]:
         *left_out("distances of competing shifts", odds, ("(4.0, -4.0, 8.0, -8.0)", "(4.0, -4.0)"), change="4 px only"),
         *left_out("distances of competing shifts", odds, ("(4.0, -4.0, 8.0, -8.0)", "(8.0, -8.0)"), change="8 px only"),
         *left_out(
-            "competitors fitted", odds, ("_FIT: Final = (2, 2, 0.02, False)", "_FIT: Final = (2, 1, 0.02, False)"),
+            "competitors fitted", odds, ("_FIT: Final = (2, 2, ", "_FIT: Final = (2, 1, "),
             change="one step",
         ),
         *left_out(
