@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
@@ -133,6 +133,7 @@ class LiveImages:
     def __init__(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: LiveView) -> None:
         self._sectioner: Sectioner | None = None
         self._averages = view.average > 1
+        self._modes: frozenset[Mode] = frozenset()
         self.layout = display_layout(frame_shape, None)
         if calibration is None or calibration.bundle is None:
             return
@@ -158,7 +159,6 @@ class LiveImages:
         self._confocal_number: int | None = None
         self._last_number: int | None = None
         self._first = True
-        self._finished = np.zeros(square, np.float32)
         with ordinary_priority():
             self._warm_up(sectioner, frame_shape)
 
@@ -166,6 +166,11 @@ class LiveImages:
     def averages(self) -> bool:
         """True if every frame contributes to the displayed images."""
         return self._averages
+
+    @property
+    def pairs(self) -> bool:
+        """True if an image is made of two successive frames: ELSA is."""
+        return Mode.ELSA in self._modes
 
     def add(self, raw: NDArray[np.uint8], frame_number: int) -> None:
         """Section a raw frame of a frame number."""
@@ -189,7 +194,7 @@ class LiveImages:
                     cv2.accumulateWeighted(now[mode], self._mean[mode], self._weight)
         self._first = False
 
-    def fill(self, raw: NDArray[np.uint8], arrays: Mapping[str, NDArray[np.generic]]) -> Measures:
+    def fill(self, raw: NDArray[np.uint8], arrays: Mapping[str, NDArray[Any]]) -> Measures:
         """Finish the images of the raw frame that was added last.
 
         Parameters
@@ -204,8 +209,11 @@ class LiveImages:
         if self._sectioner is None:
             return Measures(saturated)
         for mode in self._modes:
-            np.copyto(self._finished, self._mean[mode])
-            np.copyto(arrays[mode.value], self._finish(self._finished))
+            image = arrays[mode.value]
+            np.copyto(image, self._mean[mode])
+            finished = self._finish(image)
+            if finished is not image:
+                np.copyto(image, finished)
         return Measures(saturated, focus(arrays[Mode.ELS.value]) if Mode.ELS in self._modes else np.nan)
 
     def _warm_up(self, sectioner: Sectioner, frame_shape: tuple[int, int]) -> None:

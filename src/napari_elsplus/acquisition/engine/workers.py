@@ -213,8 +213,8 @@ class ProcessingWorker(Thread):
     def _section(self, images: LiveImages, raw: NDArray[np.uint8], frame_number: int, *, each: bool) -> bool:
         """Section a frame; return True if it is to be displayed.
 
-        Where a tracker gives every frame its result, only those are sectioned that are displayed: the confocal and the
-        residual frame of one ELSA image.
+        Where a tracker gives every frame its result, only those are sectioned that are displayed: one frame, or the
+        confocal and the residual one of an ELSA image.
         """
         last = self._stream.ended
         due = time.perf_counter() >= self._due_s
@@ -222,10 +222,11 @@ class ProcessingWorker(Thread):
         if each or images.averages or last:
             images.add(raw, frame_number)
             return due or last
-        if due and frame_number == confocal:
+        if due and (frame_number == confocal or not images.pairs):
             images.add(raw, frame_number)
             self._begun = frame_number
-        elif frame_number == residual and self._begun == confocal:
+            return not images.pairs
+        if images.pairs and frame_number == residual and self._begun == confocal:
             images.add(raw, frame_number)
             return True
         return False

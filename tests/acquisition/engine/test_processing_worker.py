@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from napari_elsplus.acquisition.engine.live_images import LiveImages, LiveView
+from napari_elsplus.acquisition.engine.workers import DisplaySink, ProcessingWorker
+from napari_elsplus.acquisition.streaming.faults import FaultLog
+from napari_elsplus.acquisition.streaming.ring import Ring
+from napari_elsplus.acquisition.streaming.stream import FrameStream
+from napari_elsplus.acquisition.streaming.tally import Tally
+from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.processing.images.sectioning import Mode
+
+SHAPE = (60, 120)
+BUNDLE = {
+    "confocal_centre": [30, 30],
+    "residual_centre": [30, 90],
+    "diameter_px": 40,
+    "residual_to_confocal": [[1, 0, 0], [0, 1, -60]],
+}
+
+
+@pytest.mark.parametrize(("modes", "sectioned"), [(set(Mode) - {Mode.ELSA}, [1]), (set(Mode), [2, 3])])
+def test_beside_a_tracker_only_frames_that_are_displayed_are_sectioned(
+    monkeypatch: pytest.MonkeyPatch, modes: set[Mode], sectioned: list[int]
+) -> None:
+    images = LiveImages(SHAPE, Calibration.parse({"bundle": BUNDLE}), LiveView(modes=frozenset(modes)))
+    added: list[int] = []
+    monkeypatch.setattr(images, "add", lambda raw, number: added.append(number))
+    ring = Ring(bytearray(images.layout.nbytes), images.layout)
+    stream, tally = FrameStream(SHAPE, 64), Tally()
+    tracker: Any = SimpleNamespace(add=lambda raw, stamp: None)
+    ProcessingWorker(stream, DisplaySink(images, ring), tally, FaultLog(), tracker).start()
+    deadline_s, stamp = time.perf_counter() + 10, None
+    for number in range(1, sectioned[-1] + 1):
+        slot = stream.acquire()
+        stream.finalize(slot, frame_number=number, received_s=time.perf_counter(), readout_start_s=0.0)
+    while stamp is None and time.perf_counter() < deadline_s:
+        stamp = ring.newest_after(-1, {"raw": np.empty(SHAPE, np.uint8)})
+    assert added == sectioned
+    assert stamp is not None
+    assert stamp.frame_number == sectioned[-1]
+    stream.end()
