@@ -91,18 +91,25 @@ def _busy_core(busy: bool) -> Iterator[None]:
             process.wait()
 
 
-def _run(folder: Path, seconds: float, busy: bool) -> dict[str, Any]:
-    report = folder / "report.json"
-    files = {"--report": report, "--record": folder / "raw.ome.tif", "--mosaic": folder / "mosaic.ome.tif"}
+def _command(folder: Path, seconds: float, report: Path, images: bool) -> list[str]:
+    """Return the command that streams: `acquire`, or with images displayed, which it has none of."""
+    recording = folder / "raw.ome.tif"
+    if images:
+        return [sys.executable, "-m", "benchmarks.rigs.displayed", str(seconds), str(recording), str(report)]
+    files = {"--report": report, "--record": recording, "--mosaic": folder / "mosaic.ome.tif"}
     options = [word for option, file in files.items() for word in (option, str(file))]
+    return [*COMMAND_LINE, "acquire", "--seconds", str(seconds), *options, "--force"]
+
+
+def _run(folder: Path, seconds: float, busy: bool, images: bool) -> dict[str, Any]:
+    report = folder / "report.json"
     wakes = [_Wakes(core) for core in _cores()]
     with _busy_core(busy):
         for each in wakes:
             each.start()
-        command = [*COMMAND_LINE, "acquire", "--seconds", str(seconds), *options, "--force"]
-        environment = {**os.environ, "PYTHONPATH": str(HERE / "src")}
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(HERE / "src"), str(HERE)))}
         begun_s = time.perf_counter()
-        subprocess.run(command, check=True, capture_output=True, env=environment)
+        subprocess.run(_command(folder, seconds, report, images), check=True, capture_output=True, env=environment)
     result: dict[str, Any] = json.loads(report.read_text("utf-8"))
     first_s = begun_s + result["started_s"]
     late_ms = [1e3 * late_s for each in wakes for late_s in each.end(first_s, first_s + seconds)]
@@ -128,8 +135,9 @@ def _row(name: str, result: dict[str, Any]) -> tuple[str, ...]:
 @click.option("--out", type=FILE, required=True, help="Folder for acquire.csv.")
 @click.option("--runs", type=click.IntRange(1), default=5, show_default=True, help="Runs of each kind.")
 @click.option("--seconds", type=float, default=60.0, show_default=True, help="Seconds of each.")
+@click.option("--images", is_flag=True, help="Display LS, residual and ELS+ at 60 Hz, beside.")
 @force_option
-def acquire(out: Path, runs: int, seconds: float, force: bool) -> None:
+def acquire(out: Path, runs: int, seconds: float, images: bool, force: bool) -> None:
     """Record and insert into a mosaic at 240 Hz, alone and beside a busy core; tabulate lateness and processor time."""
     table = out / "acquire.csv"
     out.mkdir(parents=True, exist_ok=True)
@@ -143,7 +151,7 @@ def acquire(out: Path, runs: int, seconds: float, force: bool) -> None:
             for run in range(runs):
                 with tempfile.TemporaryDirectory(dir=out) as folder:
                     name = f"{'beside a busy core' if busy else 'alone'}, {run + 1}"
-                    result = _run(Path(folder), seconds, busy)
+                    result = _run(Path(folder), seconds, busy, images)
                 threads.append(result["cpu_us_per_frame"])
                 row = _row(name, result)
                 rows.writerow(row)

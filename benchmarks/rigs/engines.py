@@ -20,6 +20,7 @@ from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 
 if TYPE_CHECKING:
+    from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.acquisition.streaming.ring import Ring
@@ -61,14 +62,18 @@ class Here:
         Preset.
     track : bool
         Whether every frame is tracked and laid into a mosaic, too.
+    view : LiveView, optional
+        The live images; all by default.
     """
 
-    def __init__(self, name: str, *, track: bool = False) -> None:
+    def __init__(self, name: str, *, track: bool = False, view: LiveView | None = None) -> None:
         keep_pace()
         self._engine = engine = Engine(open_live(SIMULATED))
         engine.configure(Settings(name))
         calibration = _calibration(name)
         engine.use(calibration)
+        if view is not None:
+            engine.show(view)
         self._track = LiveTrack(calibration, engine.setup.frame_shape) if track else None
         engine.track(self._track)
         settle_memory()
