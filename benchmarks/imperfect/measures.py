@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from napari_elsplus.processing.analysis.axial_response import LEVEL_3DB, LEVEL_10DB, SQUARE_UM
+from napari_elsplus.processing.analysis.axial_response import (
+    LEVEL_3DB,
+    LEVEL_10DB,
+    SQUARE_UM,
+    AxialProfiles,
+    axial_profiles,
+    axial_response,
+)
 from napari_elsplus.processing.images.row_power import RowPower
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.images.warping import polynomial_terms
@@ -27,6 +34,7 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.analysis.axial_response import AxialResponse
     from napari_elsplus.processing.calibration.draft import Draft
+    from napari_elsplus.simulation.rendering.views import BundleView
 
 JUDGED: Final = 0.9
 """Part of the bundle's diameter in which images and maps are judged, as the paper judges alignment."""
@@ -35,8 +43,8 @@ DEPTHS_UM: Final = np.asarray(np.random.default_rng(0).permutation(np.r_[_THERE_
 """Depths of a scan, um; chosen: a quarter of those of a whole scan, each twice, in a random order. Power that changes
 slowly then differs from one depth to the next, and is seen as noise; in order it would bend the curve."""
 
-MAX_SCANS: Final = 4
-"""Scans that are recorded at most, however many are advised; chosen: the computing time."""
+MAX_SCANS: Final = 16
+"""Scans that are recorded at most, however many are advised; chosen: for the computing time."""
 _OWN_DEPTHS_UM: Final = np.array([0.0, 28, 36, 44, 104, 120, 136])
 """Depths, um, between which the distances of a rig itself are interpolated; chosen: about those of the ideal rig."""
 _FLAT_FRAMES: Final = 10
@@ -167,11 +175,31 @@ def gain_error(rig: ImperfectRig, calibration: Calibration) -> Error:
     """Error of the residual view's gain in fluorescence, over the cores of the part of the bundle that is judged."""
     bundle = calibration.bundle
     assert bundle is not None
-    known, _, right = views(rig.instrument)
+    return Error(bundle.residual_gain - true_gain(rig), bundle.residual_gain_uncertainty)
+
+
+def true_gain(rig: ImperfectRig) -> float:
+    """Return the brightness of the residual view over the confocal, pixel by pixel, from the gains of the cores.
+
+    A view that is distorted shows its cores closer together in some parts, and brighter, than in others.
+    """
+    known, left, right = views(rig.instrument)
     judged = np.hypot(known.rows_um, known.cols_um) < JUDGED * rig.instrument.bundle.radius_um
-    gains = np.broadcast_to(right.gain, known.transmission.shape)[judged]
-    true = float(np.average(gains, weights=known.transmission[judged]))
-    return Error(bundle.residual_gain - true, bundle.residual_gain_uncertainty)
+    places_um = known.rows_um[judged], known.cols_um[judged]
+    areas = _areas_px(left, *places_um, judged) / _areas_px(right, *places_um, judged)
+    per_core = right.spots.scale / left.spots.scale * np.broadcast_to(right.gain, judged.shape)[judged]
+    return float(np.average(per_core * areas, weights=known.transmission[judged]))
+
+
+def _areas_px(view: BundleView, rows_um: Rows, cols_um: Rows, judged: np.ndarray) -> Rows:
+    """Return the area of a view, px, that a square micrometre of the bundle takes at each of the judged cores."""
+    terms = polynomial_terms(rows_um, cols_um)
+    slopes = [polynomial_terms(rows_um + down, cols_um + across) - terms for down, across in ((1, 0), (0, 1))]
+    places = np.stack([view.rows_px, view.cols_px], axis=1)[judged]
+    scale = np.abs(terms).max(axis=1)
+    to_place = np.linalg.lstsq((terms / scale[:, None]).T, places, rcond=None)[0] / scale[:, None]
+    by_row, by_col = (slope.T @ to_place for slope in slopes)
+    return np.asarray(np.abs(by_row[:, 0] * by_col[:, 1] - by_row[:, 1] * by_col[:, 0]), np.float64)
 
 
 def galvo_error(rig: ImperfectRig, draft: Draft) -> Error:
@@ -223,15 +251,17 @@ def axial(rig: ImperfectRig, calibration: Calibration, *, seed: int = 0) -> Axia
 
 
 def axial_as_advised(rig: ImperfectRig, calibration: Calibration, line_rows: Rows, *, seed: int = 0) -> AxialResponse:
-    """Measure the axial response of a rig's scan, and record more frames where the first ones leave it uncertain."""
-    depths_um, count = np.tile(DEPTHS_UM, MAX_SCANS), len(DEPTHS_UM)
-    scan = rig.axial_scan(depths_um, seed=seed, line_rows=line_rows)
+    """Measure the axial response of a rig's scan, recorded again as often as the uncertainty so far advises."""
+    count, parts = len(DEPTHS_UM), list[AxialProfiles]()
+    scan = rig.axial_scan(np.tile(DEPTHS_UM, MAX_SCANS), seed=seed, line_rows=line_rows)
     dark = calibration.model_copy(update={"background": background(scan.instrument, seed=seed + 1)})
-    frames = [scan[k] for k in range(count)]
-    response = measure_axial_response(frames, dark, DEPTHS_UM)
-    if (scans := min(response.frames_advised, MAX_SCANS)) > 1:
-        frames += [scan[k] for k in range(count, scans * count)]
-        response = measure_axial_response(frames, dark, depths_um[: scans * count])
+    wanted = 1
+    while len(parts) < wanted:
+        for number in range(len(parts), wanted):
+            parts.append(axial_profiles([scan[k] for k in range(number * count, (number + 1) * count)], dark))
+        ls, residual = (np.concatenate([getattr(part, name) for part in parts]) for name in ("ls", "residual"))
+        response = axial_response(np.tile(DEPTHS_UM, wanted), ls, residual, parts[0].systematic)
+        wanted = min(wanted * response.frames_advised, MAX_SCANS)
     return response
 
 

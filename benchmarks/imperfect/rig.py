@@ -84,9 +84,8 @@ class ImperfectRig:
     @classmethod
     def drawn(cls, preset: str, seed: int, rate_hz: float | None = None) -> Self:
         """Return a rig drawn at random, with a bundle of its own, at the preset's frame rate or another."""
-        return cls.of(
-            preset, Imperfections.drawn(seed), bundle=Bundle(seed=seed), voltages=60, rate_hz=rate_hz, seed=seed
-        )
+        voltages, bundle = calibration_scenes.SWEEP_STEPS, Bundle(seed=seed)
+        return cls.of(preset, Imperfections.drawn(seed), bundle=bundle, voltages=voltages, rate_hz=rate_hz, seed=seed)
 
     @cached_property
     def measured(self) -> Draft:

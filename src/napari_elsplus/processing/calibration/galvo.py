@@ -228,7 +228,7 @@ def _common_bow(lines: list[Line], column: float, radius_px: float) -> _Bow:
     rows = float(np.average(bends, weights=weights))
     scatter = float(np.sqrt(np.average(np.square(bends - rows), weights=weights)))
     uncertainty = scatter * float(np.sqrt(_NEIGHBOURS * np.square(weights).sum())) / float(weights.sum())
-    share = np.array([((column - line.column) ** 2 - line.mean_square_px) / radius_px**2 for line in lines])
+    share = np.array([line.bowed_rows(column, 1 / radius_px**2) for line in lines])
     return _Bow(rows if abs(rows) > MIN_BOW_SIGMAS * uncertainty else 0.0, uncertainty, share)
 
 

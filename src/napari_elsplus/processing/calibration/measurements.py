@@ -48,8 +48,9 @@ MAX_DRIFT: Final = 0.05
 """Largest relative change of the mean level between halves of the frames; chosen, above that of a warm laser."""
 MAX_CHORD: Final = 1.1
 """Length of a line over the bundle's diameter; chosen: the rim's blur, and what a threshold makes of it."""
-LIT_FRAMES: Final = 64
-"""Frames of a sweep from which the light of the line is collected; chosen: a line every few rows."""
+LIT_FRAMES: Final = 400
+"""Frames of a sweep from which the light of the line is collected; chosen: all of the paper's sweep, since power noise
+gives each line a gain of its own."""
 SAMPLING_ROWS: Final = 0.006
 """Rows; part of the offset's uncertainty that no residual shows: the views' pixels sample the cores at other phases.
 Chosen: about half the error of bright lines on the presets' bundles, 0.012 at 240 Hz and 0.005 at 120 Hz."""
@@ -270,6 +271,9 @@ def _offset_at(
 ) -> SlitOffset:
     influence = residual.influence_at(columns[1]) - confocal.influence_at(columns[0])
     rows = residual.row_at(columns[1]) - confocal.row_at(columns[0])
+    # Where the views differ in light along a bowed line, the straight ones through it lie at different heights.
+    bend = (confocal.bend + residual.bend) / 2
+    rows += residual.bowed_rows(columns[1], bend) - confocal.bowed_rows(columns[0], bend)
     sigma = float(np.linalg.norm((newey_west_sigma(influence, _NEIGHBOURS), SAMPLING_ROWS, unsteady_rows)))
     return SlitOffset(rows, sigma, confocal, residual, split, unsteady_rows)
 

@@ -35,6 +35,16 @@ def test_the_gain_is_that_of_the_fluorescence(imperfections: str) -> None:
     assert bundle.residual_gain_uncertainty < 0.01
 
 
+def test_cores_that_differ_in_gain_do_not_bias_the_gain() -> None:
+    """It was 0.2 % less than the lamp's, of which 0.03 % were stated."""
+    _, draft = calibrated("right-core-gain=10")
+    bundle = draft.calibration.bundle
+    assert bundle is not None
+    assert draft.calibration.gain_map is not None
+    assert draft.pair is not None
+    assert bundle.residual_gain == pytest.approx(draft.pair.alignment.gain, abs=6e-4)
+
+
 def test_the_alignment_error_is_stated_in_the_lamps_light() -> None:
     errors = [calibrated(given)[1].calibration.quality for given in ("", "lamp-gain=5")]
     assert errors[0] is not None

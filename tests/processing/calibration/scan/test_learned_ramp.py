@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.scan.waveform import GalvoLimits
+from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
 from napari_elsplus.instrument.calibration import AcquiredWith, Calibration
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.processing.calibration.draft import Draft
@@ -80,6 +80,17 @@ def test_a_galvo_that_is_too_slow_is_reported_with_the_rate_that_it_could_follow
     (warning,) = LAG.summary(Draft(rig.calibration), found, rig.setup).warnings
     assert "frames per second fit" in warning
     assert accepted(rig, found).scan_correction is None
+
+
+def test_shifts_beyond_the_galvos_range_are_left_out() -> None:
+    """The ramp of a slow galvo fits into its range, but not the lowest of the shifts that show its row errors."""
+    rig = PlainScans(natural_hz=700.0, damping=0.7)
+    free = accepted(rig, measure_scan(rig, rig.calibration, rig.setup, 1))
+    lowest_v = float(els_waveform(free, rig.timing, rig.limits).volts.min())
+    tight = PlainScans(natural_hz=700.0, damping=0.7, limits=GalvoLimits(min_v=lowest_v - 0.03))
+    found = measure_scan(tight, tight.calibration, tight.setup, 1)
+    assert tight.taken < rig.taken
+    assert_on_the_slit(tight, accepted(tight, found))
 
 
 def test_learning_can_be_cancelled() -> None:

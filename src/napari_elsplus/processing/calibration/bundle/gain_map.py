@@ -55,9 +55,9 @@ def measure_gain_map(frame: NDArray[np.floating], calibration: Calibration) -> I
     Returns
     -------
     numpy.ndarray or None
-        (n, n) float32 on the grid of :class:`Sectioner`, gain over the single one: 1 outside of the disc,
-        mean 1 in the part of it in which the single gain is measured, weighted by light. None where a single gain is
-        sufficient.
+        (n, n) float32 on the grid of :class:`Sectioner`, gain over the single one: 1 outside of the disc, and such that
+        the residual view divided by it keeps its light in the part of it in which the single gain is measured. None
+        where a single gain is sufficient.
     """
     flat = calibration.with_view_arrays(calibration.distortion, None)
     sectioner = Sectioner(flat, frame.shape)
@@ -84,7 +84,9 @@ def measure_gain_map(frame: NDArray[np.floating], calibration: Calibration) -> I
             return None
         best = smooth_px
     found = np.where(inside, np.clip(_smoothed_ratio(confocal, residual, best), *GAIN_LIMITS), 1)
-    scale = float((found * weights).sum() / weights.sum())
+    # Its mean would not do: light divided by a map that varies from core to core is more than light over the mean.
+    light = residual * disc(sectioner.side, COMPARED_DISC * sectioner.diameter_px)
+    scale = float(light.sum(dtype=np.float64) / (light / found).sum(dtype=np.float64))
     return np.where(inside, found / scale, 1).astype(np.float32)
 
 

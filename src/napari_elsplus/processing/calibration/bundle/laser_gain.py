@@ -97,10 +97,15 @@ class LightCollector:
             band = slice(first, min(int(line.max() + reach) + 2, len(frame)))
             if band.start >= band.stop:
                 continue
-            away = (np.arange(band.start, band.stop, dtype=np.float32)[:, None] - line) / np.float32(reach)
-            weight = np.square(np.maximum(1 - np.square(away), 0))
-            self._light[band, part] += weight * frame[band, part]
+            weight = np.arange(band.start, band.stop, dtype=np.float32)[:, None] - line
+            weight *= np.float32(1 / reach)
+            np.square(weight, out=weight)
+            np.subtract(1, weight, out=weight)
+            np.maximum(weight, 0, out=weight)
+            np.square(weight, out=weight)
             self._weight[band, part] += weight
+            np.multiply(weight, frame[band, part], out=weight, casting="same_kind")
+            self._light[band, part] += weight
 
     def swept(self, unlit: Image) -> SweptLight:
         """Return the light above the level of the pixels that none reaches, 1 in an image `unlit` (rows, cols)."""

@@ -17,6 +17,7 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.line_parts import LineParts as LineParts
 from napari_elsplus.processing.analysis.line_parts import measure_line_parts
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence
+from napari_elsplus.processing.calibration.line.bow import fit_bow
 from napari_elsplus.processing.calibration.line.search import Streak, brightest_streak, without_hot_pixels
 
 if TYPE_CHECKING:
@@ -73,8 +74,8 @@ class Line:
     bend : float
         Rows per squared column of the parabola that the columns' departures from the straight line fit.
     mean_square_px : float
-        Mean square distance of the fitted columns from ``column``, in squared columns: the straight line through a
-        parabola passes it at this distance.
+        Mean square distance of the fitted columns from ``column``, weighted by their light, in squared columns: the
+        straight line through a parabola passes it at this distance.
     """
 
     row: float
@@ -118,6 +119,18 @@ class Line:
     def row_at(self, column: float) -> float:
         """Return the row of the line at a column."""
         return self.row + self.slope * (column - self.column)
+
+    def bowed_rows(self, column: float, bend: float) -> float:
+        """Return the rows by which a line with a bend lies below the straight one at a column.
+
+        Parameters
+        ----------
+        column : float
+            Column of the view.
+        bend : float
+            Rows per squared column.
+        """
+        return bend * ((column - self.column) ** 2 - self.mean_square_px)
 
     def influence_at(self, column: float) -> Floats:
         """Return the contribution of each run of columns to the error of the row at a column, shape (runs,)."""
@@ -242,7 +255,7 @@ def _fit(image: Image, streak: Streak) -> Line:
     x = np.broadcast_to((edges[:-1] + edges[1:] - 1) / 2 - middle, data.shape)[seen]
     run = np.broadcast_to(np.arange(RUNS), data.shape)[seen]
     parameters, influence, left, jacobian, taper = _gauss_newton(data[seen], u, x, run, width)
-    bend, mean_square_px = _bend(left, jacobian[:, _ROW], taper, x, run)
+    bow = fit_bow(left, parameters[0] * jacobian[:, 0], jacobian[:, _ROW], taper, x, run, RUNS)
     amplitude, level, log_width, shift, turn, ramp = (float(value) for value in parameters)
     away = middle - streak.column
     fitted = float(np.sqrt(max(np.exp(2 * log_width) - width**2 - spread, 0.1)))
@@ -251,7 +264,7 @@ def _fit(image: Image, streak: Streak) -> Line:
     across = influence[:, _ROW] + ((image.shape[1] - 1) / 2 - middle) * influence[:, _SLOPE]
     _must_be_a_line(amplitude, np.linalg.norm([influence[:, 0], across], axis=1), shift, reach, misfit)
     return Line(
-        row=streak.row + streak.slope * away + streak.bend * (away**2 + mean_square_px) + shift,
+        row=streak.row + streak.slope * away + streak.bend * (away**2 + bow.mean_square_px) + shift,
         column=middle,
         slope=streak.slope + 2 * streak.bend * away + turn,
         width_rows=fitted,
@@ -262,8 +275,8 @@ def _fit(image: Image, streak: Streak) -> Line:
         profile=profiles.mean(axis=1),
         profile_rows=np.arange(len(profiles), dtype=np.float64) - (len(profiles) - 1) / 2 - shift,
         influence=influence[:, [_ROW, _SLOPE]],
-        bend=streak.bend + bend,
-        mean_square_px=mean_square_px,
+        bend=streak.bend + bow.bend,
+        mean_square_px=bow.mean_square_px,
     )
 
 
@@ -328,28 +341,6 @@ def _gauss_newton(
     left = data - model
     influence = estimator_influence(weighted * left[:, None], weighted.T @ jacobian, run, RUNS)
     return parameters, influence, left, jacobian, taper
-
-
-def _bend(left: Floats, slopes: Floats, taper: Floats, x: Floats, run: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the bend of the line over its columns, rows per squared column, and their mean square distance.
-
-    Parameters
-    ----------
-    left, slopes, taper : numpy.ndarray
-        Data less the straight line's model, its derivative by the row, and the weights, (samples,).
-    x : numpy.ndarray
-        Column of each sample, from the line's middle, (samples,).
-    run : numpy.ndarray
-        Run of columns of each, (samples,).
-    """
-    by_row = slopes * taper
-    pull = np.bincount(run, by_row * left, RUNS)
-    weights = np.bincount(run, by_row * slopes, RUNS)
-    at = np.bincount(run, x, RUNS) / np.maximum(np.bincount(run, minlength=RUNS), 1)
-    basis = np.stack([np.ones(RUNS), at, at**2], axis=1)
-    moments = basis.T @ (weights[:, None] * basis)
-    bend = float(np.linalg.lstsq(moments, basis.T @ pull, rcond=None)[0][2])
-    return bend, float(moments[0, 2] / max(moments[0, 0], 1e-12))
 
 
 def _model(parameters: Floats, u: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:

@@ -39,6 +39,8 @@ AIM: Final = 0.5
 """Share of the limit at which the corrections end; chosen: what is measured is itself uncertain by some hundredths."""
 SHIFT_STEP_ROWS: Final = 1.5
 """From one shift to the next; chosen: several shifts across the line."""
+MIN_SHIFTS: Final = 5
+"""Within the galvo's limits, for the errors of a view; chosen: a parabola has three parameters."""
 MIN_SEEN: Final = 0.4
 """Share of the lit rows whose error must be known for a fit; chosen: the transient and some of the ramp."""
 
@@ -187,7 +189,7 @@ class RampLearner:
         """Measure row errors with shifts about those at which the confocal, and the residual view is brightest."""
         reach, offset = round(reach_rows / SHIFT_STEP_ROWS), round(self.profile.offset_rows / SHIFT_STEP_ROWS)
         steps = np.arange(-reach, reach + 1)
-        numbers = np.union1d(steps, steps - offset)
+        numbers = self._allowed(trial, np.union1d(steps, steps - offset))
         profiles = {}
         for number in progress(range(len(numbers))):
             frames = self._scans.frames(shifted(trial, SHIFT_STEP_ROWS * numbers[number]), 1)
@@ -195,11 +197,30 @@ class RampLearner:
             self.frames += len(frames)
         found = []
         for view, centre in enumerate((0, -offset)):
-            near = centre + steps
+            near = np.intersect1d(centre + steps, numbers)
+            if len(near) < MIN_SHIFTS:
+                found.append(np.full(self.profile.lit.shape[1], np.nan))
+                continue
             stack = np.array([profiles[number][view] for number in near])
             shifts = np.asarray(SHIFT_STEP_ROWS * near, np.float64)
             found.append(find_row_errors(shifts, stack, self.profile.lit[view]) + self.profile.bowed_rows)
         return join_views(found[0], found[1] - self.profile.offset_rows, np.asarray(self.profile.lit.any(axis=0)))
+
+    def _allowed(self, trial: Calibration, numbers: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the numbers of those shifts of a trial that the galvo's limits allow: both ends may be beyond them."""
+        first, stop = 0, len(numbers)
+        while first < stop and not self._fits(trial, numbers[first]):
+            first += 1
+        while first < stop and not self._fits(trial, numbers[stop - 1]):
+            stop -= 1
+        return numbers[first:stop]
+
+    def _fits(self, trial: Calibration, number: int) -> bool:
+        try:
+            self._scans.drive(shifted(trial, SHIFT_STEP_ROWS * number))
+        except InputError:
+            return False
+        return True
 
 
 def _filled(errors: Floats) -> Floats:

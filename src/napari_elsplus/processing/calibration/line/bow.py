@@ -1,0 +1,47 @@
+"""Bow of the laser line: the parabola that its columns' departures from a straight line fit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+
+class Bow(NamedTuple):
+    """Bend of a line, rows per squared column; height in its middle of the straight line through squared columns."""
+
+    bend: float
+    mean_square_px: float
+
+
+def fit_bow(
+    left: Floats, model: Floats, slopes: Floats, taper: Floats, x: Floats, run: NDArray[np.intp], runs: int
+) -> Bow:
+    """Fit a parabola to what a straight line leaves over.
+
+    The model has one amplitude, but each run of columns pulls the straight line by the light of its own: its weight.
+
+    Parameters
+    ----------
+    left, model, slopes, taper : numpy.ndarray
+        Data less the straight line's model, that model without its background, its derivative by the row, and the
+        weights, (samples,).
+    x, run : numpy.ndarray
+        Column of each sample, from the line's middle, and its run of columns, (samples,).
+    runs : int
+        Number of runs.
+    """
+    contrast = taper * (model - (taper * model).sum() / max(float(taper.sum()), 1e-12))
+    excess = np.bincount(run, contrast * left, runs) / np.maximum(np.bincount(run, contrast * model, runs), 1e-12)
+    pull = np.bincount(run, slopes * taper * left, runs)
+    weights = np.bincount(run, slopes * taper * slopes, runs) * np.maximum(1 + excess, 0)
+    at = np.bincount(run, x, runs) / np.maximum(np.bincount(run, minlength=runs), 1)
+    basis = np.stack([np.ones(runs), at, at**2], axis=1)
+    moments = basis.T @ (weights[:, None] * basis)
+    bend = float(np.linalg.lstsq(moments, basis.T @ pull, rcond=None)[0][2])
+    return Bow(bend, float(np.linalg.lstsq(moments[:2, :2], moments[:2, 2], rcond=None)[0][0]))
