@@ -15,8 +15,8 @@ from benchmarks.harness.peers import peer
 from benchmarks.harness.running import thread_clock
 from benchmarks.rigs.simulated import SimulatedRig, simulated_rig
 from benchmarks.studies.stages import PapersCanvas, our_stages, papers_stages
-from napari_elsplus.processing.images.sectioning import Sectioner
-from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TemplateTracker
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner
+from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TemplateTracking
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight, Trajectory
 from napari_elsplus.workflows.tracking import Pipeline
@@ -111,15 +111,14 @@ def _papers(*, eight_bits: bool) -> Callable[[Case], Callable[[Live], TimedElsew
     def prepare(case: Case) -> Callable[[Live], TimedElsewhere]:
         rig = case.context
         eight, floats = papers_chain(case, down_sampled=True), papers(case)
-        sectioner = Sectioner(rig.calibration, rig.instrument.frame_shape)
         clock = thread_clock()
         stages: dict[str, float] = {}
 
         def front_end(raw: NDArray[np.uint8]) -> NDArray[np.uint8] | NDArray[np.float32]:
             return eight(raw) if eight_bits else floats(raw).image
 
-        def tracker() -> TemplateTracker:
-            return TemplateTracker(sectioner.diameter_px, sectioner.side)
+        def tracker() -> TemplateTracking:
+            return TemplateTracking(rig.calibration, rig.instrument.frame_shape, Mode.ELS)
 
         mask = insertion.field_mask(tracker().grid)
 
@@ -128,7 +127,7 @@ def _papers(*, eight_bits: bool) -> Callable[[Case], Callable[[Live], TimedElsew
             start = clock()
             for raw in item.raw:
                 image = front_end(raw)
-                pose = matching.add(image)
+                pose = matching.estimate_pose(image)
                 canvas(image, pose.row, pose.col)
             seconds = clock() - start
             if not stages:

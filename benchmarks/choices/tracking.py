@@ -12,10 +12,10 @@ from benchmarks.harness.methods import Benchmark, Case, Judgement, Method, Role,
 from benchmarks.harness.peers import peer
 from benchmarks.rigs.simulated import SimulatedRig, simulated_rig, tissue, without_timing
 from napari_elsplus.io import TrackPoint
-from napari_elsplus.processing.images.sectioning import Sectioner
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.processing.tracking.registry import Method as Tracking
 from napari_elsplus.processing.tracking.registry import tracking_methods
-from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TemplateTracker
+from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TemplateTracking
 from napari_elsplus.simulation.accuracy import track_errors
 from napari_elsplus.simulation.specimen.trajectories import trajectory
 from napari_elsplus.workflows.tracking import Pipeline
@@ -89,13 +89,12 @@ def _pipeline(method: str, *, shutter: bool = True, loops: bool = False) -> Call
 def _papers_chain(case: Case) -> Callable[[Recorded], list[TrackPoint]]:
     rig = case.context
     front_end = papers(case)
-    sectioner = Sectioner(rig.calibration, rig.instrument.frame_shape)
 
     def track(item: Recorded) -> list[TrackPoint]:
-        tracker = TemplateTracker(sectioner.diameter_px, sectioner.side)
+        tracker = TemplateTracking(rig.calibration, rig.instrument.frame_shape, Mode.ELS)
         rows = []
         for k, raw in enumerate(item.raw):
-            pose = tracker.add(front_end(raw).image)
+            pose = tracker.estimate_pose(front_end(raw).image)
             px = pose.row * tracker.scale, pose.col * tracker.scale
             rows.append(_point(rig, k, px, pose.score))
         return rows

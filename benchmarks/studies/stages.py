@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.tracking.front_end.grid import Grid
-    from napari_elsplus.processing.tracking.template_tracking import TemplateTracker
+    from napari_elsplus.processing.tracking.template_tracking import TemplateTracking
 
     Image = NDArray[np.float32] | NDArray[np.uint8]
 
@@ -108,7 +108,7 @@ def our_stages(calibration: Calibration, raw: NDArray[np.uint8]) -> dict[str, fl
 def papers_stages(
     raw: NDArray[np.uint8],
     front_end: Callable[[NDArray[np.uint8]], Image],
-    tracker: Callable[[], TemplateTracker],
+    tracker: Callable[[], TemplateTracking],
     mask: NDArray[np.uint8],
     canvas_px: int,
 ) -> dict[str, float]:
@@ -122,7 +122,7 @@ def papers_stages(
             start = clock()
             image = front_end(frame)
             made = clock()
-            pose = matching.add(image)
+            pose = matching.estimate_pose(image)
             matched = clock()
             lay(image, pose.row, pose.col)
             frames.append({FRONT_END: made - start, LINK: matched - made, INSERTION: clock() - matched})

@@ -1,4 +1,4 @@
-"""Tracking methods: the protocol, sub-pixel registration with a pose graph, and the paper's template matching.
+"""Tracking methods: the protocol, and sub-pixel registration with a pose graph.
 
 :mod:`~napari_elsplus.processing.tracking.registry` lists them by name; a method made of any pairwise registration is
 :class:`~napari_elsplus.processing.tracking.pairwise_tracking.PairwiseTracking`.
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from napari_elsplus.processing.images.sectioning import Mode, Sectioner, line_offset_px
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.node_registration import FrameRegistration
@@ -23,7 +22,6 @@ from napari_elsplus.processing.tracking.registration.shutter_timing import (
     LinePeriodsPerFrame,
     estimate_line_periods_per_frame,
 )
-from napari_elsplus.processing.tracking.template_tracking import TemplateTracker
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -32,6 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.images.sectioning import Mode
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame
@@ -207,22 +206,3 @@ class RegistrationTracking(FrontEndImages):
         if model is MotionModel.TRANSLATION:
             model = review_rotation(links, registrar, frame)
         return refine(poses, links, PoseGraph(registrar.grid, FrameRegistration(registrar), frame), model)
-
-
-class TemplateTracking(TrackingMethod):
-    """Whole-pixel template matching (Thrapp and Hughes 2021); parameters as of :class:`FrontEndImages`."""
-
-    def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
-        self._sectioner, self._mode = Sectioner(calibration, frame_shape), mode
-        seen = None if mode is Mode.LS else self._sectioner.seen | ~self._sectioner.inside
-        away = line_offset_px(calibration)
-        self._tracker = TemplateTracker(self._sectioner.diameter_px, self._sectioner.side, seen, away)
-        self.grid, self.scale = self._tracker.grid, self._tracker.scale
-
-    def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        """See :meth:`TrackingMethod.prepare_image`."""
-        out[:] = self._tracker.prepare(self._sectioner.section(raw, raw_residual, self._mode))
-
-    def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
-        """See :meth:`TrackingMethod.estimate_pose`."""
-        return self._tracker.add(image)

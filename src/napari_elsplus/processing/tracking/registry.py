@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Final, Protocol
 from warnings import warn
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.tracking.methods import RegistrationTracking, TemplateTracking, TrackingMethod
+from napari_elsplus.processing.tracking.methods import RegistrationTracking, TrackingMethod
 from napari_elsplus.processing.tracking.pairwise_tracking import PairwiseRegistration, PairwiseTracking
-from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TEMPLATE_PX
+from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TEMPLATE_PX, TemplateTracking
 from napari_elsplus.processing.tracking.tracker import MAX_DISPLACEMENT_DIAMETERS
 
 if TYPE_CHECKING:

@@ -9,17 +9,21 @@ mosaic as a dead leaf. Thrapp and Hughes, Methods, "Image Processing".
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
 
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner, line_offset_px
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels, rectangle_within
+from napari_elsplus.processing.tracking.methods import TrackingMethod
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
 
 SIDE_PX: Final = 250
 TEMPLATE_PX: Final = 128
@@ -40,50 +44,43 @@ def takes_median(diameter_px: float) -> bool:
     return diameter_px / CORES_ACROSS >= FINE_SAMPLING_PX
 
 
-class TemplateTracker:
-    """Integer shifts from frame to frame.
+class TemplateTracking(TrackingMethod):
+    """Integer shifts from frame to frame, on a grid of 250 x 250 pixels.
 
     Parameters
     ----------
-    diameter_px : float
-        Diameter of the bundle in the images that are given.
-    side : int
-        Rows and columns of these images; the bundle is in their middle.
-    seen : numpy.ndarray, optional
-        (side, side) bool: pixels that the frame contains in both views; all by default.
-    line_offset : float
-        Slit offset in rows of these images, where the frame cuts the views; see :class:`Grid`.
-
-    Attributes
-    ----------
-    grid : Grid
-        The grid of 250 x 250 pixels. One of its pixels is `scale` pixels of the images given.
+    calibration : Calibration
+        Needs the bundle section.
+    frame_shape : tuple of int
+        Rows and columns of the raw frames.
+    mode : Mode
+        Image type to track.
     """
 
-    def __init__(
-        self, diameter_px: float, side: int, seen: NDArray[np.bool_] | None = None, line_offset: float = 0.0
-    ) -> None:
-        self.scale = side / SIDE_PX
-        middle = (SIDE_PX - 1) / 2
-        self.grid = Grid(SIDE_PX, 1, (0, 0), (middle, middle), diameter_px / self.scale, RollingShutter(np.inf))
-        if seen is not None and not seen.all():
+    def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> None:
+        self._sectioner = sectioner = Sectioner(calibration, frame_shape)
+        self._mode = mode
+        self.scale = sectioner.side / SIDE_PX
+        middle, diameter = (SIDE_PX - 1) / 2, sectioner.diameter_px / self.scale
+        self.grid = Grid(SIDE_PX, 1, (0, 0), (middle, middle), diameter, RollingShutter(np.inf))
+        seen = sectioner.seen | ~sectioner.inside
+        if mode is not Mode.LS and not seen.all():
             there = cv2.resize(seen.astype(np.float32), (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA) >= 1
             rectangle = rectangle_within(there | ~lit_pixels(*self.grid.spans(1.0)))
-            self.grid = replace(self.grid, seen=rectangle, line_offset=line_offset / self.scale)
+            self.grid = replace(self.grid, seen=rectangle, line_offset=line_offset_px(calibration) / self.scale)
         self._inside = lit_pixels(*self.grid.spans(FIELD)).astype(np.float32)
-        self._median = takes_median(diameter_px)
+        self._median = takes_median(sectioner.diameter_px)
         self._template: NDArray[np.float32] | NDArray[np.uint8] | None = None
         self._row, self._col = 0, 0
 
-    def prepare(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the smoothed, down-sampled and cropped image, (250, 250) float32; NaN becomes zero."""
-        image = np.nan_to_num(image)
+    def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
+        """Write the smoothed, down-sampled and cropped image into `out`; NaN becomes zero."""
+        image = np.nan_to_num(self._sectioner.section(raw, raw_residual, self._mode))
         smooth = cv2.medianBlur(image, 3) if self._median else image
-        small: NDArray[np.float32] = cv2.resize(smooth, (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA)
-        small *= self._inside
-        return small
+        cv2.resize(smooth, (SIDE_PX, SIDE_PX), dst=out, interpolation=cv2.INTER_AREA)
+        out *= self._inside
 
-    def add(self, image: NDArray[np.float32] | NDArray[np.uint8]) -> Pose:
+    def estimate_pose(self, image: NDArray[np.float32] | NDArray[np.uint8]) -> Pose:
         """Track a prepared image; positions are whole pixels of the grid."""
         corner = (SIDE_PX - TEMPLATE_PX) // 2
         score = np.nan
