@@ -74,7 +74,7 @@ class TemplateTracking(TrackingMethod):
         self._row, self._col = 0, 0
 
     def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        """Write the smoothed, down-sampled and cropped image into `out`; NaN becomes zero."""
+        """See :meth:`~.methods.TrackingMethod.prepare_image`; smoothed, down-sampled and cropped, NaN becomes zero."""
         image = np.nan_to_num(self._sectioner.section(raw, raw_residual, self._mode))
         smooth = cv2.medianBlur(image, 3) if self._median else image
         cv2.resize(smooth, (SIDE_PX, SIDE_PX), dst=out, interpolation=cv2.INTER_AREA)
