@@ -156,18 +156,18 @@ def accumulate(
         sum_ti += float(ti)
         sum_ii += float(ii)
         gradients, both, with_tone, with_residual = ((yy, yx), (yx, xx)), (y1, x1), (yt, xt), (ye, xe)
-        for i in range(2):
-            for k in range(2):
-                normal[2 * i, 2 * k] += y * y * gradients[i][k]
-                normal[2 * i, 2 * k + 1] += y * gradients[i][k]
-                normal[2 * i + 1, 2 * k] += y * gradients[i][k]
-                normal[2 * i + 1, 2 * k + 1] += gradients[i][k]
-            normal[2 * i, 4] += y * with_tone[i]
-            normal[2 * i, 5] += y * both[i]
-            normal[2 * i + 1, 4] += with_tone[i]
-            normal[2 * i + 1, 5] += both[i]
-            right[2 * i] += y * with_residual[i]
-            right[2 * i + 1] += with_residual[i]
+        for m in range(2):
+            for n in range(2):
+                normal[2 * m, 2 * n] += y * y * gradients[m][n]
+                normal[2 * m, 2 * n + 1] += y * gradients[m][n]
+                normal[2 * m + 1, 2 * n] += y * gradients[m][n]
+                normal[2 * m + 1, 2 * n + 1] += gradients[m][n]
+            normal[2 * m, 4] += y * with_tone[m]
+            normal[2 * m, 5] += y * both[m]
+            normal[2 * m + 1, 4] += with_tone[m]
+            normal[2 * m + 1, 5] += both[m]
+            right[2 * m] += y * with_residual[m]
+            right[2 * m + 1] += with_residual[m]
     normal[4, 4] = sum_tt
     normal[4, 5] = sum_t
     normal[5, 5] = count
