@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -185,26 +186,26 @@ class Pipeline:
         """
         self._note(pose, frame, time_s)
         if insert:
-            self.insert(image, pose)
+            self.insert(lambda: image, pose)
 
     def insert_raw(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
         """Insert a raw frame at a pose that the pipeline of another mode has estimated; others as of :meth:`add`."""
-        self.insert(self.image(raw, raw_residual), pose)
+        self.insert(lambda: self.image(raw, raw_residual), pose)
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> NDArray[np.float32]:
         """Return the tracking image (side, side) of a raw frame, valid until the next call; as of :meth:`add`."""
         return self._tracking.image(raw, raw if raw_residual is None else raw_residual)
 
-    def insert(self, image: NDArray[np.float32], pose: Pose, *, always: bool = False) -> Mosaic | None:
-        """Insert an image (side, side) at its pose, if due or `always`; return its mosaic, or None if not tracked."""
+    def insert(self, image: Callable[[], NDArray[np.float32]], pose: Pose, *, always: bool = False) -> Mosaic | None:
+        """Insert an image (side, side), made if due or `always`; return its mosaic, or None if not tracked."""
         if pose.state is not TrackingState.TRACKED:
             return None
         mosaic = self.mosaics.get(pose.segment)
         if not isinstance(mosaic, Mosaic):
             store = self._new_store and self._new_store(pose.segment)
             mosaic = self.mosaics[pose.segment] = self.blank_mosaic(store)
-        if mosaic.due(pose) or always:
-            mosaic.insert(image, pose.row, pose.col, pose.velocity, pose.angle)
+        if always or mosaic.due(pose):
+            mosaic.insert(image(), pose.row, pose.col, pose.velocity, pose.angle)
         return mosaic
 
     def blank_mosaic(self, store: TileStore | None = None) -> Mosaic:
@@ -282,8 +283,7 @@ class Pipeline:
             Wraps the indices of the frames that are inserted; a progress bar, for instance.
         """
         self.refine(raw_pair)
-        self.mosaics = {}
-        light = self._uneven_light(raw_pair)
+        self.mosaics, light = {}, self._uneven_light(raw_pair)
 
         def image(index: int) -> NDArray[np.float32]:
             made = self.image(*raw_pair(index))
@@ -292,11 +292,11 @@ class Pipeline:
         tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
         last = {self.poses[k].segment: k for k in tracked}.values()
         for index in progress(tracked):
-            self.insert(image(index), self.poses[index], always=index in last)
+            self.insert(partial(image, index), self.poses[index], always=index in last)
         if self._tapers_rim and (found := estimate_deformation(image, self.poses, self.mosaics, self._weights)):
             self.mosaics = {}
             for index in tracked:
-                self.insert(found.undone(index, image(index)), self.poses[index])
+                self.insert(partial(found.undone, index, image(index)), self.poses[index])
 
     def complete(self) -> None:
         """Complete the mosaics after the last frame; nothing is left to do where frames are inserted as images."""

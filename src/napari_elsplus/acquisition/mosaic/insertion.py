@@ -108,7 +108,7 @@ class LiveInsertion:
             self._insert(found, self.pipeline.image(raw) if image is None else image, keep=keep)
 
     def _insert(self, found: TrackedFrame, image: NDArray[np.float32], *, keep: bool = False) -> None:
-        mosaic = self.pipeline.insert(image, found.place)
+        mosaic = self.pipeline.insert(lambda: image, found.place)
         assert mosaic is not None, "a frame that was not tracked has no pose"
         self._newest = found, image
         self._publish(found.place.segment, mosaic)

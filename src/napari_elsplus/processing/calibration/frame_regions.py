@@ -45,9 +45,10 @@ def mean_frame(frames: Frames) -> Image:
         frame = np.asarray(frames[number])
         # OpenCV adds integers to float64 without a converted copy of the frame, many times as fast as numpy.
         cv2.accumulate(frame if frame.dtype in (np.uint8, np.uint16) else frame.astype(np.float64), total)
-    if not np.isfinite(total).all():
+    if not np.isfinite(total.sum()):
         raise InputError("a frame holds NaN or infinity", "record it again")
-    return (total / len(frames)).astype(np.float32)
+    total /= len(frames)
+    return total.astype(np.float32)
 
 
 def brightest(frames: Frames, background: Image | None) -> Image:
@@ -128,7 +129,7 @@ def saturated_share(frame: NDArray[Any], name: str, limit: float = MAX_SATURATED
         If it exceeds the limit.
     """
     white = largest_level(frame)
-    share = float(np.mean(frame == white))
+    share = np.count_nonzero(frame == white) / frame.size
     if share > limit:
         raise MeasurementError(
             f"{100 * share:.0f} % of the {name} is saturated (grey level {white:g})", "lower the light or the gain"

@@ -13,6 +13,7 @@ Szeliski and Coughlan, Int. J. Comput. Vis. 22, 199 (1997), doi:10.1023/A:100799
 
 from __future__ import annotations
 
+from functools import cached_property
 from math import ceil, log
 from typing import TYPE_CHECKING, Final
 
@@ -41,14 +42,17 @@ DEGREE: Final = 3
 """Of the polynomials; chosen: a wave as long as the field is followed."""
 COEFFICIENT_SIGMA_PX: Final = 1.0
 """Prior standard deviation of each coefficient, pixels of the grid; chosen: a strain of 3 % makes 1 to 3."""
-MAX_TESTED: Final = 8
-"""Frames that decide whether fields are modelled, spread over the track; chosen."""
+MAX_TESTED: Final = 5
+"""Frames that decide whether fields are modelled, spread over the track; chosen. Three decide where they agree: rigid
+scenes lose 60 nats by a field."""
 ROUNDS: Final = 2
 """Of fitting fields and averaging the frames freed of them; chosen: a third changes a mosaic's correlation by 0.001."""
 _SAMPLES_ACROSS: Final = 120
 """Pixels of the field that are compared, along a diameter; chosen: half of those of the grid."""
 _HIGH_PASS_DIAMETERS: Final = 1 / 30
 """Standard deviation of the Gaussian that is subtracted, as that of the registration: haze does not move."""
+_REDUCED_SIGMA_PX: Final = 2.0
+"""The same on the reduced image on which it is computed; chosen: far from its pixels' size."""
 _MARGIN: Final = 0.96
 """Part of the field that is compared, within which slopes exist."""
 
@@ -66,13 +70,10 @@ class Deformation:
         self._grid = grid
         self._step = max(1, round(FIELD * grid.diameter / _SAMPLES_ACROSS))
         self._high_pass_px = _HIGH_PASS_DIAMETERS * grid.diameter
-        y, x = np.meshgrid(*(np.arange(grid.side) - middle for middle in grid.centre), indexing="ij")
-        self._points = np.stack([y, x])
-        radius = 0.5 * FIELD * grid.diameter
-        inside = np.hypot(y, x)[:: self._step, :: self._step] < _MARGIN * radius
-        self._samples = self._points[:, :: self._step, :: self._step][:, inside]
-        self._basis = legendre_terms(np.clip(self._points / radius, -1.1, 1.1))
-        self._sampled_basis = self._basis[:, :: self._step, :: self._step][:, inside]
+        self._radius = 0.5 * FIELD * grid.diameter
+        points = self._points(self._step)
+        self._samples = points[:, np.hypot(*points) < _MARGIN * self._radius]
+        self._basis = self._terms(self._samples)
         values = float(self._step**2 * self._samples.shape[1] / CORRELATED_PX)
         self._values, self._penalty = values, len(self._basis) * log(values)
         self._fields: dict[int, Floats] = {}
@@ -99,16 +100,14 @@ class Deformation:
         at = matrix @ self._samples + np.array([[pose.row - extent.top], [pose.col - extent.left]])
         expected = _sampled(shown, at)
         slopes: Floats = np.array([_sampled(np.asarray(slope, np.float32), at) for slope in np.gradient(shown)])
-        moved = (
-            self._samples + np.einsum("ij,jk->ik", field, self._sampled_basis) + np.reshape(self._grid.centre, (2, 1))
-        )
+        moved = self._samples + np.einsum("ij,jk->ik", field, self._basis) + np.reshape(self._grid.centre, (2, 1))
         seen = _sampled(self._high_passed(image, (image != 0).astype(np.float32)), moved)
         energy = float(expected @ expected)
         if not energy > 0:
             return 0.0
         gain = float(seen @ expected) / energy
         miss = seen - gain * expected
-        design = (gain * (matrix.T @ slopes)[:, None] * self._sampled_basis).reshape(field.size, -1)
+        design = (gain * (matrix.T @ slopes)[:, None] * self._basis).reshape(field.size, -1)
         noise = float(miss @ miss) / self._values
         # einsum: for so little the threads of a BLAS wait for each other, a hundred times as long on a busy computer
         normal = np.einsum("ik,jk->ij", design, design) / noise + np.eye(field.size) / COEFFICIENT_SIGMA_PX**2
@@ -130,16 +129,28 @@ class Deformation:
         """
         if index not in self._fields:
             return image
-        moved = (
-            self._points + np.tensordot(self._fields[index], self._basis, 1) + np.reshape(self._grid.centre, (2, 1, 1))
-        )
+        points, terms = self._whole_grid
+        moved = points + np.tensordot(self._fields[index], terms, 1) + np.reshape(self._grid.centre, (2, 1, 1))
         rows, cols = moved.astype(np.float32)
         return np.asarray(cv2.remap(image, cols, rows, cv2.INTER_CUBIC), np.float32)
 
+    @cached_property
+    def _whole_grid(self) -> tuple[Floats, Floats]:
+        """Return all points of the grid, (2, side, side), and the polynomials there, (terms, side, side)."""
+        points = self._points(1)
+        return points, self._terms(points)
+
+    def _points(self, step: int) -> Floats:
+        """Return rows and columns of every few pixels of the grid, from the field's centre, (2, n, n)."""
+        down, across = (np.arange(0, self._grid.side, step) - middle for middle in self._grid.centre)
+        return np.stack(np.meshgrid(down, across, indexing="ij"))
+
+    def _terms(self, points: Floats) -> Floats:
+        return legendre_terms(np.clip(points / self._radius, -1.1, 1.1))
+
     def _high_passed(self, image: NDArray[np.float32], lit: NDArray[np.float32]) -> NDArray[np.float32]:
-        smooth, share = (cv2.GaussianBlur(values, (0, 0), self._high_pass_px) for values in (image * lit, lit))
-        high_passed: NDArray[np.float32] = (image - smooth / np.maximum(share, 1e-3)) * lit
-        return high_passed
+        smooth, share = (_blurred(values, self._high_pass_px) for values in (image * lit, lit))
+        return np.asarray((image - smooth / np.maximum(share, 1e-3)) * lit, np.float32)
 
 
 def estimate_deformation(
@@ -168,9 +179,12 @@ def estimate_deformation(
     grid = drawn[poses[tracked[0]].segment].grid
     deformation = Deformation(grid)
     tested = tracked[:: ceil(len(tracked) / MAX_TESTED)]
-    # of the frames of a jerk some are distorted by uneven motion: half of all must need a field
-    if np.median([deformation.fit(k, image(k), poses[k], drawn[poses[k].segment]) for k in tested]) <= 0:
-        return None
+    # of the frames of a jerk some are distorted by uneven motion: more than half of all must need a field
+    rigid = 0
+    for k in tested:
+        rigid += deformation.fit(k, image(k), poses[k], drawn[poses[k].segment]) <= 0
+        if 2 * rigid >= len(tested):
+            return None
     deformation = Deformation(grid)
     for _ in range(ROUNDS):
         means = {segment: Mosaic(grid, Insertion.FEATHERED, weights=weights) for segment in drawn}
@@ -192,6 +206,15 @@ def legendre_terms(points: Floats) -> Floats:
     """
     down, across = (np.moveaxis(legendre.legvander(axis, DEGREE), -1, 0) for axis in points)
     return np.array([down[i] * across[j] for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
+
+
+def _blurred(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    """Return an image blurred by a Gaussian, which is computed on a reduced one."""
+    factor = max(1.0, sigma_px / _REDUCED_SIGMA_PX)
+    size = tuple(ceil(length / factor) for length in image.shape[::-1])
+    reduced = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    smooth = cv2.GaussianBlur(reduced, (0, 0), sigma_px * size[0] / image.shape[1])
+    return np.asarray(cv2.resize(smooth, image.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _sampled(image: NDArray[np.float32], at: Floats) -> Floats:

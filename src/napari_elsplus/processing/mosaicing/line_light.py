@@ -32,10 +32,9 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 
-MAX_FRAMES: Final = 40
-"""Frames that are compared, spread evenly over the track; chosen: their ratios determine the light to 1 %."""
-MAX_PAIRS: Final = 96
-"""Pairs of frames that are compared; chosen."""
+FRAMES_AND_PAIRS: Final = ((12, 24), (40, 96))
+"""Frames that are compared at most, spread evenly over the track, and pairs of them: at first, and where the light may
+be uneven; chosen: their ratios determine the light to 1 %, and to a few tenths."""
 DISTANCES: Final = (0.06, 0.6)
 """Of the frames of a pair, diameters: along the line at least, and in all at most; chosen."""
 MAX_TURN_RAD: Final = 0.05
@@ -103,7 +102,18 @@ def estimate_line_light(
     LineLight or None
         None where no frames overlap at different columns.
     """
-    pairs = _pairs(poses, grid)
+    light = None
+    for frames, pairs in FRAMES_AND_PAIRS:
+        light = _compare(_pairs(poses, grid, frames, pairs), image, poses, grid)
+        if light is not None and np.hypot(light.departure, light.uncertainty) < MIN_DEPARTURE:
+            break
+    return light
+
+
+def _compare(
+    pairs: list[tuple[int, int]], image: Callable[[int], NDArray[np.float32]], poses: Sequence[Pose], grid: Grid
+) -> LineLight | None:
+    """Estimate the light from the overlaps of pairs of frames; None without any."""
     if not pairs:
         return None
     frames, members = np.unique(pairs, return_inverse=True)
@@ -132,18 +142,18 @@ def estimate_line_light(
     return _fit(design, np.log(one / two), pixels, pair, cosines(np.arange(float(grid.side))), field)
 
 
-def _pairs(poses: Sequence[Pose], grid: Grid) -> list[tuple[int, int]]:
+def _pairs(poses: Sequence[Pose], grid: Grid, max_frames: int, max_pairs: int) -> list[tuple[int, int]]:
     """Return indices of tracked frames that overlap at different columns, the earlier one first."""
     tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
     pairs = []
-    for a, b in combinations(_spread(tracked, MAX_FRAMES), 2):
+    for a, b in combinations(_spread(tracked, max_frames), 2):
         one, two = poses[a], poses[b]
         along = abs(two.col - one.col) / grid.diameter
         away = np.hypot(two.row - one.row, two.col - one.col) / grid.diameter
         upright = abs(two.angle - one.angle) < MAX_TURN_RAD
         if one.segment == two.segment and upright and along > DISTANCES[0] and away < DISTANCES[1]:
             pairs.append((a, b))
-    return _spread(pairs, MAX_PAIRS)
+    return _spread(pairs, max_pairs)
 
 
 def _spread(items: list[Item], count: int) -> list[Item]:

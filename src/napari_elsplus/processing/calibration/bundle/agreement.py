@@ -15,6 +15,7 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError, MeasurementError
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE, Disc, locate_pair
 from napari_elsplus.processing.calibration.bundle.rim import edge_share
+from napari_elsplus.processing.calibration.frame_regions import mean_frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 AVERAGED_FRAMES: Final = 8
 """Frames of a recording that are averaged; chosen: a moving specimen is blurred, and few are read."""
-LOCATED_ROWS: Final = 320
+MAX_LOCATED_ROWS: Final = 320
 """Rows of the reduced frame in which the bundle is located; chosen: a hundredth of the diameter is then three rows."""
 TOLERATED: Final = 0.03
 """Displacement of a view, or change of its radius, over the diameter, up to which a calibration is not doubted; chosen:
@@ -60,13 +61,13 @@ def require_agreement(frames: Frames, calibration: Calibration) -> None:
     bundle = calibration.bundle
     if bundle is None or not len(frames):
         return
-    mean, scale = _reduced_mean(frames)
+    mean, factor = _reduced_mean(frames)
     stretch = float(np.sqrt(abs(np.linalg.det(np.array(bundle.residual_to_confocal)[:, :2]))))
     calibrated = (
         ("confocal", bundle.confocal_centre, bundle.diameter_px),
         ("residual", bundle.residual_centre, bundle.diameter_px / stretch),
     )
-    places = [((np.array(centre) + 0.5) / scale - 0.5, size_px / scale) for _, centre, size_px in calibrated]
+    places = [((np.array(centre) + 0.5) / factor - 0.5, size_px / factor) for _, centre, size_px in calibrated]
     if all(_edge_share(mean, *place, 0.0) >= MIN_EDGE_SHARE for place in places):
         return
     try:
@@ -77,9 +78,9 @@ def require_agreement(frames: Frames, calibration: Calibration) -> None:
     sides = 0.0, located[0].centre[0] - located[1].centre[0]
     for disc, (view, centre, diameter_px), place, side in zip(located, calibrated, places, sides, strict=True):
         if _differs(disc, *place, mean, side):
-            row, col = ((at + 0.5) * scale - 0.5 for at in disc.centre)
+            row, col = ((at + 0.5) * factor - 0.5 for at in disc.centre)
             raise CalibrationError(
-                f"the frames show a {view} view of {disc.diameter_px * scale:.0f} px about row {row:.0f}, column "
+                f"the frames show a {view} view of {disc.diameter_px * factor:.0f} px about row {row:.0f}, column "
                 f"{col:.0f}, the calibration has it of {diameter_px:.0f} px about row {centre[0]:.0f}, column "
                 f"{centre[1]:.0f}",
                 "use the calibration that was made with this rig, tilt mirror and camera region",
@@ -101,14 +102,11 @@ def _edge_share(mean: Image, centre: Sequence[float] | NDArray[np.float64], diam
     return edge_share(mean, np.array([*centre, diameter_px / 2]), side)
 
 
-def _reduced_mean(frames: Frames) -> tuple[Image, float]:
-    """Return the mean of a few frames, reduced to about `LOCATED_ROWS`, and the factor."""
+def _reduced_mean(frames: Frames) -> tuple[Image, int]:
+    """Return the mean of a few frames, reduced to at most `MAX_LOCATED_ROWS`, and the factor."""
     numbers = np.unique(np.linspace(0, len(frames) - 1, AVERAGED_FRAMES).round().astype(int))
     rows, cols = frames[0].shape
-    scale = max(1.0, rows / LOCATED_ROWS)
-    size = round(cols / scale), round(rows / scale)
-    total = np.zeros((rows, cols), np.float32)
-    for number in numbers.tolist():
-        np.add(total, frames[number], out=total, casting="unsafe")
-    mean = cv2.resize(total, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(mean / len(numbers), np.float32), rows / size[1]
+    factor = -(-rows // MAX_LOCATED_ROWS)
+    mean = mean_frame([frames[number][factor // 2 :: factor] for number in numbers.tolist()])
+    whole = mean[:, : cols // factor * factor]
+    return np.asarray(cv2.resize(whole, (cols // factor, len(mean)), interpolation=cv2.INTER_AREA)), factor

@@ -37,6 +37,14 @@ FOOT_LEVEL: Final = 0.2
 """At which the outermost cores end; chosen, above noise and stray light."""
 NEAR_EDGE: Final = 0.03
 """Distance of an edge from a circle, over the radius, at which it counts as the circle's; chosen."""
+MAX_SHARE_RAYS, SHARE_STEP_PX = 360, 1.0
+"""Rays from the centre at most, and the step along them, on which the share of an edge is found; chosen: a ray every
+degree, and a third of the distance that counts as near at a radius of 100 px."""
+SHARE_SAMPLES: Final = 20
+"""Samples along the radius to which the light is fitted before; chosen: a thousand for the six terms of a quadratic."""
+SURROUNDINGS: Final = 1.25
+"""Half the side of the square around a circle in which its edge is found, over the radius; chosen: corners show the
+light beside the disc."""
 EXPECTILE: Final = 0.98
 """Weight of a point outside the circle, against 0.02 inside; chosen: the circle passes the outermost cores."""
 
@@ -98,13 +106,23 @@ def edge_share(frame: Image, circle: Floats, side: float = 0.0) -> float:
     side : float
         Positive: of its half below the centre; negative: above; 0: of all of it.
     """
-    smooth = cv2.GaussianBlur(_evenly_lit(frame, circle), (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
-    points, _, rays = _edge(smooth, circle, 0.1, HALF_LEVEL)
+    frame, circle = _surroundings(frame, circle)
+    even = _evenly_lit(frame, circle, SHARE_SAMPLES)
+    smooth = cv2.GaussianBlur(even, (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
+    points, _, rays = _edge(smooth, circle, 0.1, HALF_LEVEL, MAX_SHARE_RAYS, SHARE_STEP_PX)
     from_centre = points - circle[:2]
     near = np.abs(np.hypot(*from_centre.T) - circle[2]) < NEAR_EDGE * circle[2]
     if side:
         near &= from_centre[:, 0] * side > 0
     return float(np.count_nonzero(near)) / (rays / 2 if side else rays)
+
+
+def _surroundings(frame: Image, circle: Floats) -> tuple[Image, Floats]:
+    """Return the part of a frame around a circle, and the circle in it."""
+    reach = SURROUNDINGS * circle[2]
+    first = np.clip(np.floor(circle[:2] - reach), 0, np.array(frame.shape) - 1).astype(int)
+    stop = np.maximum(np.ceil(circle[:2] + reach).astype(int) + 1, first + 1)
+    return frame[first[0] : stop[0], first[1] : stop[1]], circle - [*first, 0]
 
 
 def circle_through(points: Floats, start: Floats, scale_px: float) -> Floats:
@@ -128,18 +146,19 @@ def circle_through(points: Floats, start: Floats, scale_px: float) -> Floats:
     return circle
 
 
-def _evenly_lit(frame: Image, circle: Floats) -> Image:
+def _evenly_lit(frame: Image, circle: Floats, samples: int = 60) -> Image:
     """Divide the light by a quadratic that is fitted to it inside the disc: half level is then the same all around."""
     row, column, radius = circle
     rows, cols = ((np.arange(size) - at) / radius for size, at in zip(frame.shape, (row, column), strict=True))
-    step = max(1, int(radius / 60))
+    step = max(1, int(radius / samples))
     y, x = (grid.ravel() for grid in np.meshgrid(rows[::step], cols[::step], indexing="ij"))
     inside = np.hypot(y, x) < 0.95
     coarse = frame[::step, ::step].ravel().astype(np.float64)
     beside = np.hypot(y, x) > 1.1
     dark = float(np.median(coarse[beside])) if beside.any() else float(coarse.min())
     light = coarse[inside] - dark
-    terms = np.linalg.lstsq(_quadratic(y[inside], x[inside]).T, light, rcond=None)[0]
+    quadratic = _quadratic(y[inside], x[inside])
+    terms = np.linalg.lstsq(quadratic @ quadratic.T, quadratic @ light, rcond=None)[0]
     y, x = (np.clip(axis, -1.1, 1.1) for axis in (rows[:, None], cols))
     down, across = (terms[0] + terms[1] * y + terms[3] * y * y, terms[2] * x + terms[5] * x * x)
     surface = (down + across + terms[4] * y * x) / max(float(light.mean()), 1e-6)
@@ -150,12 +169,14 @@ def _quadratic(y: Floats, x: Floats) -> Floats:
     return np.stack([np.ones_like(y), y, x, y * y, y * x, x * x])
 
 
-def _edge(smooth: Image, circle: Floats, reach: float, level: float) -> tuple[Floats, NDArray[np.intp], int]:
+def _edge(
+    smooth: Image, circle: Floats, reach: float, level: float, max_rays: int = 1440, step_px: float = 0.25
+) -> tuple[Floats, NDArray[np.intp], int]:
     """Return the points where the light has fallen to a level, on those rays from the centre that cross an edge."""
     row, column, radius = circle
-    rays = int(np.clip(2 * np.pi * radius, 4 * ARCS, 1440))
+    rays = int(np.clip(2 * np.pi * radius, 4 * ARCS, max_rays))
     angles = 2 * np.pi * (np.arange(rays) + 0.5) / rays
-    radii = np.arange((1 - reach) * radius, (1 + reach) * radius, 0.25)
+    radii = np.arange((1 - reach) * radius, (1 + reach) * radius, step_px)
     at_row = (row + radii * np.sin(angles)[:, None]).astype(np.float32)
     at_col = (column + radii * np.cos(angles)[:, None]).astype(np.float32)
     light = cv2.remap(smooth, at_col, at_row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
@@ -176,7 +197,7 @@ def _edge(smooth: Image, circle: Floats, reach: float, level: float) -> tuple[Fl
     seen &= ~outside[ray, beyond]
     drop = light[ray, last] - light[ray, beyond]
     part = (light[ray, last] - edge) / np.where(drop > 0, drop, 1.0)
-    at = radii[last] + 0.25 * np.clip(part, 0, 1)
+    at = radii[last] + step_px * np.clip(part, 0, 1)
     points = np.stack([row + at * np.sin(angles), column + at * np.cos(angles)], axis=1)
     return points[seen], (ray * ARCS // rays)[seen], rays
 

@@ -136,12 +136,13 @@ class FrontEnd:
         """
         total, part = np.zeros_like(self._scale), np.zeros_like(self._scale)
         for sign in (1, -1):
-            steps, unit = np.rint(np.maximum(sign * background, 0) * BACKGROUND_STEPS).astype(np.int64), sign
-            while steps.any():
-                byte = (steps & 255).astype(np.uint8)
-                self._fill(byte, byte, part)
-                total += np.float32(unit / BACKGROUND_STEPS) * part
-                steps, unit = steps >> 8, unit << 8
+            steps = np.multiply(background, sign * BACKGROUND_STEPS, dtype=np.float32)
+            steps = np.rint(np.maximum(steps, 0, out=steps), out=steps).astype("<u4")
+            for place, byte in enumerate(np.moveaxis(steps.view(np.uint8).reshape(*steps.shape, -1), -1, 0)):
+                if byte.any():
+                    level = np.ascontiguousarray(byte)
+                    self._fill(level, level, part)
+                    total += np.float32(sign * 256**place / BACKGROUND_STEPS) * part
         return total
 
     def blank(self, raw: NDArray[Any]) -> bool:
