@@ -197,7 +197,7 @@ class Pipeline:
         return self._tracking.image(raw, raw if raw_residual is None else raw_residual)
 
     def insert(self, image: Callable[[], NDArray[np.float32]], pose: Pose, *, always: bool = False) -> Mosaic | None:
-        """Insert an image (side, side), made if due or `always`; return its mosaic, or None if not tracked."""
+        """Insert an image (side, side) at its pose, made if due or `always`; return its mosaic, or None if lost."""
         if pose.state is not TrackingState.TRACKED:
             return None
         mosaic = self.mosaics.get(pose.segment)

@@ -240,8 +240,8 @@ def measure_offset(
     found = found if pair is None else offset_at(found, pair)
     if alone:
         return found
-    light = np.subtract(frame, 0 if background is None else background, dtype=np.float32)
-    found = replace(found, parts=parts_of(lines[0], light[:, :split]))
+    dark = 0.0 if background is None else background[:, :split]
+    found = replace(found, parts=parts_of(lines[0], np.subtract(frame[:, :split], dark, dtype=np.float32)))
     if len(frames) < MIN_SCATTER_FRAMES:
         return found
     views = (lines[0], slice(0, split)), (lines[1], slice(split, None))

@@ -15,7 +15,6 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError, MeasurementError
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE, Disc, locate_pair
 from napari_elsplus.processing.calibration.bundle.rim import edge_share
-from napari_elsplus.processing.calibration.frame_regions import mean_frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -107,6 +106,8 @@ def _reduced_mean(frames: Frames) -> tuple[Image, int]:
     numbers = np.unique(np.linspace(0, len(frames) - 1, AVERAGED_FRAMES).round().astype(int))
     rows, cols = frames[0].shape
     factor = -(-rows // MAX_LOCATED_ROWS)
-    mean = mean_frame([frames[number][factor // 2 :: factor] for number in numbers.tolist()])
-    whole = mean[:, : cols // factor * factor]
-    return np.asarray(cv2.resize(whole, (cols // factor, len(mean)), interpolation=cv2.INTER_AREA)), factor
+    total = np.zeros((len(range(factor // 2, rows, factor)), cols // factor * factor), np.float32)
+    for number in numbers.tolist():
+        np.add(total, frames[number][factor // 2 :: factor, : total.shape[1]], out=total, casting="unsafe")
+    mean = cv2.resize(total, (cols // factor, len(total)), interpolation=cv2.INTER_AREA) / len(numbers)
+    return np.asarray(mean, np.float32), factor
