@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 
 JUDGED: Final = 0.9
 """Part of the bundle's diameter in which images and maps are judged, as the paper judges alignment."""
+LIT_SIGMAS: Final = 3.0
+"""Distance of the line from the bundle's rim, in standard deviations of its core over the slit, up to which it lights
+cores; derived: 0.1 % of a Gaussian's light lies beyond."""
 _THERE_UM: Final = np.r_[np.arange(0.0, 40, 8), np.arange(40, 200, 10), np.arange(200, 720, 40)]
 DEPTHS_UM: Final = np.asarray(np.random.default_rng(0).permutation(np.r_[_THERE_UM, _THERE_UM]), np.float64)
 """Depths of a scan, um; chosen: a quarter of those of a whole scan, each twice, in a random order. Power that changes
@@ -221,7 +224,7 @@ def bow_error(rig: ImperfectRig, calibration: Calibration) -> Error:
 
 
 class Scanned(NamedTuple):
-    """Line against slit over the exposed rows: rows off by more than a quarter slit, largest error, signal kept."""
+    """Line against slit while it lights cores: rows off by more than a quarter slit, largest error, signal kept."""
 
     off: int
     largest_rows: float
@@ -229,18 +232,22 @@ class Scanned(NamedTuple):
 
 
 def scanned(rig: ImperfectRig, line_rows: Rows) -> Scanned:
-    """Judge line positions on the rows of both views; the signal is that of an in-focus plane in the confocal view."""
+    """Judge line positions on the rows in which the line lights cores, or should.
+
+    Both views see a row by the light that enters the bundle while it is exposed: where the slit of the residual view is
+    on the bundle and the line is not, neither view shows anything. The signal is that of an in-focus plane in the
+    confocal view.
+    """
     instrument = rig.instrument
-    radius, rows = instrument.diameter_px / 2, np.arange(len(line_rows))
-    centres = instrument.confocal_centre[0], instrument.residual_centre[0]
-    exposed = (rows > min(centres) - radius) & (rows < max(centres) + radius)
-    error = np.abs(line_rows - rows)
-    on_left = np.abs(rows - centres[0]) < radius
+    radius, rows, centre = instrument.diameter_px / 2, np.arange(len(line_rows)), instrument.confocal_centre[0]
     sigma_rows = instrument.optics.rows(np.hypot(instrument.line.core_um, instrument.slit_um / np.sqrt(12)))
+    lit = np.minimum(np.abs(rows - centre), np.abs(line_rows - centre)) < radius + LIT_SIGMAS * sigma_rows
+    error = np.abs(line_rows - rows)
+    on_left = np.abs(rows - centre) < radius
     kept = np.exp(-0.5 * (error[on_left] / sigma_rows) ** 2)
-    chord = np.sqrt(radius**2 - (rows[on_left] - centres[0]) ** 2)
-    off = int((error[exposed] > instrument.slit_rows / 4).sum())
-    return Scanned(off, float(error[exposed].max()), float((kept * chord).sum() / chord.sum()))
+    chord = np.sqrt(radius**2 - (rows[on_left] - centre) ** 2)
+    off = int((error[lit] > instrument.slit_rows / 4).sum())
+    return Scanned(off, float(error[lit].max()), float((kept * chord).sum() / chord.sum()))
 
 
 def axial(rig: ImperfectRig, calibration: Calibration, *, seed: int = 0) -> AxialResponse:
