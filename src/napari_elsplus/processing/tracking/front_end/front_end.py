@@ -135,12 +135,14 @@ class FrontEnd:
         So the kernel is compiled for frames of bytes only, which takes seconds.
         """
         total, part = np.zeros_like(self._scale), np.zeros_like(self._scale)
-        for sign in (1, -1):
-            steps = np.multiply(background, sign * BACKGROUND_STEPS, dtype=np.float32)
-            steps = np.rint(np.maximum(steps, 0, out=steps), out=steps).astype("<u4")
-            for place, byte in enumerate(np.moveaxis(steps.view(np.uint8).reshape(*steps.shape, -1), -1, 0)):
-                if byte.any():
-                    level = np.ascontiguousarray(byte)
+        steps, level = np.empty(background.shape, "<u4"), np.empty(background.shape, np.uint8)
+        signs = (1,) if background.min() >= 0 else (1, -1)
+        for sign in signs:
+            light = background if len(signs) == 1 else np.maximum(sign * background, 0)
+            np.multiply(light, BACKGROUND_STEPS, out=steps, casting="unsafe")
+            for place in range(4):
+                level[...] = steps.view(np.uint8)[:, place::4]
+                if level.any():
                     self._fill(level, level, part)
                     total += np.float32(sign * 256**place / BACKGROUND_STEPS) * part
         return total
@@ -209,16 +211,13 @@ def _seen(
     CalibrationError
         If less than :data:`MIN_SEEN` of the disc's height or width does.
     """
-    rows, cols = np.nonzero(lit_pixels(*grid.spans(1.0)))
-    within, q = np.ones(len(rows), bool), grid.binning
-    for view in views:
-        if not view.weight:
-            continue
-        for u, v in ((0, 0), (0, q - 1), (q - 1, 0), (q - 1, q - 1)):
-            at = np.floor(view.matrix @ np.stack([q * rows + u, q * cols + v, np.ones(len(rows))]))
-            within &= ((at >= 0) & (at + 2 <= np.reshape(frame_shape, (2, 1)))).all(axis=0)
-    if within.all():
+    first, last = grid.spans(1.0)
+    ends = np.flatnonzero(last > first)
+    # the disc is convex, and so is the frame: the ends of its rows decide
+    if _within(grid, views, frame_shape, np.tile(ends, 2), np.r_[first[ends], last[ends] - 1]).all():
         return None
+    rows, cols = np.nonzero(lit_pixels(first, last))
+    within = _within(grid, views, frame_shape, rows, cols)
     mask = np.ones((grid.side, grid.side), bool)
     mask[rows, cols] = within
     top, bottom, left, right = rectangle_within(mask)
@@ -230,3 +229,21 @@ def _seen(
             "record a larger region, or locate the bundle views again",
         )
     return top, bottom, left, right
+
+
+def _within(
+    grid: Grid,
+    views: tuple[_Binning, _Binning],
+    frame_shape: tuple[int, int],
+    rows: NDArray[np.intp],
+    cols: NDArray[np.intp],
+) -> NDArray[np.bool_]:
+    """Return True for pixels of the grid that lie within the frame in the views that are read."""
+    within, q = np.ones(len(rows), bool), grid.binning
+    for view in views:
+        if not view.weight:
+            continue
+        for u, v in ((0, 0), (0, q - 1), (q - 1, 0), (q - 1, q - 1)):
+            at = np.floor(view.matrix @ np.stack([q * rows + u, q * cols + v, np.ones(len(rows))]))
+            within &= ((at >= 0) & (at + 2 <= np.reshape(frame_shape, (2, 1)))).all(axis=0)
+    return within
