@@ -240,8 +240,8 @@ def measure_offset(
     found = found if pair is None else offset_at(found, pair)
     if alone:
         return found
-    dark = 0.0 if background is None else background[:, :split]
-    found = replace(found, parts=parts_of(lines[0], np.subtract(frame[:, :split], dark, dtype=np.float32)))
+    of_tube = 0.0 if background is None else background[:, :split]
+    found = replace(found, parts=parts_of(lines[0], np.subtract(frame[:, :split], of_tube, dtype=np.float32)))
     if len(frames) < MIN_SCATTER_FRAMES:
         return found
     views = (lines[0], slice(0, split)), (lines[1], slice(split, None))
