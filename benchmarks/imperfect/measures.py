@@ -232,22 +232,25 @@ class Scanned(NamedTuple):
 
 
 def scanned(rig: ImperfectRig, line_rows: Rows) -> Scanned:
-    """Judge line positions on the rows in which the line lights cores, or should.
+    """Judge line positions on the rows of a view in which the line lights cores, or should.
 
     Both views see a row by the light that enters the bundle while it is exposed: where the slit of the residual view is
     on the bundle and the line is not, neither view shows anything. The signal is that of an in-focus plane in the
     confocal view.
     """
     instrument = rig.instrument
-    radius, rows, centre = instrument.diameter_px / 2, np.arange(len(line_rows)), instrument.confocal_centre[0]
+    radius, rows = instrument.diameter_px / 2, np.arange(len(line_rows))
+    centres = instrument.confocal_centre[0], instrument.residual_centre[0]
     sigma_rows = instrument.optics.rows(np.hypot(instrument.line.core_um, instrument.slit_um / np.sqrt(12)))
-    lit = np.minimum(np.abs(rows - centre), np.abs(line_rows - centre)) < radius + LIT_SIGMAS * sigma_rows
+    away = np.minimum(np.abs(rows - centres[0]), np.abs(line_rows - centres[0])) - radius
+    exposed = (rows > min(centres) - radius) & (rows < max(centres) + radius)
+    judged = exposed & (away < LIT_SIGMAS * sigma_rows)
     error = np.abs(line_rows - rows)
-    on_left = np.abs(rows - centre) < radius
+    on_left = np.abs(rows - centres[0]) < radius
     kept = np.exp(-0.5 * (error[on_left] / sigma_rows) ** 2)
-    chord = np.sqrt(radius**2 - (rows[on_left] - centre) ** 2)
-    off = int((error[lit] > instrument.slit_rows / 4).sum())
-    return Scanned(off, float(error[lit].max()), float((kept * chord).sum() / chord.sum()))
+    chord = np.sqrt(radius**2 - (rows[on_left] - centres[0]) ** 2)
+    off = int((error[judged] > instrument.slit_rows / 4).sum())
+    return Scanned(off, float(error[judged].max()), float((kept * chord).sum() / chord.sum()))
 
 
 def axial(rig: ImperfectRig, calibration: Calibration, *, seed: int = 0) -> AxialResponse:
