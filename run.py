@@ -184,12 +184,18 @@ def prepare(*groups: str) -> bool:
 
 
 def warm_up() -> None:
-    """Start the simulated rig once: kernels are compiled, its calibration is remembered; whether it works or not."""
+    """Make a live and a finished mosaic: kernels are compiled, the simulated rig's calibration is remembered.
+
+    What goes wrong is no error: the kernels are then compiled when they are needed.
+    """
     say("compiling: half a minute, after an installation only")
     with tempfile.TemporaryDirectory() as folder:
-        names = {"--mosaic": "mosaic.ome.tif", "--report": "report.json"}
-        files = [word for option, name in names.items() for word in (option, str(Path(folder, name)))]
-        if run([program(), "acquire", "--seconds", "1", *files]):
+        raw, calibration, track, report, mosaic = (
+            str(Path(folder, name))
+            for name in ("raw.ome.tif", "raw.calibration.json", "track.csv", "report.json", "mosaic.ome.tif")
+        )
+        live = ["acquire", "--seconds", "1", "--record", raw, "--track", track, "--report", report]
+        if run([program(), *live]) or run([program(), "mosaic", raw, "-c", calibration, "-o", mosaic]):
             say("the simulated rig did not start; kernels are compiled when they are needed")
 
 

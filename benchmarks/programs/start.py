@@ -110,11 +110,16 @@ def _fresh_mosaic(here: Checkout) -> float:
 
 
 def _installed_mosaic(here: Checkout) -> float:
-    """Compile kernels as `run.py` does on installation, then make the first mosaic."""
+    """Compile kernels as `run.py` does on installation, then make the first mosaic: none is left to compile."""
     here.simulate()
     with tempfile.TemporaryDirectory(dir=here.folder) as kernels:
-        files = ("--mosaic", str(here.folder / "live.ome.tif"), "--report", str(here.folder / "report.json"))
+        raw, calibration, track, report, mosaic = (
+            str(here.folder / name)
+            for name in ("live.ome.tif", "live.calibration.json", "live.csv", "report.json", "mosaic.ome.tif")
+        )
+        files = ("--record", raw, "--track", track, "--report", report)
         here.elsplus("acquire", "--seconds", "1", *files, "--force", NUMBA_CACHE_DIR=kernels)
+        here.elsplus("mosaic", raw, "-c", calibration, "-o", mosaic, "--force", NUMBA_CACHE_DIR=kernels)
         return _mosaic(here, kernels)
 
 
