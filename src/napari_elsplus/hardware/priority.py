@@ -74,8 +74,8 @@ def keep_pace() -> bool:
 def join_frame_core(rank: Rank) -> None:
     """Run this thread on the one core of the threads that hand frames to each other; does nothing without real time.
 
-    Frames are in the caches there, and a thread that wakes another one need not interrupt a second core, which costs
-    tens of microseconds on a virtual machine. Threads on one core contend for the interpreter's lock only where one of
+    Frames are in the caches there, and a thread that wakes another one need not interrupt a second core, which is dear
+    on a virtual machine. Threads on one core contend for the interpreter's lock only where one of
     a higher rank wakes.
 
     Parameters

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 _POLL_S: Final = 0.1
 """Chosen: how long to wait for a frame before the end of the stream is tested."""
 _BATCH: Final = 4
-"""Frames for which this thread wakes; chosen: each wake costs tens of microseconds, and 17 ms of frames at 240 Hz are
-little beside the second that a power cut may cost."""
+"""Frames for which this thread wakes; chosen: 17 ms at 240 Hz, little beside the second that a power cut may cost. With
+it, and a lock of its own to wake by, the thread took 0.22 ms a frame instead of 0.35 (medians of three runs)."""
 
 
 @dataclass(frozen=True, slots=True)
