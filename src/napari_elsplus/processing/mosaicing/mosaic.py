@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel, prefetch
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, exposure_gain, overlap_sums
 from napari_elsplus.processing.mosaicing.footprint import Footprint, rows_on_tile
 from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
@@ -39,6 +39,11 @@ _RENEWED_AFTER: Final = 0.05
 """Motion, in bundle diameters, after which a dead leaf is due; chosen: that between keyframes."""
 _MAX_LEFT_OUT: Final = 3
 """Frames in a row that are not due; chosen: at 240 Hz the mosaic is renewed 60 times a second."""
+_ROWS_AHEAD: Final = 2
+"""Rows of a tile that are prefetched; measured: an insertion by hand, for which the tile is in no near cache, takes 108
+us without, 90 with 1 to 3 rows of the tile alone, and 71 with 2 of the weights as well."""
+_CACHE_LINE_PX: Final = 16
+"""Pixels of a cache line of 64 bytes."""
 STILL: Final = Velocity(0.0, 0.0)
 """Velocity of a probe at rest, pixels per frame period."""
 
@@ -311,6 +316,10 @@ def insert_rows(
         begin, end = max(0, low - whole), min(width, high - whole - (1 if across > 0 else 0))
         if end <= begin:
             continue
+        for k in range(begin, end + _CACHE_LINE_PX - 1, _CACHE_LINE_PX):
+            prefetch(value, r + _ROWS_AHEAD, k)
+            prefetch(weight, r + _ROWS_AHEAD, k)
+            prefetch(image_weight, above + _ROWS_AHEAD, k + whole)
         corners, parts = neighbours(image, above, begin + whole, end - begin), bilinear(down, across)
         nearest = above + (1 if down >= 0.5 else 0)
         aside = whole + (1 if across >= 0.5 else 0)
