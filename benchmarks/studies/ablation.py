@@ -163,8 +163,14 @@ def changes() -> list[Change]:
         *left_out(
             "competing shifts", odds, ("        against += alike * np.exp(-min(max(less, -700.0), 700.0))\n", "")
         ),
-        *left_out("distances of competing shifts", odds, ("(4.0, -4.0, 8.0, -8.0)", "(4.0, -4.0)"), change="4 px only"),
-        *left_out("distances of competing shifts", odds, ("(4.0, -4.0, 8.0, -8.0)", "(8.0, -8.0)"), change="8 px only"),
+        *(
+            change
+            for px in ("4.0, -4.0", "4.0, -4.0, 8.0, -8.0", "8.0, -8.0, 16.0, -16.0")
+            for change in left_out(
+                "distances of competing shifts, px", odds, ("(4.0, -4.0, 8.0, -8.0, 16.0, -16.0)", f"({px})"),
+                change=f"{px} only",
+            )
+        ),
         *left_out(
             "competitors fitted", odds, ("_FIT: Final = (2, 2, ", "_FIT: Final = (2, 1, "),
             change="one step",

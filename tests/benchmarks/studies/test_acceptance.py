@@ -23,6 +23,11 @@ def test_few_fibres_under_a_fast_hand_are_not_taken_for_a_rotation() -> None:
     assert measure(Row(60, "hand", 20.0), [7], 26).wrong == 0
 
 
+def test_a_fibre_does_not_slide_far_along_itself() -> None:
+    """By 13 pixels of the grid, which the next registration repeated: shifts 4 and 8 px away competed only."""
+    assert measure(Row(60, "hand", 120.0), [752]).wrong == 0
+
+
 def test_structure_that_constrains_a_shift_is_distinguished() -> None:
     """A view with one dot outside, a fibre from rim to rim, and one with an end in view."""
     grid = Grid.of(simulated_rig().calibration)
