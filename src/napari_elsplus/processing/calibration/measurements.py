@@ -87,9 +87,10 @@ class SlitOffset:
     parts: LineParts | None = None
 
     @property
-    def view_offset(self) -> tuple[float, float]:
-        """Rows and columns of the frame from the line in the confocal view to that in the residual one."""
-        return self.rows, self.split + self.residual.column - self.confocal.column
+    def view_offset(self) -> tuple[float, float, float]:
+        """Rows and columns of the frame from the line in the confocal view to the residual one; difference in slope."""
+        columns = self.split + self.residual.column - self.confocal.column
+        return self.rows, columns, self.residual.slope - self.confocal.slope
 
     @property
     def lit_columns(self) -> list[tuple[int, int]]:
@@ -131,9 +132,10 @@ class BundlePair:
         return round((self.confocal.centre[1] + self.residual.centre[1]) / 2)
 
     @property
-    def view_offset(self) -> tuple[float, float]:
-        """Rows and columns from the centre of the confocal to that of the residual bundle image."""
-        return self.offset_rows, self.residual.centre[1] - self.confocal.centre[1]
+    def view_offset(self) -> tuple[float, float, float]:
+        """Rows and columns from the confocal to the residual image's centre; slope there of a level line."""
+        down, across = np.linalg.solve(self.alignment.residual_to_confocal[:, :2], (0.0, 1.0))
+        return self.offset_rows, self.residual.centre[1] - self.confocal.centre[1], float(down / across)
 
     @property
     def offset_rows(self) -> float:
@@ -327,7 +329,8 @@ def map_galvo(
         if collector is None or line is None or number % every:
             continue
         if line.columns[1] - line.columns[0] <= max_chord_px:
-            collector.add(frame, line.row, line.column, line.slope, line.width_rows)
+            row = line.row - line.bow * line.mean_square_px
+            collector.add(frame, row, line.column, line.slope, line.bow, line.width_rows)
     column, diameter_px = (None, None) if pair is None else (pair.confocal.centre[1], pair.confocal.diameter_px)
     found = fit_galvo(volts, lines, column, diameter_px, max_chord_px)
     return found if collector is None else replace(found, light=collector.swept(dark))

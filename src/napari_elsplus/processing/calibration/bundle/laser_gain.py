@@ -65,34 +65,37 @@ class LightCollector:
     split : int
         Column between the views.
     offset : tuple of float
-        Rows and columns from the line in the confocal view to that in the residual one.
+        Rows and columns from the line in the confocal view to that in the residual one, and by how many rows per
+        column its slope exceeds that in the confocal view.
 
     Notes
     -----
     The background is not taken off: it was scanned, and contains less light of the residual view than of the confocal.
     """
 
-    def __init__(self, shape: tuple[int, ...], split: int, offset: tuple[float, float]) -> None:
+    def __init__(self, shape: tuple[int, ...], split: int, offset: tuple[float, float, float]) -> None:
         self._offset_rows = offset[0]
-        self._views = ((slice(0, split), 0.0, 0.0), (slice(split, shape[1]), *offset))
+        self._views = ((slice(0, split), 0.0, 0.0, 0.0), (slice(split, shape[1]), *offset))
         self._light, self._weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
 
-    def add(self, frame: NDArray[np.generic], row: float, column: float, slope: float, width_rows: float) -> None:
-        """Add a frame whose confocal view shows the line at a row and column, with a slope in rows per column.
+    def add(
+        self, frame: NDArray[np.generic], row: float, column: float, slope: float, bend: float, width_rows: float
+    ) -> None:
+        """Add a frame whose confocal view shows the line at a row and column.
 
         Parameters
         ----------
         frame : numpy.ndarray
             (rows, cols), any real dtype.
-        row, column, slope : float
-            Of the line in the confocal view.
+        row, column, slope, bend : float
+            Of the line in the confocal view; the slope in rows per column there, the bend in rows per squared column.
         width_rows : float
             Standard deviation of its Gaussian.
         """
         reach = REACH_WIDTHS * width_rows
-        for part, down, across in self._views:
-            cols = np.arange(part.start, part.stop)
-            line = (row + down + slope * (cols - column - across)).astype(np.float32)
+        for part, down, across, turn in self._views:
+            along = np.arange(part.start, part.stop) - column - across
+            line = (row + down + (slope + turn) * along + bend * np.square(along)).astype(np.float32)
             first = max(int(line.min() - reach), 0)
             band = slice(first, min(int(line.max() + reach) + 2, len(frame)))
             if band.start >= band.stop:

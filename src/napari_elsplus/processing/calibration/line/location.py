@@ -109,12 +109,15 @@ class Line:
         return np.asarray(self.level + self.ramp * self.profile_rows + self.amplitude * bell, np.float64)
 
     @property
+    def bow(self) -> float:
+        """The bend, rows per squared column, or 0 where it is negligible."""
+        return self.bend if abs(self.bend) * self.mean_square_px > MIN_BEND_ROWS else 0.0
+
+    @property
     def streak(self) -> Streak:
-        """The line as the start of another fit: its vertex on a whole row, its bow where it is not negligible."""
-        bowed = abs(self.bend) * self.mean_square_px > MIN_BEND_ROWS
-        bend = self.bend if bowed else 0.0
-        vertex = self.row - bend * self.mean_square_px
-        return Streak(round(vertex), self.column, self.slope, self.width_rows, bend)
+        """The line as the start of another fit, its middle on a whole row."""
+        middle = round(self.row - self.bow * self.mean_square_px)
+        return Streak(middle, self.column, self.slope, self.width_rows, self.bow)
 
     def row_at(self, column: float) -> float:
         """Return the row of the line at a column."""
@@ -186,7 +189,7 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None, near
         line = _fit(band, streak._replace(row=streak.row - first))
         # Centred on a whole row: interpolation then skews both sides alike.
         line = _fit(band, line.streak)
-        if line.streak.bend:
+        if line.bow:
             line = _fit(band, line.streak)
         line = replace(line, row=line.row + first)
     if line.width_rows > len(image) / 8:
@@ -215,10 +218,9 @@ def parts_of(line: Line, view: NDArray[np.generic]) -> LineParts | None:
 
 def _still_near(image: Image, near: Line) -> Line | None:
     """Fit the line near its last position; return None if it has moved by more than its width."""
-    streak = near.streak
-    first, band = _band_around(image, streak)
+    first, band = _band_around(image, near.streak)
     try:
-        line = _fit(band, streak._replace(row=streak.row - first))
+        line = _fit(band, near.streak._replace(row=near.streak.row - first))
     except MeasurementError:
         return None
     line = replace(line, row=line.row + first)
