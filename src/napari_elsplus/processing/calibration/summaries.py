@@ -123,7 +123,7 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
             )
         if (share := seen_share(disc, pair.image.shape)) < 1:
             warnings.append(
-                f"the frame's edge cuts the {name} view: {100 * share:.0f} % of its diameter is seen; there is no "
+                f"the frame's edge cuts the {name} view: {100 * share:.1f} % of its diameter is seen; there is no "
                 f"residual beyond: record a larger region"
             )
     if not pair.shows_flat_field:

@@ -103,8 +103,8 @@ def test_rows_per_frame_are_counted_on_the_grid() -> None:
 
 
 def test_views_outside_of_the_frame_are_refused() -> None:
-    with pytest.raises(CalibrationError, match="outside of the 400 x 1328 frame"):
-        FrontEnd(calibration(), (400, 1328))
+    with pytest.raises(CalibrationError, match="outside of the 250 x 1328 frame"):
+        FrontEnd(calibration(), (250, 1328))
     with pytest.raises(CalibrationError, match="background"):
         FrontEnd(calibration().model_copy(update={"background": np.zeros((9, 9), np.float32)}), SHAPE)
 

@@ -135,7 +135,7 @@ def lit_pixels(first: NDArray[np.int32], last: NDArray[np.int32]) -> NDArray[np.
 
 
 def rectangle_within(seen: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Return a rectangle of seen pixels, from which unseen rows and columns are peeled off at the sides.
+    """Return the largest rectangle of seen pixels.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def rectangle_within(seen: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     Returns
     -------
     tuple of int
-        First row, row after the last, first column, column after the last.
+        First row, row after the last, first column, column after the last; all 0 if no pixel is seen.
 
     Examples
     --------
@@ -154,12 +154,20 @@ def rectangle_within(seen: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     >>> rectangle_within(seen)
     (2, 5, 0, 6)
     """
-    (top, left), (bottom, right) = (0, 0), seen.shape
-    while not (part := seen[top:bottom, left:right]).all():
-        worst = int(np.argmin([part[0].mean(), part[-1].mean(), part[:, 0].mean(), part[:, -1].mean()]))
-        top, bottom = top + (worst == 0), bottom - (worst == 1)
-        left, right = left + (worst == 2), right - (worst == 3)
-    return top, bottom, left, right
+    heights = np.zeros(seen.shape[1] + 1, int)
+    best, rectangle = 0, (0, 0, 0, 0)
+    for bottom, row in enumerate(seen, 1):
+        heights[:-1] = np.where(row, heights[:-1] + 1, 0)
+        # Columns of seen pixels that end at this row, and the first column of the widest rectangle as high as each.
+        rising: list[tuple[int, int]] = []
+        for right, height in enumerate(heights.tolist()):
+            left = right
+            while rising and rising[-1][1] >= height:
+                left, tall = rising.pop()
+                if tall * (right - left) > best:
+                    best, rectangle = tall * (right - left), (bottom - tall, bottom, left, right)
+            rising.append((left, height))
+    return rectangle
 
 
 def overlap_of_discs(diameters: float) -> float:
