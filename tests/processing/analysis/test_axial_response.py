@@ -175,6 +175,19 @@ def test_many_frames_at_few_depths_are_known_by_their_own_scatter() -> None:
     assert np.median([drop.uncertainty_um for drop in found]) == pytest.approx(scatter, rel=0.4)
 
 
+def test_scans_that_are_repeated_are_not_stated_too_uncertain() -> None:
+    """A distance lies between two depths, whose mean has less noise than either: 1.5 times the scatter was stated."""
+    depths, random = np.tile(np.r_[np.arange(0.0, 40, 8), np.arange(40, 200, 10)], 12), np.random.default_rng(7315)
+    ls, residual = falling(depths)
+    found = []
+    for _ in range(100):
+        power = random.normal(1, 0.01, len(depths))
+        uneven = power + random.normal(0, 0.02, len(depths))
+        found.append(axial_response(depths, power * ls, uneven * residual).els_3db)
+    scatter = np.std([drop.um for drop in found])
+    assert 0.9 < np.median([drop.uncertainty_um for drop in found]) / scatter < 1.3
+
+
 def test_more_frames_are_advised_where_power_noise_leaves_a_distance_uncertain() -> None:
     depths, random = there_and_back(), np.random.default_rng(7314)
     ls, residual = falling(depths)

@@ -348,13 +348,18 @@ class _Fall:
         if share[below] >= level:
             return DropOff(float("nan"), float("nan"))
         slope = (share[below] - share[below - 1]) / (self._depth[below] - self._depth[below - 1])
+        part = (level - share[below - 1]) / (share[below] - share[below - 1])
         at = self._depth[below - 1] + (level - share[below - 1]) / slope
         together = np.interp(at, self._all_depths, self._together_dn) - level * self._together_dn[0]
-        error_dn = np.linalg.norm([self._random_dn(level), (1 - level) * self._zero_dn, together])
+        error_dn = np.linalg.norm(
+            [self._random_dn(level, float(np.hypot(part, 1 - part))), (1 - level) * self._zero_dn, together]
+        )
         return DropOff(float(at - self._start), float(error_dn / self.contact / abs(slope)))
 
-    def _random_dn(self, level: float) -> float:
+    def _random_dn(self, level: float, between: float) -> float:
         """Return the standard deviation of the signal at a level less that share of the signal in contact.
+
+        Interpolated, the signal at the level has `between` times the standard deviation of a point.
 
         Scatter about a smooth curve and that of repeated frames are independent estimates, of which the mean is taken,
         the latter weighted by the frames beyond the first at each depth: its degrees of freedom.
@@ -362,8 +367,8 @@ class _Fall:
         unsteady = level * self._relative * self.contact  # in contact, and again at the drop-off
         along_curve = float(np.linalg.norm([self.noise, level * self.noise, unsteady, unsteady]))
         share = self._means / self.contact
-        relative = [relative_variance(share, self._variance, at) for at in (level, 1.0)]
-        of_repeats = level * np.sqrt(sum(relative))
+        relative = [relative_variance(share, self._variance, at, self._repeats) for at in (level, 1.0)]
+        of_repeats = level * np.sqrt(between**2 * relative[0] + relative[1])
         if np.isnan(of_repeats):
             return along_curve
         return float(np.hypot(along_curve, np.sqrt(self._repeats) * of_repeats) / np.sqrt(1 + self._repeats))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.analysis.uncertainty import robust_sigma
+from napari_elsplus.processing.analysis.uncertainty import robust_sigma, small_sample_factor
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -80,8 +80,10 @@ def variance_of_means(depth: Curve, signal: Curve) -> Curve:
     return np.where(count > 1, square / np.maximum(count * (count - 1), 1), np.nan)
 
 
-def relative_variance(share: Curve, variance: Curve, level: float) -> float:
-    """Return the mean variance of points near a level, over their squared share of the signal; NaN of too few points.
+def relative_variance(share: Curve, variance: Curve, level: float, repeats: float) -> float:
+    """Return the variance at a level by points near it, over its squared share of the signal; NaN of too few points.
+
+    Variances are taken for proportional to the signal: between noise that all points have and that of the power.
 
     Parameters
     ----------
@@ -89,8 +91,11 @@ def relative_variance(share: Curve, variance: Curve, level: float) -> float:
         (depths,) signal over that in contact, and its variance, NaN where unknown.
     level : float
         Share of the signal in contact.
+    repeats : float
+        Frames beyond the first at each depth: of few, the variance is that of Student's t.
     """
     near = np.isfinite(variance) & (share > level / _NEAR) & (share < level * _NEAR)
     if np.count_nonzero(near) < _MIN_NEAR:
         return float("nan")
-    return float(np.mean(variance[near] / np.square(share[near])))
+    factor = small_sample_factor(round(repeats * np.count_nonzero(near)))
+    return factor**2 * float(np.mean(variance[near] / np.square(share[near])))
