@@ -298,9 +298,8 @@ def axial_response(
             "is the laser on, and does the background belong to this scan?",
         )
     if not els_fall.contact > 0:
-        raise MeasurementError(
-            f"ELS+ in contact is {els_fall.contact:.3g} grey levels", "is the residual's slit off the line?"
-        )
+        problem = f"ELS+ in contact is {els_fall.contact:.3g} grey levels"
+        raise MeasurementError(problem, "is the residual's slit off the line?")
     kept = els_fall.contact / ls_fall.contact
     return AxialResponse(
         depth_um=depth,
@@ -347,22 +346,20 @@ class _Fall:
         below = int(np.argmax(share < level))
         if share[below] >= level:
             return DropOff(float("nan"), float("nan"))
-        slope = (share[below] - share[below - 1]) / (self._depth[below] - self._depth[below - 1])
-        part = (level - share[below - 1]) / (share[below] - share[below - 1])
+        step = share[below] - share[below - 1]
+        slope, part = step / (self._depth[below] - self._depth[below - 1]), (level - share[below - 1]) / step
         at = self._depth[below - 1] + (level - share[below - 1]) / slope
         together = np.interp(at, self._all_depths, self._together_dn) - level * self._together_dn[0]
-        error_dn = np.linalg.norm(
-            [self._random_dn(level, float(np.hypot(part, 1 - part))), (1 - level) * self._zero_dn, together]
-        )
+        random_dn = self._random_dn(level, float(np.hypot(part, 1 - part)))
+        error_dn = np.linalg.norm([random_dn, (1 - level) * self._zero_dn, together])
         return DropOff(float(at - self._start), float(error_dn / self.contact / abs(slope)))
 
     def _random_dn(self, level: float, between: float) -> float:
         """Return the standard deviation of the signal at a level less that share of the signal in contact.
 
-        Interpolated, the signal at the level has `between` times the standard deviation of a point.
-
         Scatter about a smooth curve and that of repeated frames are independent estimates, of which the mean is taken,
-        the latter weighted by the frames beyond the first at each depth: its degrees of freedom.
+        the latter weighted by the frames beyond the first at each depth: its degrees of freedom. Interpolated, the
+        signal at the level has `between` times the standard deviation of a point.
         """
         unsteady = level * self._relative * self.contact  # in contact, and again at the drop-off
         along_curve = float(np.linalg.norm([self.noise, level * self.noise, unsteady, unsteady]))
@@ -377,10 +374,8 @@ class _Fall:
 def _checked(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[Curve, Curve, Curve]:
     depth, *signals = (np.asarray(values, np.float64) for values in (depths_um, ls, residual))
     if depth.ndim != 1 or any(signal.shape != depth.shape for signal in signals):
-        raise InputError(
-            f"{depth.size} depths for {signals[0].size} frames",
-            "the scan has a depth for each frame: give one per line",
-        )
+        problem = f"{depth.size} depths for {signals[0].size} frames"
+        raise InputError(problem, "the scan has a depth for each frame: give one per line")
     if not all(np.isfinite(values).all() for values in (depth, *signals)):
         raise InputError("a depth or signal is NaN or infinite", "leave that frame out")
     if (different := len(np.unique(depth))) < MIN_POINTS:
