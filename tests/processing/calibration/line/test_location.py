@@ -60,6 +60,13 @@ def test_a_bowed_line_is_located_to_a_hundredth_of_a_row(bow_rows: float, width:
             assert found.width_rows == pytest.approx(width, rel=0.03)
 
 
+def test_a_diverged_bow_is_not_followed() -> None:
+    """At the bundle's rim a fit to no line at all had a bend of 1e109, and the next one began there."""
+    line = locate_line(view(RIG))
+    assert replace(line, bend=1e109).streak.bend == 0
+    assert replace(line, bend=1 / line.mean_square_px).streak.bend > 0
+
+
 @pytest.mark.parametrize("tilt_deg", [-2.0, 0.0, 2.0])
 def test_tilt_is_measured_and_does_not_bias_the_row(tilt_deg: float) -> None:
     rig = replace(RIG, tilt_deg=tilt_deg)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -10,6 +10,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
+
+LIGHT: Final = (0.1, 10.0)
+"""Of a run of columns over that of the line, as its weight; chosen: beyond it is no line that has a bow."""
 
 
 class Bow(NamedTuple):
@@ -39,7 +42,7 @@ def fit_bow(
     contrast = taper * (model - (taper * model).sum() / max(float(taper.sum()), 1e-12))
     excess = np.bincount(run, contrast * left, runs) / np.maximum(np.bincount(run, contrast * model, runs), 1e-12)
     pull = np.bincount(run, slopes * taper * left, runs)
-    weights = np.bincount(run, slopes * taper * slopes, runs) * np.maximum(1 + excess, 0)
+    weights = np.bincount(run, slopes * taper * slopes, runs) * np.clip(1 + excess, *LIGHT)
     at = np.bincount(run, x, runs) / np.maximum(np.bincount(run, minlength=runs), 1)
     basis = np.stack([np.ones(runs), at, at**2], axis=1)
     moments = basis.T @ (weights[:, None] * basis)

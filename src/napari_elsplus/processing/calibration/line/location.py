@@ -110,8 +110,8 @@ class Line:
 
     @property
     def bow(self) -> float:
-        """The bend, rows per squared column, or 0 where it is negligible."""
-        return self.bend if abs(self.bend) * self.mean_square_px > MIN_BEND_ROWS else 0.0
+        """The bend, rows per squared column, or 0 where it is negligible, or a fit to no line that has diverged."""
+        return self.bend if MIN_BEND_ROWS < abs(self.bend) * self.mean_square_px < MAX_REACH_ROWS else 0.0
 
     @property
     def streak(self) -> Streak:
