@@ -196,7 +196,7 @@ def warm_up() -> None:
         )
         live = ["acquire", "--seconds", "1", "--record", raw, "--track", track, "--report", report]
         if run([program(), *live]) or run([program(), "mosaic", raw, "-c", calibration, "-o", mosaic]):
-            say("the simulated rig did not start; kernels are compiled when they are needed")
+            say("a mosaic could not be made now: kernels are compiled when they are needed")
 
 
 def screen_answers() -> bool:

@@ -197,14 +197,17 @@ def test_with_a_screen_napari_opens(run: ModuleType, recorder: Recorder, monkeyp
     assert recorder.commands[-1] == [run.python(), "-m", "napari_elsplus._window"]
 
 
-@pytest.mark.parametrize("failing", ["", "acquire"])
+@pytest.mark.parametrize(
+    ("failing", "warm_up"), [("", ["acquire", "mosaic"]), ("acquire", ["acquire"]), ("mosaic", ["acquire", "mosaic"])]
+)
 def test_kernels_are_compiled_after_an_installation_and_napari_opens_anyway(
-    run: ModuleType, recorder: Recorder, monkeypatch: pytest.MonkeyPatch, failing: str
+    run: ModuleType, recorder: Recorder, monkeypatch: pytest.MonkeyPatch, failing: str, warm_up: list[str]
 ) -> None:
     monkeypatch.setattr(run, "screen_answers", lambda: True)
     recorder.failing = failing
     assert run.main([]) == 0
-    assert recorder.commands[-2][:4] == [run.program(), "acquire", "--seconds", "1"]
+    compiled = [command[1] for command in recorder.commands if command[0] == run.program()]
+    assert compiled == warm_up
     assert recorder.commands[-1] == [run.python(), "-m", "napari_elsplus._window"]
     before = len(recorder.commands)
     assert run.main([]) == 0

@@ -46,6 +46,7 @@ def test_a_stack_is_measured_beside_the_window_and_saved(viewer, panel, scan_fil
     assert scan.response.els_3db.um == pytest.approx(30, rel=0.02)
     assert [curve.name for curve in panel.plot.curves] == ["LS", "residual", "ELS+"]
     assert "30.0 ±" in panel.numbers.text()
+    assert "record the scan there and back" in panel.numbers.text()
 
     for ending in ("json", "csv", "png"):
         panel.save_to(tmp_path / f"out.{ending}")

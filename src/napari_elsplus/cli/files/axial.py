@@ -53,7 +53,7 @@ def command(
 
 
 def _summary(response: AxialResponse) -> Iterator[str]:
-    from napari_elsplus.processing.analysis.axial_response import MAX_UNCERTAINTY
+    from napari_elsplus.processing.analysis.axial_notes import axial_notes
 
     for name, three, ten in (
         ("LS", response.ls_3db, response.ls_10db),
@@ -61,17 +61,7 @@ def _summary(response: AxialResponse) -> Iterator[str]:
     ):
         yield f"{name}: 3 dB at {_distance(three)}, 10 dB at {_distance(ten)}"
     yield f"signal kept in contact: {100 * response.signal_kept:.1f} +- {100 * response.signal_kept_uncertainty:.1f} %"
-    if response.loss is None:
-        yield "no depth was recorded again: bleaching is not seen; record the scan there and back"
-    elif response.loss.significant:
-        lost, sigma = 100 * response.loss.share, 100 * response.loss.share_uncertainty
-        yield f"warning: the light fell by {lost:.1f} +- {sigma:.1f} % in the course of the scan: corrected"
-
-    if response.frames_advised > 1:
-        yield (
-            f"warning: ELS+ distances are uncertain by more than {100 * MAX_UNCERTAINTY:g} %: "
-            f"record {response.frames_advised} times as many frames at each depth"
-        )
+    yield from axial_notes(response)
 
 
 def _distance(drop: DropOff) -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.processing.analysis.axial_notes import axial_notes
 from napari_elsplus.widgets.shared.plots import Curve
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def drop_off_curves(found: DropOffs) -> list[Curve]:
 
 
 def table(scans: Sequence[Scan]) -> str:
-    """Return the drop-offs of scans as rich text, micrometres: the last one with uncertainties, ELS+ of the others."""
+    """Return the drop-offs of scans as rich text, micrometres: the last one with notes, ELS+ of the others."""
 
     def row(*cells: str) -> str:
         return "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
@@ -80,6 +81,8 @@ def table(scans: Sequence[Scan]) -> str:
     rows.append(f"<tr><td colspan=3><b>{last.name}</b>: {100 * one.signal_kept:.0f} % of the LS signal kept</td></tr>")
     rows.append(row("LS", _with_uncertainty(one.ls_3db), _with_uncertainty(one.ls_10db)))
     rows.append(row("ELS+", _with_uncertainty(one.els_3db), _with_uncertainty(one.els_10db)))
+    notes = (note.replace("+-", "±").replace(" %", "&nbsp;%") for note in axial_notes(one))
+    rows += [f"<tr><td colspan=3>{note}</td></tr>" for note in notes]
     return f"<table width='100%' cellspacing=2>{''.join(rows)}</table>"
 
 

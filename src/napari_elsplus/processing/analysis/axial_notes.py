@@ -1,0 +1,51 @@
+"""Warnings and remedies of an axial response in words: bleaching, and drop-off distances that are uncertain."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from napari_elsplus.processing.analysis.axial_response import MAX_UNCERTAINTY
+
+if TYPE_CHECKING:
+    from napari_elsplus.processing.analysis.axial_response import AxialResponse
+
+MAX_FRAMES_ADVISED: Final = 100
+"""Multiple of the frames beyond which the cause of their scatter is to be removed instead; chosen: a scan of a minute
+would take hours."""
+
+
+def axial_notes(response: AxialResponse) -> list[str]:
+    """Return what restricts the distances of an axial response, a line each, with the remedy.
+
+    Parameters
+    ----------
+    response : AxialResponse
+        Of a scan.
+
+    Returns
+    -------
+    list of str
+        Lines that are warnings begin with "warning: ".
+    """
+    return [line for line in (_bleaching(response), _uncertainty(response)) if line]
+
+
+def _bleaching(response: AxialResponse) -> str:
+    if response.loss is None:
+        return "no depth was recorded again: bleaching is not seen; record the scan there and back"
+    if not response.loss.significant:
+        return ""
+    lost, sigma = 100 * response.loss.share, 100 * response.loss.share_uncertainty
+    return f"warning: the light fell by {lost:.1f} +- {sigma:.1f} % in the course of the scan: corrected"
+
+
+def _uncertainty(response: AxialResponse) -> str:
+    advised = response.frames_advised
+    if advised == 1:
+        return ""
+    remedy = (
+        f"record {advised} times as many frames at each depth"
+        if advised <= MAX_FRAMES_ADVISED
+        else "more frames would not help: the line jitters or the light varies from frame to frame"
+    )
+    return f"warning: ELS+ distances are uncertain by more than {100 * MAX_UNCERTAINTY:g} %: {remedy}"

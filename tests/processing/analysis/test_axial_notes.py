@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from napari_elsplus.processing.analysis.axial_notes import axial_notes
+from napari_elsplus.processing.analysis.axial_response import AxialResponse, axial_response
+
+DEPTH_UM = np.concatenate([np.arange(0.0, 800.0, 4.0), np.arange(800.0, 0.0, -4.0)])
+
+
+def response(power: np.ndarray | float, depth_um: np.ndarray = DEPTH_UM) -> AxialResponse:
+    ls = 100 / (1 + depth_um / 60)
+    return axial_response(depth_um, power * ls, power * (ls - 80 / (1 + (depth_um / 30) ** 2)))
+
+
+def test_a_steady_scan_there_and_back_needs_no_note() -> None:
+    assert axial_notes(response(1.0)) == []
+
+
+def test_one_way_does_not_show_bleaching() -> None:
+    (note,) = axial_notes(response(1.0, np.arange(0.0, 800.0, 2.0)))
+    assert "record the scan there and back" in note
+
+
+def test_bleaching_is_named_with_its_share() -> None:
+    (note,) = axial_notes(response(np.exp(-0.3 * np.arange(len(DEPTH_UM)) / len(DEPTH_UM))))
+    assert note.startswith("warning: the light fell by 2")
+    assert note.endswith("% in the course of the scan: corrected")
+
+
+@pytest.mark.parametrize(
+    ("noise", "remedy"), [(0.05, "times as many frames"), (0.3, "the line jitters or the light varies")]
+)
+def test_the_remedy_is_frames_only_where_they_would_help(noise: float, remedy: str) -> None:
+    power = np.exp(np.random.default_rng(7315).normal(0, noise, len(DEPTH_UM)))
+    assert remedy in axial_notes(response(power))[-1]
