@@ -15,6 +15,7 @@ from benchmarks.imperfect.measures import Error
 from benchmarks.imperfect.rig import ImperfectRig
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.io import replacing
+from napari_elsplus.processing.analysis.axial_notes import uncertainty_note
 from napari_elsplus.processing.calibration.steps import find_step
 
 if TYPE_CHECKING:
@@ -107,9 +108,8 @@ def survey_rig(seed: int) -> Surveyed:
         shares[name] = Error(drop.off / ideal - 1, drop.stated / ideal)
     assert draft.lag is not None
     warnings = list(find_step("lag").summary(draft, draft.lag, rig.setup).warnings)
-    if response.frames_advised > 1:
-        warnings.append(f"record {response.frames_advised} times as many frames at each depth")
-    return Surveyed(seed, errors, shares, warning="; ".join(warnings))
+    warnings.append(uncertainty_note(response))
+    return Surveyed(seed, errors, shares, warning="; ".join(filter(None, warnings)))
 
 
 @cache

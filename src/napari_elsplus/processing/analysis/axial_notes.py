@@ -27,10 +27,10 @@ def axial_notes(response: AxialResponse) -> list[str]:
     list of str
         Lines that are warnings begin with "warning: ".
     """
-    return [line for line in (_bleaching(response), _uncertainty(response)) if line]
+    return [line for line in (_bleaching_note(response), uncertainty_note(response)) if line]
 
 
-def _bleaching(response: AxialResponse) -> str:
+def _bleaching_note(response: AxialResponse) -> str:
     if response.loss is None:
         return "no depth was recorded again: bleaching is not seen; record the scan there and back"
     if not response.loss.significant:
@@ -39,7 +39,14 @@ def _bleaching(response: AxialResponse) -> str:
     return f"warning: the light fell by {lost:.1f} +- {sigma:.1f} % in the course of the scan: corrected"
 
 
-def _uncertainty(response: AxialResponse) -> str:
+def uncertainty_note(response: AxialResponse) -> str:
+    """Return the warning that ELS+ distances are uncertain, with the remedy; empty if they are not.
+
+    Parameters
+    ----------
+    response : AxialResponse
+        Of a scan.
+    """
     advised = response.frames_advised
     if advised == 1:
         return ""
