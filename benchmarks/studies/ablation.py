@@ -172,7 +172,7 @@ def changes() -> list[Change]:
             )
         ),
         *left_out(
-            "competitors fitted", odds, ("_FIT: Final = (2, 2, ", "_FIT: Final = (2, 1, "),
+            "competitors fitted", odds, ("_FIT: Final = Iteration(2, 2, ", "_FIT: Final = Iteration(2, 1, "),
             change="one step",
         ),
         *left_out(

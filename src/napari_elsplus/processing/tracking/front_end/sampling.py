@@ -12,7 +12,7 @@ Thevenaz, Blu and Unser, IEEE Trans. Med. Imaging 19, 739 (2000), doi:10.1109/42
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -26,10 +26,28 @@ _AFTER: Final = 3
 """Pixels of the polynomial before the one that a sample follows, and after it."""
 
 
+class FramePair(NamedTuple):
+    """Two frames of one resolution that are compared.
+
+    Parameters
+    ----------
+    template, image : numpy.ndarray
+        (n, n) float32: the earlier frame, and the later one, which is sampled under a warp.
+    first, last : numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
+    middle : float
+        Row of the bundle's centre.
+    """
+
+    template: NDArray[np.float32]
+    image: NDArray[np.float32]
+    first: NDArray[np.int32]
+    last: NDArray[np.int32]
+    middle: float
+
+
 @lean_kernel
-def row_shift(
-    row: int, height: int, middle: float, warp: NDArray[np.float64], first: NDArray[np.int32], last: NDArray[np.int32]
-) -> tuple[int, float, int, float, int, int]:
+def row_shift(pair: FramePair, row: int, warp: NDArray[np.float64]) -> tuple[int, float, int, float, int, int]:
     """Return the shift of one row of the template in the image, and the columns in which both are lit.
 
     These are the image row above and the fraction below it, the whole column shift and its fraction, the first column
@@ -37,23 +55,20 @@ def row_shift(
 
     Parameters
     ----------
+    pair : FramePair
+        Frames that are compared.
     row : int
         Row of the template.
-    height : int
-        Rows of the image.
-    middle : float
-        Row of the bundle's centre.
     warp : numpy.ndarray
         (4,) a, b, s, d.
-    first, last : numpy.ndarray
-        (n,) int32: first lit column of each row, and the one after the last.
     """
+    first, last, middle = pair.first, pair.last, pair.middle
     y = row - middle
     at = warp[0] * y + warp[1] + middle
     shift = warp[2] * y + warp[3]
     above = int(np.floor(at))
     whole = int(np.floor(shift))
-    if above < 0 or above + 1 >= height:
+    if above < 0 or above + 1 >= len(pair.image):
         return 0, 0.0, 0, 0.0, 0, 0
     begin = max(first[row], max(first[above], first[above + 1]) - whole)
     end = min(last[row], min(last[above], last[above + 1]) - whole - 1)

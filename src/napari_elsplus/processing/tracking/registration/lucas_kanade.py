@@ -28,10 +28,38 @@ from napari_elsplus.processing.tracking.registration.similarity import correlati
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.tracking.front_end.sampling import FramePair
+
+    Array = NDArray[np.float64]
+
 PARAMETERS = 4
 """a, b, s, d of the warp."""
 UNKNOWNS = PARAMETERS + 2
 """These, and the gain and offset between the frames."""
+
+
+class Iteration(NamedTuple):
+    """How :func:`align` iterates.
+
+    Parameters
+    ----------
+    row_step : int
+        Every how many rows are used.
+    steps : int
+        Largest number of Gauss-Newton steps.
+    tolerance_px : float
+        A step that moves no pixel farther than this is the last.
+    finely : bool
+        True to sample the image through six by six pixels, else between four.
+    tone_step : int
+        Every how many rows gain and offset are estimated from to start with; steps refine them.
+    """
+
+    row_step: int
+    steps: int
+    tolerance_px: float
+    finely: bool
+    tone_step: int
 
 
 class Workspace(NamedTuple):
@@ -40,7 +68,7 @@ class Workspace(NamedTuple):
     Parameters
     ----------
     equations : numpy.ndarray
-        (7, 6, 6) float64; align uses the first three.
+        (7, 6, 6) float64; align uses the first three: normal equations of warp, gain and offset, right sides, a copy.
     samples : numpy.ndarray
         (2, n) float32, as wide as the frames.
     tone : numpy.ndarray
@@ -48,9 +76,9 @@ class Workspace(NamedTuple):
         deviations, which noise does not dilute.
     """
 
-    equations: NDArray[np.float64]
+    equations: Array
     samples: NDArray[np.float32]
-    tone: NDArray[np.float64]
+    tone: Array
 
     @classmethod
     def of(cls, side: int) -> Workspace:
@@ -66,53 +94,33 @@ class Workspace(NamedTuple):
 
 @lean_kernel
 def accumulate(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: float,
-    warp: NDArray[np.float64],
-    tone: NDArray[np.float64],
-    row_step: int,
-    finely: bool,
-    normal: NDArray[np.float64],
-    right: NDArray[np.float64],
-    samples: NDArray[np.float32],
+    pair: FramePair, warp: Array, row_step: int, finely: bool, work: Workspace
 ) -> tuple[float, float, float, float, float]:
-    """Fill the normal equations of a step.
+    """Fill the normal equations of a step, the first of the workspace.
 
     Returns the number of pixels; the variances of template and image and their covariance, times that number; and the
     mean squared difference between the frames, weighted by the squared gradient: noise counts where structure is.
 
     Parameters
     ----------
-    template, image : numpy.ndarray
-        (n, n) float32 frames: the earlier one, and the later one that is sampled under the warp.
-    first, last : numpy.ndarray
-        (n,) int32: first lit column of each row, and the one after the last.
-    middle : float
-        Row of the bundle's centre.
+    pair : FramePair
+        Frames that are compared.
     warp : numpy.ndarray
         (4,) a, b, s, d.
-    tone : numpy.ndarray
-        Gain and offset of the image against the template.
-    row_step : int
-        Every how many rows are used.
-    finely : bool
-        Sample through six by six pixels, else between four.
-    normal, right : numpy.ndarray
-        (6, 6) and (6,) float64, filled: warp, gain, offset.
-    samples : numpy.ndarray
-        (2, n) float32 scratch.
+    row_step, finely
+        As of :class:`Iteration`.
+    work : Workspace
+        With gain and offset of the image against the template.
     """
+    template, image, middle = pair.template, pair.image, pair.middle
+    normal, right, tone = work.equations[0], work.equations[1, 0], work.tone
     normal[:] = 0.0
     right[:] = 0.0
-    height = template.shape[0]
     count, sum_t, sum_i, sum_tt, sum_ti, sum_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     steep, noise_level = 0.0, 0.0
     gain, offset = np.float32(tone[0]), np.float32(tone[1])
-    for row in range(1, height - 1, row_step):
-        above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
+    for row in range(1, len(template) - 1, row_step):
+        above, down, whole, across, begin, end = row_shift(pair, row, warp)
         if end <= begin:
             continue
         size = end - begin
@@ -121,7 +129,7 @@ def accumulate(
         over, under = template[row - 1, begin:end], template[row + 1, begin:end]
         corners, weights = neighbours(image, above, begin + whole, size), bilinear(down, across)
         if finely and reaches(image.shape, above, begin + whole, size):
-            corners, weights = finely_sampled(image, above, down, begin + whole, across, size, samples)
+            corners, weights = finely_sampled(image, above, down, begin + whole, across, size, work.samples)
         zero = np.float32(0)
         t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
         y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
@@ -189,40 +197,17 @@ def accumulate(
 
 @lean_kernel
 def align(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: float,
-    row_step: int,
-    steps: int,
-    tolerance_px: float,
-    finely: bool,
-    expected: NDArray[np.float64],
-    stiffness: NDArray[np.float64],
-    correlated_px: float,
-    warp: NDArray[np.float64],
-    information: NDArray[np.float64],
-    work: Workspace,
-) -> tuple[float, float]:
+    pair: FramePair, how: Iteration, expected: Array, stiffness: Array, correlated_px: float, warp: Array,
+    information: Array, work: Workspace,
+) -> tuple[float, float]:  # fmt: skip
     """Refine a warp in place; fill its information matrix; return correlation and number of pixels of the overlap.
 
     Parameters
     ----------
-    template, image : numpy.ndarray
-        (n, n) float32 frames on one grid.
-    first, last : numpy.ndarray
-        (n,) int32: first lit column of each row, and the one after the last.
-    middle : float
-        Row of the bundle's centre.
-    row_step : int
-        Every how many rows are used.
-    steps : int
-        Largest number of Gauss-Newton steps.
-    tolerance_px : float
-        A step that moves no pixel farther than this is the last.
-    finely : bool
-        Whether the image is sampled through six by six pixels, else between four.
+    pair : FramePair
+        Frames that are compared.
+    how : Iteration
+        How often, and of which rows.
     expected, stiffness : numpy.ndarray
         (4,) and (4, 4) float64, or larger: prior mean of the warp, and its information; zero leaves a
         parameter free.
@@ -245,10 +230,8 @@ def align(
     normal, right, tone = work.equations[0], work.equations[1, 0], work.tone
     ncc, count = 0.0, 0.0
     information[:] = 0.0
-    for _ in range(steps):
-        count, template_sum, image_sum, both, noise = accumulate(
-            template, image, first, last, middle, warp, tone, row_step, finely, normal, right, work.samples
-        )
+    for _ in range(how.steps):
+        count, template_sum, image_sum, both, noise = accumulate(pair, warp, how.row_step, how.finely, work)
         ncc = correlation_from_sums(count, template_sum, image_sum, both)
         if ncc == 0.0:
             return 0.0, count
@@ -276,13 +259,13 @@ def align(
         for i in range(PARAMETERS):
             for k in range(PARAMETERS):
                 information[i, k] = normal[i, k] / noise
-        if abs(db) + abs(dd) + (abs(da) + abs(ds)) * 0.5 * len(first) < tolerance_px:
+        if abs(db) + abs(dd) + (abs(da) + abs(ds)) * 0.5 * len(pair.first) < how.tolerance_px:
             break
     return ncc, count
 
 
 @lean_kernel
-def scale_by_gain(normal: NDArray[np.float64], right: NDArray[np.float64], gain: float) -> None:
+def scale_by_gain(normal: Array, right: Array, gain: float) -> None:
     """Multiply the derivatives by the warp in normal equations, which are the template's, by the gain of the image.
 
     Parameters
@@ -302,7 +285,7 @@ def scale_by_gain(normal: NDArray[np.float64], right: NDArray[np.float64], gain:
 
 
 @lean_kernel
-def solve(normal: NDArray[np.float64], right: NDArray[np.float64], rest: NDArray[np.float64]) -> bool:
+def solve(normal: Array, right: Array, rest: Array) -> bool:
     """Solve symmetric equations in place, gain and offset first; leave the warp's Schur complement in `normal`.
 
     `rest` is scratch of the size of `normal`.

@@ -19,6 +19,7 @@ from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 from napari_elsplus.processing.tracking.registration.lucas_kanade import (
     PARAMETERS,
     UNKNOWNS,
+    Iteration,
     accumulate,
     scale_by_gain,
     solve,
@@ -28,14 +29,14 @@ from napari_elsplus.processing.tracking.registration.similarity import tone_betw
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.tracking.front_end.sampling import FramePair
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
     from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
 
     Matrix = NDArray[np.float64]
 
-_SCORED: Final = (1, False, 4)
-"""Of the rows of half resolution, every how many are used; whether they are sampled finely; and every how many for the
-first estimate of gain and offset."""
+_SCORED: Final = Iteration(1, 1, 0.0, False, 4)
+"""How a rotation is estimated at half resolution: one step."""
 
 
 class MotionModel(IntEnum):
@@ -147,29 +148,17 @@ def composed(warp: Warp, step: Matrix) -> tuple[Warp, float]:
 
 @lean_kernel
 def score_rotation(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: tuple[float, float],
-    warp: Warp,
-    px: float,
-    stiffness: tuple[float, float],
-    correlated_px: float,
-    turn: tuple[float, float],
-    work: Workspace,
-    found: NDArray[np.float64],
-) -> bool:
+    pair: FramePair, column: float, warp: Warp, px: float, stiffness: tuple[float, float], correlated_px: float,
+    turn: tuple[float, float], work: Workspace, found: Matrix,
+) -> bool:  # fmt: skip
     """Estimate what a rotation would add to a warp; return False where the frames do not overlap or show nothing.
 
     Parameters
     ----------
-    template, image : numpy.ndarray
-        (n, n) float32 frames.
-    first, last : numpy.ndarray
-        (n,) int32: lit columns of each row.
-    middle : tuple of float
-        Row and column of the bundle's centre.
+    pair : FramePair
+        Frames that are compared.
+    column : float
+        Column of the bundle's centre.
     warp : Warp
         In pixels of full resolution.
     px : float
@@ -188,15 +177,12 @@ def score_rotation(
     normal, right, copy, tone = work.equations[0], work.equations[1, 0], work.equations[3], work.tone
     with_turn, along, scaled = work.equations[1, 1], work.equations[1, 2], work.equations[5, 0]
     scaled[0], scaled[1], scaled[2], scaled[3] = warp.a, warp.b / px, warp.s, warp.d / px
-    row_step, finely, tone_rows = _SCORED
-    tone[0], tone[1] = tone_between(template, image, first, last, middle[0], scaled, tone_rows)
-    count, template_sum, image_sum, _, noise = accumulate(
-        template, image, first, last, middle[0], scaled, tone, row_step, finely, normal, right, work.samples
-    )
+    tone[0], tone[1] = tone_between(pair, scaled, _SCORED.tone_step)
+    count, template_sum, image_sum, _, noise = accumulate(pair, scaled, _SCORED.row_step, _SCORED.finely, work)
     noise *= correlated_px
     if not (noise > 0 and template_sum > 0 and image_sum > 0):
         return False
-    itself, left = _rotation_products(template, image, first, last, middle, scaled, tone, with_turn)
+    itself, left = _rotation_products(pair, column, scaled, tone, with_turn)
     gain = np.sqrt(image_sum / template_sum)
     scale_by_gain(normal, right, gain)
     for k in range(UNKNOWNS):
@@ -227,37 +213,31 @@ def score_rotation(
 
 @lean_kernel
 def _rotation_products(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: tuple[float, float],
-    warp: NDArray[np.float64],
-    tone: NDArray[np.float64],
-    with_others: NDArray[np.float64],
+    pair: FramePair, column: float, warp: Matrix, tone: Matrix, with_others: Matrix
 ) -> tuple[float, float]:
     """Return the sum of the product of a rotation's derivative with itself, and with the residual.
 
     Parameters
     ----------
-    template, image, first, last, warp, tone
-        As of :func:`~.lucas_kanade.accumulate`.
-    middle : tuple of float
-        Row and column of the bundle's centre.
+    pair, column, warp
+        As of :func:`score_rotation`.
+    tone : numpy.ndarray
+        Gain and offset of the image against the template.
     with_others : numpy.ndarray
         (6,) float64, filled: with the derivatives by a, b, s, d, gain and offset.
     """
     with_others[:] = 0.0
-    itself, left, half, height = 0.0, 0.0, np.float32(0.5), template.shape[0]
+    itself, left, half, height = 0.0, 0.0, np.float32(0.5), len(pair.template)
+    template, image, middle = pair.template, pair.image, pair.middle
     gain, offset = np.float32(tone[0]), np.float32(tone[1])
     for row in range(1, height - 1):
-        above, down, whole, across, begin, end = row_shift(row, height, middle[0], warp, first, last)
+        above, down, whole, across, begin, end = row_shift(pair, row, warp)
         if end <= begin:
             continue
         here, corners = template[row, begin:end], neighbours(image, above, begin + whole, end - begin)
         before, after = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
         over, under = template[row - 1, begin:end], template[row + 1, begin:end]
-        weights, x0, zero = bilinear(down, across), np.float32(begin - middle[1]), np.float32(0)
+        weights, x0, zero = bilinear(down, across), np.float32(begin - column), np.float32(0)
         ww, we, wy, wx, wt, w1 = zero, zero, zero, zero, zero, zero
         for k in range(end - begin):
             gx, gy = half * (after[k] - before[k]), half * (under[k] - over[k])
@@ -268,7 +248,7 @@ def _rotation_products(
             wx += w * gx
             wt += w * t
             w1 += w
-        y = row - middle[0]
+        y = row - middle
         itself += float(ww)
         left += float(we)
         with_others[0] += y * wy

@@ -17,13 +17,17 @@ import numpy as np
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.motion_prior import DEGREES_OF_FREEDOM
-from napari_elsplus.processing.tracking.registration.lucas_kanade import align
+from napari_elsplus.processing.tracking.registration.lucas_kanade import Iteration, align
 from napari_elsplus.processing.tracking.registration.similarity import tone_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.tracking.front_end.sampling import FramePair
+    from napari_elsplus.processing.tracking.motion.motion_prior import Terms
     from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
+
+    Array = NDArray[np.float64]
 
 CORRELATED_PX: Final = 20.0
 """Pixels of full resolution per independent noise value; the front end smooths over 13, interpolation over more."""
@@ -37,49 +41,35 @@ COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0, 16.0, -16.0)
 """Distances of competing shifts, pixels of full resolution: a fibre slides along itself by up to 13."""
 _HELD: Final = 1e8
 """Information that holds a competing shift where it is, 1 / px^2."""
-_FIT: Final = (2, 2, 0.02, False, 8)
-"""Of the rows of half resolution, every how many competing warps are fitted to (likelihoods take all); Gauss-Newton
-steps; the smallest step, pixels; whether they are sampled finely; every how many rows gain and offset start from. In
-a kernel, a tuple's elements have the types of variables, whereas each literal number would have what it is passed to
-compiled once more."""
+_FIT: Final = Iteration(2, 2, 0.02, False, 8)
+"""How competing warps are fitted at half resolution; likelihoods take all rows. In a kernel, elements of a tuple have
+the types of variables, whereas each literal number would have what it is passed to compiled once more."""
 
 
-def blocks(side: int) -> NDArray[np.float64]:
+def blocks(side: int) -> Array:
     """Return scratch for the sums of every block, for frames of that side at full resolution."""
     across = -(-(side // 2) // BLOCK_PX)
     return np.zeros((6, across * across))
 
 
 @lean_kernel
-def log_likelihood(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: float,
-    warp: NDArray[np.float64],
-    sums: NDArray[np.float64],
-) -> float:
+def log_likelihood(pair: FramePair, warp: Array, sums: Array) -> float:
     """Return the log-likelihood of a warp above that of unrelated frames, nats.
 
     Parameters
     ----------
-    template, image : numpy.ndarray
-        (n, n) float32 high-passed frames of half resolution.
-    first, last : numpy.ndarray
-        (n,) int32: first lit column of each row, and the one after the last.
-    middle : float
-        Row of the bundle's centre.
+    pair : FramePair
+        High-passed frames of half resolution.
     warp : numpy.ndarray
         (4,) a, b, s, d in pixels of half resolution.
     sums : numpy.ndarray
         From :func:`blocks`.
     """
-    height = template.shape[0]
-    across = (height + BLOCK_PX - 1) // BLOCK_PX
+    template, image = pair.template, pair.image
+    across = (len(template) + BLOCK_PX - 1) // BLOCK_PX
     sums[:] = 0.0
-    for row in range(height):
-        above, down, whole, aside, begin, end = row_shift(row, height, middle, warp, first, last)
+    for row in range(len(template)):
+        above, down, whole, aside, begin, end = row_shift(pair, row, warp)
         if end <= begin:
             continue
         weights = bilinear(down, aside)
@@ -110,33 +100,24 @@ def log_likelihood(
 
 
 @lean_kernel
-def log_ratio(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: float,
-    warp: NDArray[np.float64],
-    other: NDArray[np.float64],
-    sums: NDArray[np.float64],
-) -> float:
+def log_ratio(pair: FramePair, warp: Array, other: Array, sums: Array) -> float:
     """Return the log-likelihood of a warp above that of a competing one, where the frames overlap under both, nats.
 
     The noise of a block is what the warp leaves unexplained in it, its weight that of a Wiener filter.
 
     Parameters
     ----------
-    template, image, first, last, middle, warp, sums
+    pair, warp, sums
         As in :func:`log_likelihood`.
     other : numpy.ndarray
         (4,) competing warp, pixels of half resolution.
     """
-    height = template.shape[0]
-    across = (height + BLOCK_PX - 1) // BLOCK_PX
+    template, image = pair.template, pair.image
+    across = (len(template) + BLOCK_PX - 1) // BLOCK_PX
     sums[:] = 0.0
-    for row in range(height):
-        above, down, whole, aside, begin, end = row_shift(row, height, middle, warp, first, last)
-        above2, down2, whole2, aside2, begin2, end2 = row_shift(row, height, middle, other, first, last)
+    for row in range(len(template)):
+        above, down, whole, aside, begin, end = row_shift(pair, row, warp)
+        above2, down2, whole2, aside2, begin2, end2 = row_shift(pair, row, other)
         begin, end = max(begin, begin2), min(end, end2)
         if end <= begin:
             continue
@@ -187,7 +168,7 @@ def log_ratio(
 
 
 @lean_kernel
-def noise_floor(sums: NDArray[np.float64]) -> float:
+def noise_floor(sums: Array) -> float:
     """Return the variance that is no evidence, squared grey levels, from sums of :func:`log_likelihood`."""
     brightest = 0.0
     for block in range(sums.shape[1]):
@@ -197,7 +178,7 @@ def noise_floor(sums: NDArray[np.float64]) -> float:
 
 
 @lean_kernel
-def write_prior(px: float, terms: tuple[float, float, float], weight: float, out: NDArray[np.float64]) -> None:
+def write_prior(px: float, terms: Terms, weight: float, out: Array) -> None:
     """Write the information of the motion prior on a, b, s, d.
 
     Parameters
@@ -220,9 +201,7 @@ def write_prior(px: float, terms: tuple[float, float, float], weight: float, out
 
 
 @lean_kernel
-def prior_terms(
-    warp: NDArray[np.float64], expected: NDArray[np.float64], terms: tuple[float, float, float]
-) -> tuple[float, float]:
+def prior_terms(warp: Array, expected: Array, terms: Terms) -> tuple[float, float]:
     """Return the weight of the motion prior at a warp, and minus its logarithm over that of the expected warp, nats.
 
     The prior is Student's t-distribution of shift, stretch and shear; the weight is that of the Gaussian that has its
@@ -245,23 +224,13 @@ def prior_terms(
 
 @lean_kernel
 def log_odds(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: float,
-    warp: NDArray[np.float64],
-    information: NDArray[np.float64],
-    expected: NDArray[np.float64],
-    terms: tuple[float, float, float],
-    sums: NDArray[np.float64],
-    work: Workspace,
+    pair: FramePair, warp: Array, information: Array, expected: Array, terms: Terms, sums: Array, work: Workspace
 ) -> float:
     """Return the log odds of a warp against competing ones along its weakest direction, nats; at most 700.
 
     Parameters
     ----------
-    template, image, first, last, middle, sums
+    pair, sums
         As in :func:`log_likelihood`.
     warp, information : numpy.ndarray
         (4,) registered warp in pixels of full resolution, and its (4, 4) information.
@@ -281,7 +250,6 @@ def log_odds(
     against = 0.0
     # one competitor stands for all shifts that the prior allows
     alike = max(1.0, 1 / (terms[2] * COMPETITORS_PX[0] ** 2))
-    row_step, steps, tolerance_px, finely, tone_rows = _FIT
     for px in COMPETITORS_PX:
         b, d = warp[1] + px * down, warp[3] + px * across
         full[0], full[1] = warp[0] + px * a_follows, b
@@ -297,20 +265,17 @@ def log_odds(
         held[3, 1] += 4 * _HELD * down * across
         held[3, 3] += 4 * _HELD * across * across
         in_pixels_of(2.0, (full[0], full[1], full[2], full[3]), rival)
-        work.tone[0], work.tone[1] = tone_between(template, image, first, last, middle, rival, tone_rows)
-        align(
-            template, image, first, last, middle, row_step, steps, tolerance_px, finely, start, held,
-            CORRELATED_PX / 4 / row_step, rival, scratch, work,
-        )  # fmt: skip
+        work.tone[0], work.tone[1] = tone_between(pair, rival, _FIT.tone_step)
+        align(pair, _FIT, start, held, CORRELATED_PX / 4 / _FIT.row_step, rival, scratch, work)
         in_pixels_of(0.5, (rival[0], rival[1], rival[2], rival[3]), full)
-        less = log_ratio(template, image, first, last, middle, half, rival, sums)
+        less = log_ratio(pair, half, rival, sums)
         less += prior_terms(full, expected, terms)[1] - prior
         against += alike * np.exp(-min(max(less, -700.0), 700.0))
     return float(-np.log(max(against, 1e-300)))
 
 
 @lean_kernel
-def in_pixels_of(px: float, warp: tuple[float, ...], out: NDArray[np.float64]) -> None:
+def in_pixels_of(px: float, warp: tuple[float, ...], out: Array) -> None:
     """Write a warp in pixels of another size.
 
     Parameters
@@ -326,7 +291,7 @@ def in_pixels_of(px: float, warp: tuple[float, ...], out: NDArray[np.float64]) -
 
 
 @lean_kernel
-def weakest_direction(information: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
+def weakest_direction(information: Array) -> tuple[float, float, float, float, float]:
     """Return the standard deviation of a shift in its least constrained direction, px, and that direction.
 
     That is (rows, cols) of a unit vector; last the change of stretch and shear per pixel along it. Infinite and zero

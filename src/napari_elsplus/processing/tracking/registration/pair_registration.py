@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, overlap_of_discs
+from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
 from napari_elsplus.processing.tracking.registration.odds import (
@@ -161,9 +162,9 @@ class Registrar:
 
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
-        self._spans = [grid.spans(level=level) for level in range(LEVELS)]
-        self._centre = grid.middle(1), (grid.centre[1] - 0.5) / 2
-        self._everywhere = ShiftSearch(*self._spans[-1], 2.0 ** (LEVELS - 1))
+        self._lit = grid.spans(level=1)
+        self._column = (grid.centre[1] - 0.5) / 2
+        self._everywhere = ShiftSearch(*grid.spans(level=LEVELS - 1), 2.0 ** (LEVELS - 1))
         self._tools = Tools.of(grid, lit)
         self._found = np.empty(9)
 
@@ -203,19 +204,9 @@ class Registrar:
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp, coarsest: int,
         min_correlation: float,
     ) -> PairRegistration:  # fmt: skip
-        information = np.empty((4, 4))
-        register(
-            earlier.arrays,
-            later.arrays,
-            motion,
-            start,
-            coarsest,
-            min_correlation,
-            self._tools,
-            information,
-            self._found,
-        )
-        a, b, s, d, correlation, odds, row, col, variance = self._found.tolist()
+        information, found, frames = np.empty((4, 4)), self._found, (earlier.arrays, later.arrays)
+        register(*frames, motion, start, coarsest, min_correlation, self._tools, information, found)
+        a, b, s, d, correlation, odds, row, col, variance = found.tolist()
         overlap = overlap_of_discs(hypot(b, d) / (FIELD * self.grid.diameter))
         return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
 
@@ -246,15 +237,12 @@ class Registrar:
         for b, d in self._everywhere.peaks(self._coarse(earlier), self._coarse(later), expected, reach_px).tolist():
             warp = np.array(motion.at(b, d))
             correlation, _, _ = descend(
-                earlier.levels, later.levels, tools.lit, tools.middles, 1, 1, np.array(expected), terms, warp, scratch,
-                tools.work,
-            )  # fmt: skip
+                earlier.levels, later.levels, 1, 1, np.array(expected), terms, warp, scratch, tools
+            )
             if correlation > 0:
                 peak = Warp(*warp.tolist())
                 half[:] = peak.a, peak.b / 2, peak.s, peak.d / 2
-                nats = log_likelihood(
-                    earlier.levels[1], later.levels[1], *self._spans[1], self._centre[0], half, tools.sums
-                )
+                nats = log_likelihood(self._halves(earlier, later), half, tools.sums)
                 found.append((nats + prior(peak.b - expected.b, peak.d - expected.d, reach_px), peak))
         if not found:
             return None
@@ -290,8 +278,8 @@ class Registrar:
         """
         stiffness, found = (spread[0] ** -2, spread[1] ** -2), self._found
         if not motion_models.score_rotation(
-            earlier.levels[1], later.levels[1], *self._spans[1], self._centre, warp, 2.0, stiffness, CORRELATED_PX / 4,
-            turn, self._tools.work, found,
+            self._halves(earlier, later), self._column, warp, 2.0, stiffness, CORRELATED_PX / 4, turn, self._tools.work,
+            found,
         ):  # fmt: skip
             return None
         a, b, s, d, angle, sigma, values, *_ = found.tolist()
@@ -357,6 +345,10 @@ class Registrar:
         warp = Warp(start.a * stretch, start.b, start.s * stretch + shear, start.d)
         velocity, variance = own.later_velocity(warp, link.warp_covariance)
         return link._replace(warp=warp, velocity=velocity, velocity_variance=variance, turn=turn, turn_sigma=sigma)
+
+    def _halves(self, earlier: PreparedFrame, later: PreparedFrame) -> FramePair:
+        """Return two frames at half resolution."""
+        return FramePair(earlier.levels[1], later.levels[1], *self._lit, self.grid.middle(1))
 
     def _coarse(self, view: PreparedFrame) -> CoarseImage:
         if view.coarse is None:

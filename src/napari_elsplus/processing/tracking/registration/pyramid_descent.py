@@ -12,9 +12,10 @@ import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.grid import INNER_FIELD
+from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.motion_prior import expected_warp, terms_of, velocity_given
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-from napari_elsplus.processing.tracking.registration.lucas_kanade import PARAMETERS, Workspace, align, solve
+from napari_elsplus.processing.tracking.registration.lucas_kanade import PARAMETERS, Iteration, Workspace, align, solve
 from napari_elsplus.processing.tracking.registration.odds import (
     CORRELATED_PX,
     blocks,
@@ -31,24 +32,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
-    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
+    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior, Terms
 
+    Array = NDArray[np.float64]
     Images = tuple[NDArray[np.float32], ...]
 
 SHARP_PX: Final = 0.04
 """Uncertainty of a shift at half resolution, pixels, below which structure constrains it in every direction; noise
 alone makes 0.06."""
 _STAGES: Final = (
-    (2, 1, False, 12, 0.2),
-    (1, 2, False, 10, 0.1),
-    (0, 6, True, 4, 0.1),
-    (0, 2, True, 1, 0.0),
+    (2, Iteration(1, 12, 0.2, False, 4)),
+    (1, Iteration(2, 10, 0.1, False, 8)),
+    (0, Iteration(6, 4, 0.1, True, 16)),
+    (0, Iteration(2, 1, 0.0, True, 16)),
 )
-"""Down the pyramid: level, every how many rows are used, whether they are sampled finely, largest number of steps, and
-smallest step in the level's own pixels."""
-_TONE_PX: Final = 16
-"""Distance of the rows, pixels of full resolution, whose regression gives gain and offset to start from: chosen, steps
-refine them."""
+"""Down the pyramid: levels, and how each is registered; chosen."""
 
 
 class Tools(NamedTuple):
@@ -87,17 +85,28 @@ class Tools(NamedTuple):
 
 
 @lean_kernel
+def pair_at(level: int, lit: int, earlier: Images, later: Images, tools: Tools) -> FramePair:
+    """Return two frames at a level of their pyramids.
+
+    Parameters
+    ----------
+    level : int
+        The level.
+    lit : int
+        Which lit columns are compared: the level's, or those without the rim.
+    earlier, later, tools
+        As of :func:`descend`.
+    """
+    first, last = tools.lit[lit]
+    side = len(earlier[level])
+    return FramePair(earlier[level], later[level], first[:side], last[:side], tools.middles[level])
+
+
+@lean_kernel
 def register(
-    earlier: Levels,
-    later: Levels,
-    prior: MotionPrior,
-    start: Warp,
-    coarsest: int,
-    min_correlation: float,
-    tools: Tools,
-    information: NDArray[np.float64],
-    found: NDArray[np.float64],
-) -> None:
+    earlier: Levels, later: Levels, prior: MotionPrior, start: Warp, coarsest: int, min_correlation: float,
+    tools: Tools, information: Array, found: Array,
+) -> None:  # fmt: skip
     """Register two frames: descend the pyramid, compare with competing shifts, and derive the velocity.
 
     Parameters
@@ -120,40 +129,36 @@ def register(
         (9,) float64, filled: a, b, s, d of the warp; correlation; log odds, nats; velocity (rows, cols) of the later
         frame, pixels per frame period, and its variance.
     """
-    lit, middles, pyramid, sums, work = tools
-    fill_levels(earlier, pyramid)
-    fill_levels(later, pyramid)
-    warp, expected, terms = found[:PARAMETERS], work.equations[6, 1], terms_of(prior)
+    fill_levels(earlier, tools.pyramid)
+    fill_levels(later, tools.pyramid)
+    warp, expected, terms = found[:PARAMETERS], tools.work.equations[6, 1], terms_of(prior)
     warp[0], warp[1], warp[2], warp[3] = start
     expected[0], expected[1], expected[2], expected[3] = expected_warp(prior)
     correlation, count, sharp = descend(
-        earlier.images, later.images, lit, middles, coarsest, 0, expected, terms, warp, information, work
+        earlier.images, later.images, coarsest, 0, expected, terms, warp, information, tools
     )
     odds = -np.inf
     if sharp:
         odds = min(-0.5 * count / CORRELATED_PX * np.log(max(1 - correlation * correlation, 1e-12)), 700.0)
     elif correlation > 0:
         # noise is more than what does not move at the rim: all that is lit, without what is smooth
-        high_pass(earlier, pyramid)
-        high_pass(later, pyramid)
+        high_pass(earlier, tools.pyramid)
+        high_pass(later, tools.pyramid)
         (_, half, quarter), (_, later_half, later_quarter) = earlier.images, later.images
         correlation, _, _ = descend(
-            (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), lit, middles, 0, 0,
-            expected, terms, warp, information, work,
+            (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), 0, 0,
+            expected, terms, warp, information, tools,
         )  # fmt: skip
         if correlation > min_correlation:
-            side = len(half)
-            odds = log_odds(
-                half, later_half, lit[1, 0, :side], lit[1, 1, :side], middles[1], warp, information, expected, terms,
-                sums, work,
-            )  # fmt: skip
+            pair = pair_at(1, 1, earlier.images, later.images, tools)
+            odds = log_odds(pair, warp, information, expected, terms, tools.sums, tools.work)
     velocity, variance, of_stretch, of_shift = velocity_given(prior, Warp(warp[0], warp[1], warp[2], warp[3]))
     found[4], found[5], found[6], found[7] = correlation, odds, velocity.row, velocity.col
-    found[8] = variance + _variance_along(information, of_stretch, of_shift, work)
+    found[8] = variance + _variance_along(information, of_stretch, of_shift, tools.work)
 
 
 @lean_kernel
-def _variance_along(information: NDArray[np.float64], of_stretch: float, of_shift: float, work: Workspace) -> float:
+def _variance_along(information: Array, of_stretch: float, of_shift: float, work: Workspace) -> float:
     """Return the variance of a sum of stretch and row shift, so weighted, or of shear and column shift if larger."""
     along, largest = work.equations[1, 0, :PARAMETERS], 0.0
     for k in (0, 2):
@@ -167,18 +172,9 @@ def _variance_along(information: NDArray[np.float64], of_stretch: float, of_shif
 
 @lean_kernel
 def descend(
-    earlier: Images,
-    later: Images,
-    lit: NDArray[np.int32],
-    middles: tuple[float, ...],
-    coarsest: int,
-    finest: int,
-    expected: NDArray[np.float64],
-    terms: tuple[float, float, float],
-    warp: NDArray[np.float64],
-    information: NDArray[np.float64],
-    work: Workspace,
-) -> tuple[float, float, bool]:
+    earlier: Images, later: Images, coarsest: int, finest: int, expected: Array, terms: Terms, warp: Array,
+    information: Array, tools: Tools,
+) -> tuple[float, float, bool]:  # fmt: skip
     """Refine a warp in place from a coarse to a fine level.
 
     From half to full resolution it goes on only if the shift is sharp by then: structure constrains it in every
@@ -188,11 +184,6 @@ def descend(
     ----------
     earlier, later : tuple of numpy.ndarray
         Frames at full, half and quarter resolution, (n, n) float32.
-    lit : numpy.ndarray
-        (LEVELS + 1, 2, n) int32: first lit column of each row, and the one after the last, at each level; and at full
-        resolution without the rim.
-    middles : tuple of float
-        Row of the bundle's centre at each level.
     coarsest, finest : int
         First and last level.
     expected : numpy.ndarray
@@ -203,8 +194,8 @@ def descend(
         (4,) float64: where to start, and the result, pixels of full resolution.
     information : numpy.ndarray
         (4, 4) float64: inverse covariance of the result, the prior of stretch and shear included.
-    work : Workspace
-        For frames of this size.
+    tools : Tools
+        For frames on this grid.
 
     Returns
     -------
@@ -215,10 +206,10 @@ def descend(
     bool
         True if the shift is sharp.
     """
-    equations = work.equations
+    work, equations = tools.work, tools.work.equations
     stiff, centre, scaled = equations[3], equations[5, 0], equations[5, 1]
     correlation, count, sharp, begun = 0.0, 0.0, False, LEVELS
-    for level, row_step, finely, steps, tolerance_px in _STAGES:
+    for level, how in _STAGES:
         if level > coarsest or level < finest:
             continue
         if level == 0 < coarsest and not sharp:
@@ -229,19 +220,14 @@ def descend(
         write_prior(px, terms, prior_terms(warp, expected, terms)[0], stiff)
         in_pixels_of(px, (expected[0], expected[1], expected[2], expected[3]), centre)
         in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
-        at, side = (LEVELS if sharp else level), len(earlier[level])
+        pair = pair_at(level, LEVELS if sharp else level, earlier, later, tools)
         if begun == LEVELS or level == 0 < begun:  # from half to full resolution offsets differ
-            rows = _TONE_PX >> level
-            work.tone[0], work.tone[1] = tone_between(
-                earlier[level], later[level], lit[at, 0, :side], lit[at, 1, :side], middles[level], scaled, rows
-            )
+            work.tone[0], work.tone[1] = tone_between(pair, scaled, how.tone_step)
         begun = level
-        correlation, count = align(
-            earlier[level], later[level], lit[at, 0, :side], lit[at, 1, :side], middles[level], row_step, steps,
-            tolerance_px, finely, centre, stiff, CORRELATED_PX / row_step / 4**level, scaled, information, work,
-        )  # fmt: skip
+        correlated_px = CORRELATED_PX / how.row_step / 4**level
+        correlation, count = align(pair, how, centre, stiff, correlated_px, scaled, information, work)
         if correlation == 0.0:
             break
-        count *= row_step * 4.0**level
+        count *= how.row_step * 4.0**level
         in_pixels_of(1 / px, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
     return correlation, count, sharp

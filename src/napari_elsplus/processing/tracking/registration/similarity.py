@@ -12,38 +12,28 @@ from napari_elsplus.processing.tracking.front_end.sampling import row_shift
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.tracking.front_end.sampling import FramePair
+
 
 @lean_kernel
-def tone_between(
-    template: NDArray[np.float32],
-    image: NDArray[np.float32],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    middle: float,
-    warp: NDArray[np.float64],
-    row_step: int,
-) -> tuple[float, float]:
+def tone_between(pair: FramePair, warp: NDArray[np.float64], row_step: int) -> tuple[float, float]:
     """Estimate gain and offset of an image against a template by regression, from some rows and the nearest pixels.
 
     1 and 0 where the template is even.
 
     Parameters
     ----------
-    template, image : numpy.ndarray
-        (n, n) float32 frames: the earlier one, and the later one that is sampled under the warp.
-    first, last : numpy.ndarray
-        (n,) int32: first lit column of each row, and the one after the last.
-    middle : float
-        Row of the bundle's centre.
+    pair : FramePair
+        Frames that are compared.
     warp : numpy.ndarray
         (4,) a, b, s, d.
     row_step : int
         Every how many rows are used.
     """
-    height = template.shape[0]
+    template, image = pair.template, pair.image
     count, t1, i1, tt, ti = 0.0, 0.0, 0.0, 0.0, 0.0
-    for row in range(1, height - 1, row_step):
-        above, down, whole, across, begin, end = row_shift(row, height, middle, warp, first, last)
+    for row in range(1, len(template) - 1, row_step):
+        above, down, whole, across, begin, end = row_shift(pair, row, warp)
         nearest, aside = above + int(down + 0.5), whole + int(across + 0.5)
         for col in range(begin, end):
             t, i = template[row, col], image[nearest, col + aside]
