@@ -13,8 +13,9 @@ from napari_elsplus.acquisition.streaming.faults import FaultLog
 from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.acquisition.streaming.stream import FrameStream
 from napari_elsplus.acquisition.streaming.tally import Tally
+from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 
 SHAPE = (60, 120)
 BUNDLE = {
@@ -31,7 +32,7 @@ def test_beside_a_tracker_only_frames_that_are_displayed_are_sectioned(
 ) -> None:
     images = LiveImages(SHAPE, Calibration.parse({"bundle": BUNDLE}), LiveView(modes=frozenset(modes)))
     added: list[int] = []
-    monkeypatch.setattr(images, "add", lambda raw, number: added.append(number))
+    monkeypatch.setattr(Sectioner, "fill", lambda _, raw, *views, **images: added.append(int(raw[0, 0])))
     ring = Ring(bytearray(images.layout.nbytes), images.layout)
     stream, tally = FrameStream(SHAPE, 64), Tally()
     tracker: Any = SimpleNamespace(add=lambda raw, stamp: None)
@@ -39,6 +40,7 @@ def test_beside_a_tracker_only_frames_that_are_displayed_are_sectioned(
     deadline_s, stamp = time.perf_counter() + 10, None
     for number in range(1, sectioned[-1] + 1):
         slot = stream.acquire()
+        slot.arrays["raw"][...] = number
         stream.finalize(slot, frame_number=number, received_s=time.perf_counter(), readout_start_s=0.0)
     while stamp is None and time.perf_counter() < deadline_s:
         stamp = ring.newest_after(-1, {"raw": np.empty(SHAPE, np.uint8)})
@@ -46,3 +48,31 @@ def test_beside_a_tracker_only_frames_that_are_displayed_are_sectioned(
     assert stamp is not None
     assert stamp.frame_number == sectioned[-1]
     stream.end()
+
+
+def test_images_of_one_frame_are_sectioned_into_the_ring_and_a_failure_is_a_fault(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    modes = frozenset({Mode.LS, Mode.ELS})
+    images = LiveImages(SHAPE, Calibration.parse({"bundle": BUNDLE}), LiveView(modes=modes))
+    ring = Ring(bytearray(images.layout.nbytes), images.layout)
+    filled: list[Any] = []
+
+    def failing(*_: Any, ls: Any, els: Any, residual: Any) -> None:
+        filled.extend((ls, els, residual))
+        raise InputError("no image", "take another frame")
+
+    monkeypatch.setattr(Sectioner, "fill", failing)
+    stream, tally, faults = FrameStream(SHAPE, 64), Tally(), FaultLog()
+    worker = ProcessingWorker(stream, DisplaySink(images, ring), tally, faults, None)
+    worker.start()
+    slot = stream.acquire()
+    stream.finalize(slot, frame_number=0, received_s=time.perf_counter(), readout_start_s=0.0)
+    stream.end()
+    worker.join(10)
+    first = ring.acquire().arrays
+    assert np.shares_memory(filled[0], first["ls"])
+    assert np.shares_memory(filled[1], first["els"])
+    assert filled[2] is None
+    assert tally.processed == 1
+    assert [fault.problem for fault in faults.all()] == ["no image"]

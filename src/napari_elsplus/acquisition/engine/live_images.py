@@ -31,8 +31,13 @@ ROW_TEST_INTERVAL_FRAMES: Final = 128
 RAW: Final = "raw"
 _WHITE: Final = 255
 """Grey level of saturated pixels; derived, the largest of 8 bits."""
-_STEP: Final = 4
-"""Saturated pixels are counted on every fourth row and column; chosen: a sixteenth of the cost, and enough."""
+_SATURATION_STEP: Final = 16
+"""Saturated pixels are counted on every sixteenth row; chosen: a sixteenth of the cost, and enough."""
+_FOCUS_STEP: Final = 8
+"""Gradients are taken on every eighth row; measured on three simulated recordings of 40 frames: within 0.9, 0.9 and
+2.8 % (RMS) of every second row's, where the focus varies by 2.5, 1.0 and 5.0 % from frame to frame."""
+_GRADIENT_PX: Final = 2
+"""Distance over which a gradient is taken, pixels; chosen: about a core's pitch, beyond the noise of single pixels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,8 +177,13 @@ class LiveImages:
         """True if an image is made of two successive frames: ELSA is."""
         return Mode.ELSA in self._modes
 
+    @property
+    def of_one_frame(self) -> bool:
+        """True if every image is made of the frame alone that is displayed: :meth:`fill` needs no :meth:`add`."""
+        return not (self._averages or self.pairs)
+
     def add(self, raw: NDArray[np.uint8], frame_number: int) -> None:
-        """Section a raw frame of a frame number."""
+        """Section a raw frame of a frame number, for images of this and later frames."""
         if self._sectioner is None or not self._modes:
             return
         now = self._now
@@ -195,7 +205,9 @@ class LiveImages:
         self._first = False
 
     def fill(self, raw: NDArray[np.uint8], arrays: Mapping[str, NDArray[Any]]) -> Measures:
-        """Finish the images of the raw frame that was added last.
+        """Finish the images of a raw frame, which was added last unless images are :attr:`of_one_frame`.
+
+        Those are sectioned where they are displayed.
 
         Parameters
         ----------
@@ -205,12 +217,17 @@ class LiveImages:
             A slot of the display's ring, filled.
         """
         np.copyto(arrays[RAW], raw)
-        saturated = float(np.count_nonzero(raw[::_STEP, ::_STEP] == _WHITE)) / raw[::_STEP, ::_STEP].size
+        some = raw[::_SATURATION_STEP]
+        saturated = float(np.count_nonzero(some == _WHITE)) / some.size
         if self._sectioner is None:
             return Measures(saturated)
+        if self.of_one_frame:
+            ls, residual, els = (arrays.get(mode.value) for mode in (Mode.LS, Mode.RESIDUAL, Mode.ELS))
+            self._sectioner.fill(raw, raw, ls=ls, residual=residual, els=els)
         for mode in self._modes:
             image = arrays[mode.value]
-            np.copyto(image, self._mean[mode])
+            if not self.of_one_frame:
+                np.copyto(image, self._mean[mode])
             finished = self._finish(image)
             if finished is not image:
                 np.copyto(image, finished)
@@ -239,7 +256,7 @@ def _on_camera_grid(calibration: Calibration, sectioner: Sectioner) -> Calibrati
 
 
 def focus(image: NDArray[np.generic]) -> float:
-    """Return the mean squared gradient over the squared mean, on every second pixel: the normalised Tenengrad.
+    """Return the mean squared gradient over the squared mean, on some rows: the normalised Tenengrad.
 
     Parameters
     ----------
@@ -251,9 +268,11 @@ def focus(image: NDArray[np.generic]) -> float:
     float
         Larger is sharper; NaN for an image without light. Pixels that are NaN count as 0.
     """
-    half = np.nan_to_num(np.asarray(image)[::2, ::2])
-    level = float(half.mean())
-    if level <= 0:
-        return float("nan")
-    down, across = half[1:, :-1] - half[:-1, :-1], half[:-1, 1:] - half[:-1, :-1]
-    return float((np.vdot(down, down) + np.vdot(across, across)) / down.size) / level**2
+    pixels = np.asarray(image, np.float32)
+    rows, below = pixels[:-_GRADIENT_PX:_FOCUS_STEP], pixels[_GRADIENT_PX::_FOCUS_STEP]
+    down, across = cv2.subtract(below, rows), cv2.subtract(rows[:, _GRADIENT_PX:], rows[:, :-_GRADIENT_PX])
+    gradient = sum(cv2.norm(each, cv2.NORM_L2SQR) / each.size for each in (down, across))
+    if np.isnan(gradient):
+        return focus(np.nan_to_num(pixels))
+    level = cv2.mean(rows)[0]
+    return gradient / level**2 if level > 0 else float("nan")

@@ -199,19 +199,17 @@ class ProcessingWorker(Thread):
             if tracker is not None:
                 self._track(tracker, raw, stamp)
             try:
-                publish = self._section(sink.images, raw, stamp.frame_number, each=tracker is None)
+                if self._section(sink.images, raw, stamp.frame_number, each=tracker is None):
+                    self._publish(sink, raw, stamp)
             except Exception as error:  # noqa: BLE001 - frames go on being acquired and recorded
                 self._faults.add("processing", error)
-                publish = False
             tally.latency.add(time.perf_counter() - stamp.received_s)
             tally.processed += 1
             tally.skipped("processing slow", cursor.skipped)
-            if publish:
-                self._publish(sink, raw, stamp)
         cursor.close()
 
     def _section(self, images: LiveImages, raw: NDArray[np.uint8], frame_number: int, *, each: bool) -> bool:
-        """Section a frame; return True if it is to be displayed.
+        """Return True if a frame is to be displayed, and section it unless its images are made of it alone.
 
         Where a tracker gives every frame its result, only those are sectioned that are displayed: one frame, or the
         confocal and the residual one of an ELSA image.
@@ -219,13 +217,15 @@ class ProcessingWorker(Thread):
         last = self._stream.ended
         due = time.perf_counter() >= self._due_s
         confocal, residual = elsa_pair(frame_number)
+        if images.of_one_frame and (due or last):
+            return True  # sectioned into the display's ring
         if each or images.averages or last:
             images.add(raw, frame_number)
             return due or last
-        if due and (frame_number == confocal or not images.pairs):
+        if due and frame_number == confocal:
             images.add(raw, frame_number)
             self._begun = frame_number
-            return not images.pairs
+            return False
         if images.pairs and frame_number == residual and self._begun == confocal:
             images.add(raw, frame_number)
             return True
