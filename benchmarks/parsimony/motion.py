@@ -92,8 +92,9 @@ class _Linked:
         return -warp.b, -warp.d
 
     def steady(self, item: Step) -> tuple[float, float]:
-        row, col = self._grid.shutter.steady(self._link(item).warp)
-        return row, col
+        warp = self._link(item).warp
+        periods = 1 + warp.b / self._grid.shutter.line_periods_per_frame  # from middle row to middle row of the content
+        return -warp.b / periods, -warp.d / periods
 
     def four(self, item: Step) -> tuple[float, float]:
         warp, shutter = self._link(item).warp, self._grid.shutter

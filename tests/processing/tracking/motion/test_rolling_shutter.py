@@ -57,13 +57,6 @@ def test_displacement_of_a_smooth_motion_is_the_mean_of_the_velocities_at_every_
     np.testing.assert_allclose(found, (before, after), atol=1e-6)
 
 
-@pytest.mark.parametrize("frames_apart", [1, 2, 5])
-def test_steady_motion_over_several_frames(frames_apart: int) -> None:
-    moved = type(SHUTTER.step(BEFORE, BEFORE))(frames_apart * BEFORE.row, frames_apart * BEFORE.col)
-    warp = SHUTTER.warp(BEFORE, BEFORE, moved)
-    assert SHUTTER.steady(warp, frames_apart) == pytest.approx(BEFORE)
-
-
 def test_without_a_rolling_shutter_the_displacement_is_minus_the_shift() -> None:
     still = RollingShutter(math.inf)
     warp = Warp(1.0, -8.0, 0.0, 3.0)

@@ -15,6 +15,11 @@ from napari_elsplus.processing.compiled import lean_kernel, prefetch
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    Frame = NDArray[Any]
+    Image = NDArray[np.float32]
+    Matrix = NDArray[np.float64]
+    Columns = NDArray[np.int32]
+
 _EPSILON: Final = 1e-6
 _ROWS_AHEAD: Final = 3
 """Rows of the grid whose camera memory is prefetched; measured on frames that are in no cache, which take 77 us with 8
@@ -25,26 +30,16 @@ _EVERY_PX: Final = 8
 _MARGIN: Final = 2
 
 
-def scratch(side: int, frame_width: int) -> NDArray[np.float32]:
+def scratch(side: int, frame_width: int) -> Image:
     """Return what :func:`subtract_views` works in: rows of sums, and the last rows of the grid with a margin."""
     return np.zeros((3 + _TAPS, max(side + 4, frame_width + 2)), np.float32)
 
 
 @lean_kernel
 def subtract_views(
-    raw: NDArray[Any],
-    raw_residual: NDArray[Any],
-    confocal: NDArray[np.float64],
-    residual: NDArray[np.float64],
-    weights: tuple[float, float],
-    binning: int,
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    scale: NDArray[np.float32],
-    offset: NDArray[np.float32],
-    work: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
+    raw: Frame, raw_residual: Frame, confocal: Matrix, residual: Matrix, weights: tuple[float, float], binning: int,
+    first: Columns, last: Columns, scale: Image, offset: Image, work: Image, out: Image,
+) -> None:  # fmt: skip
     """Add both views of a frame, binned and weighted; smooth; multiply by `scale` and subtract `offset`.
 
     Parameters
@@ -85,15 +80,7 @@ def subtract_views(
 
 @lean_kernel
 def _add_row(
-    raw: NDArray[Any],
-    matrix: NDArray[np.float64],
-    binning: int,
-    weight: float,
-    i: int,
-    begin: int,
-    end: int,
-    lines: NDArray[np.float32],
-    into: NDArray[np.float32],
+    raw: Frame, matrix: Matrix, binning: int, weight: float, i: int, begin: int, end: int, lines: Image, into: Image
 ) -> None:
     """Add a row of a view to a row of the grid."""
     half = 0.5 * (binning - 1)
@@ -140,7 +127,7 @@ def _run(at: float, slope: float, begin: int, end: int) -> tuple[int, int]:
 
 
 @lean_kernel
-def _add_squares(raw: NDArray[Any], top: int, left: int, weight: float, into: NDArray[np.float32]) -> None:
+def _add_squares(raw: Frame, top: int, left: int, weight: float, into: Image) -> None:
     """Add the sums of two by two camera pixels that lie squarely on the grid."""
     size, w = len(into), np.float32(weight)
     upper, lower = raw[top, left : left + 2 * size], raw[top + 1, left : left + 2 * size]
@@ -151,15 +138,7 @@ def _add_squares(raw: NDArray[Any], top: int, left: int, weight: float, into: ND
 
 @lean_kernel
 def _sum_rows(
-    raw: NDArray[Any],
-    above: int,
-    down: float,
-    slope: float,
-    left: int,
-    begin: int,
-    end: int,
-    binning: int,
-    sums: NDArray[np.float32],
+    raw: Frame, above: int, down: float, slope: float, left: int, begin: int, end: int, binning: int, sums: Image
 ) -> None:
     """Sum `binning` rows from `down` below row `above`, in a run of columns."""
     one, d, g = np.float32(1), np.float32(down), np.float32(slope)
@@ -182,13 +161,7 @@ def _sum_rows(
 
 @lean_kernel
 def _sum_columns(
-    sums: NDArray[np.float32],
-    across: float,
-    growth: float,
-    binning: int,
-    weight: float,
-    lines: NDArray[np.float32],
-    into: NDArray[np.float32],
+    sums: Image, across: float, growth: float, binning: int, weight: float, lines: Image, into: Image
 ) -> None:
     """Add `binning` columns from `across` beyond the first, for a run of the grid's columns."""
     one, a, g, w = np.float32(1), np.float32(across), np.float32(growth), np.float32(weight)
@@ -213,14 +186,7 @@ def _sum_columns(
 
 @lean_kernel
 def _smooth_row(
-    ring: NDArray[np.float32],
-    i: int,
-    begin: int,
-    end: int,
-    scale: NDArray[np.float32],
-    offset: NDArray[np.float32],
-    line: NDArray[np.float32],
-    out: NDArray[np.float32],
+    ring: Image, i: int, begin: int, end: int, scale: Image, offset: Image, line: Image, out: Image
 ) -> None:
     """Smooth one row; `ring` holds it and two rows on either side, with a margin of two columns."""
     four, six = np.float32(4), np.float32(6)
@@ -246,7 +212,7 @@ def _smooth_row(
 
 
 @lean_kernel
-def is_blank(raw: NDArray[Any], top: int, left: int, reach: int, limit: float) -> bool:
+def is_blank(raw: Frame, top: int, left: int, reach: int, limit: float) -> bool:
     """Return True if most of a square part of a frame is at a limit, or all at one level; every eighth pixel counts.
 
     Parameters

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
 
+    Indices = NDArray[np.intp]
+
 MIN_SEEN: Final = 0.5
 """Part of the disc's height and width that the frame must contain in both views; chosen: two frames that overlap by
 half are registered, and calibration refuses views of which less than 90 % are seen."""
@@ -116,18 +118,10 @@ class FrontEnd:
     def _fill(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
         confocal, residual = self._confocal, self._residual
         subtract_views(
-            _read_only(raw),
-            _read_only(raw_residual),
-            confocal.matrix,
-            residual.matrix,
-            (confocal.weight, residual.weight),
-            self.grid.binning,
-            *self.lit,
-            self._scale,
-            self._offset,
-            self._work,
-            out,
-        )
+            _read_only(raw), _read_only(raw_residual), confocal.matrix, residual.matrix,
+            (confocal.weight, residual.weight), self.grid.binning, *self.lit,
+            self._scale, self._offset, self._work, out,
+        )  # fmt: skip
 
     def _binned(self, background: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the tracking image (n, n) of the background, added byte by byte.
@@ -232,11 +226,7 @@ def _seen(
 
 
 def _within(
-    grid: Grid,
-    views: tuple[_Binning, _Binning],
-    frame_shape: tuple[int, int],
-    rows: NDArray[np.intp],
-    cols: NDArray[np.intp],
+    grid: Grid, views: tuple[_Binning, _Binning], frame_shape: tuple[int, int], rows: Indices, cols: Indices
 ) -> NDArray[np.bool_]:
     """Return True for pixels of the grid that lie within the frame in the views that are read."""
     within, q = np.ones(len(rows), bool), grid.binning

@@ -140,16 +140,3 @@ class RollingShutter:
             Of the later frame.
         """
         return displacement_under(warp, after, self.line_periods_per_frame)
-
-    def steady(self, warp: Warp, frames_apart: int = 1) -> Velocity:
-        """Velocity of a steady motion that explains a shift between frames that lie so many frame periods apart.
-
-        Parameters
-        ----------
-        warp : Warp
-            Of which the shift is used.
-        frames_apart : int
-            Frame periods between the frames.
-        """
-        periods = frames_apart + warp.b / self.line_periods_per_frame
-        return Velocity(-warp.b / periods, -warp.d / periods)

@@ -28,7 +28,9 @@ from napari_elsplus.processing.tracking.pose_graph.relative_pose import (
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.pose import Pose
@@ -57,7 +59,6 @@ TURNS_PER_NODE: Final = 2
 """Edges from before the rotation was modelled whose angle is estimated with each new node."""
 _GUESSED_TURN_SIGMA: Final = 0.5
 """Standard deviation of the angle of an edge that could not be registered with one, radians; chosen, large."""
-_REMOVED: Final = -1
 
 
 class PoseGraph:
@@ -193,8 +194,6 @@ class PoseGraph:
         """Those along the whole track."""
         known: dict[int, list[tuple[int, Correction]]] = {}
         for node, place in zip(self.nodes, self.places, strict=True):
-            if place.segment == _REMOVED:
-                continue
             along = known.setdefault(node.pose.segment, [])
             here = Correction.between(node.pose, place)
             if node.upright is not None:
@@ -217,15 +216,7 @@ class PoseGraph:
         group : int
             Segment as the graph numbers them: the first of those that were joined.
         """
-        gone = self._group[: len(self.nodes)] == group
-        self._group[: len(self.nodes)][gone] = _REMOVED
-        for number in np.flatnonzero(gone).tolist():
-            self.places[number] = self.places[number]._replace(segment=_REMOVED)
-        self._chain, self._loops = (
-            [edge for edge in edges if not gone[edge.earlier]] for edges in (self._chain, self._loops)
-        )
-        self._newest = {segment: number for segment, number in self._newest.items() if not gone[number]}
-        self._deferred = [number for number in self._deferred if not gone[number]]
+        self._retain(self._group[: len(self.nodes)] != group)
         self._unsolved.discard(group)
 
     def marginalise(self, kept: Callable[[Node], bool]) -> None:
@@ -239,25 +230,29 @@ class PoseGraph:
         count = len(self.nodes)
         if count <= self._limit:
             return
-        there = self._group[:count] != _REMOVED
         segment = np.array([node.pose.segment for node in self.nodes])
         free = np.array([not kept(node) and node.upright is None for node in self.nodes])
-        stays = there.copy()
-        stays[there] = retained_nodes(self._where[:count, 2][there], segment[there], free[there], 2 * MAX_NODES // 3)
-        chain, loops = marginalised_edges(self._chain, self._loops, stays)
+        stays = retained_nodes(self._where[:count, 2], segment, free, 2 * MAX_NODES // 3)
+        self._chain, self._loops = marginalised_edges(self._chain, self._loops, stays)
+        self._retain(stays)
+        self._limit = max(MAX_NODES, int(_GROWTH * len(self.nodes)))
+
+    def _retain(self, stays: NDArray[np.bool_]) -> None:
+        """Remove all but some nodes (n,), and the edges that end at them; the others get new numbers."""
         number, left = (np.cumsum(stays) - 1).tolist(), np.flatnonzero(stays).tolist()
-        self._chain, self._loops = (
-            [edge._replace(earlier=number[edge.earlier], later=number[edge.later]) for edge in edges]
-            for edges in (chain, loops)
-        )
+
+        def renumbered(edges: Iterable[Edge]) -> list[Edge]:
+            within = (edge for edge in edges if stays[edge.earlier] and stays[edge.later])
+            return [edge._replace(earlier=number[edge.earlier], later=number[edge.later]) for edge in within]
+
+        self._chain, self._loops = renumbered(self._chain), renumbered(self._loops)
+        self._bridges = {pair: renumbered(edges) for pair, edges in self._bridges.items()}
         self.nodes, self.places = [self.nodes[k] for k in left], [self.places[k] for k in left]
         for values in (self._where, self._group, self._landmark):
             values[: len(left)], values[len(left) :] = values[left], 0
-        self._newest = {segment: number[k] for segment, k in self._newest.items()}
+        self._newest = {segment: number[k] for segment, k in self._newest.items() if stays[k]}
         self._deferred = [number[k] for k in self._deferred if stays[k]]
-        self._bridges = {}
         self._index.retain({node.frame for node in self.nodes})
-        self._limit = max(MAX_NODES, int(_GROWTH * len(left)))
 
     # edges
 
@@ -295,7 +290,7 @@ class PoseGraph:
     def _recognised(self, number: int) -> list[Edge]:
         """Return edges that join this node's segment with others in which its place is recognised."""
         groups = self._group[: len(self.nodes)]
-        others = np.flatnonzero((groups != groups[number]) & (groups != _REMOVED) & self._landmark[: len(groups)])
+        others = np.flatnonzero((groups != groups[number]) & self._landmark[: len(groups)])
         if not len(others):
             return []
         view, angle = self._view(number), self._orientation(number)

@@ -23,8 +23,8 @@ from napari_elsplus.processing.tracking.registration.lucas_kanade import (
     accumulate,
     scale_by_gain,
     solve,
+    tone_between,
 )
-from napari_elsplus.processing.tracking.registration.similarity import tone_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

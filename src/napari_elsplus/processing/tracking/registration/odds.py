@@ -17,8 +17,7 @@ import numpy as np
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.motion_prior import DEGREES_OF_FREEDOM
-from napari_elsplus.processing.tracking.registration.lucas_kanade import Iteration, align
-from napari_elsplus.processing.tracking.registration.similarity import tone_between
+from napari_elsplus.processing.tracking.registration.lucas_kanade import Iteration, align, tone_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

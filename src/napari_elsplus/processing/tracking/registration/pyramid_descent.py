@@ -15,7 +15,14 @@ from napari_elsplus.processing.tracking.front_end.grid import INNER_FIELD
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.motion_prior import expected_warp, terms_of, velocity_given
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-from napari_elsplus.processing.tracking.registration.lucas_kanade import PARAMETERS, Iteration, Workspace, align, solve
+from napari_elsplus.processing.tracking.registration.lucas_kanade import (
+    PARAMETERS,
+    Iteration,
+    Workspace,
+    align,
+    solve,
+    tone_between,
+)
 from napari_elsplus.processing.tracking.registration.odds import (
     CORRELATED_PX,
     blocks,
@@ -26,7 +33,6 @@ from napari_elsplus.processing.tracking.registration.odds import (
     write_prior,
 )
 from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, Pyramid, fill_levels, high_pass
-from napari_elsplus.processing.tracking.registration.similarity import tone_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
