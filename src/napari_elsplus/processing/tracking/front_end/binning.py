@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
     Matrix = NDArray[np.float64]
     Columns = NDArray[np.int32]
+    Pixels = tuple[int, ...]
 
 _EPSILON: Final = 1e-6
 _ROWS_AHEAD: Final = 3
@@ -30,14 +31,14 @@ _EVERY_PX: Final = 8
 _MARGIN: Final = 2
 
 
-def scratch(side: int, frame_width: int) -> Image:
-    """Return what :func:`subtract_views` works in: rows of sums, and the last rows of the grid with a margin."""
-    return np.zeros((3 + _TAPS, max(side + 4, frame_width + 2)), np.float32)
+def scratch(side: int) -> Image:
+    """Return what :func:`subtract_views` works in: a smoothed row, and the last rows of the grid with a margin."""
+    return np.zeros((1 + _TAPS, side + 2 * _MARGIN), np.float32)
 
 
 @lean_kernel
 def subtract_views(
-    raw: Frame, raw_residual: Frame, confocal: Matrix, residual: Matrix, weights: tuple[float, float], binning: int,
+    raw: Frame, raw_residual: Frame, confocal: Matrix, residual: Matrix, weights: tuple[float, float], pixels: Pixels,
     first: Columns, last: Columns, scale: Image, offset: Image, work: Image, out: Image,
 ) -> None:  # fmt: skip
     """Add both views of a frame, binned and weighted; smooth; multiply by `scale` and subtract `offset`.
@@ -51,8 +52,8 @@ def subtract_views(
         differ little from translations, so that whole-pixel shifts are constant over long runs of columns.
     weights : tuple of float
         Of the two views; a view of weight zero is not read.
-    binning : int
-        Camera pixels per grid pixel.
+    pixels : tuple of int
+        0, 1, ...: as many as there are camera pixels per grid pixel in a row; compiled for that number.
     first, last : numpy.ndarray
         (n,) int32: lit columns of each row of the grid.
     scale, offset : numpy.ndarray
@@ -63,7 +64,7 @@ def subtract_views(
         (n, n) float32 image; zero outside of the lit columns.
     """
     side = out.shape[0]
-    lines, ring = work[:3], work[3:]
+    line, ring = work[0], work[1:]
     ring[:] = np.float32(0)
     for i in range(side + 2):
         row = ring[i % _TAPS, _MARGIN : side + _MARGIN]
@@ -71,49 +72,40 @@ def subtract_views(
         if i < side and last[i] > first[i]:
             begin, end = int(np.intp(first[i])), int(np.intp(last[i]))  # of one type, for which kernels are compiled
             if weights[0] != 0.0:
-                _add_row(raw, confocal, binning, weights[0], i, begin, end, lines, row)
+                _add_row(raw, confocal, pixels, weights[0], i, begin, end, row)
             if weights[1] != 0.0:
-                _add_row(raw_residual, residual, binning, weights[1], i, begin, end, lines, row)
+                _add_row(raw_residual, residual, pixels, weights[1], i, begin, end, row)
         if i >= 2:
-            _smooth_row(ring, i - 2, first[i - 2], last[i - 2], scale[i - 2], offset[i - 2], lines[0], out[i - 2])
+            _smooth_row(ring, i - 2, first[i - 2], last[i - 2], scale[i - 2], offset[i - 2], line, out[i - 2])
 
 
 @lean_kernel
 def _add_row(
-    raw: Frame, matrix: Matrix, binning: int, weight: float, i: int, begin: int, end: int, lines: Image, into: Image
+    raw: Frame, matrix: Matrix, pixels: Pixels, weight: float, i: int, begin: int, end: int, into: Image
 ) -> None:
-    """Add a row of a view to a row of the grid."""
+    """Add a row of a view to the lit columns of a row of the grid."""
+    binning = len(pixels)
     half = 0.5 * (binning - 1)
-    slope = matrix[0, 1] / matrix[1, 1]  # rows per column, along the view's own columns
-    growth = binning * (matrix[1, 1] - 1.0)
     row = binning * i + half
-    # leftmost camera column of the grid's column j: shift + growth * j + binning * j
-    shift = matrix[1, 0] * row + matrix[1, 1] * half + matrix[1, 2] - half
-    left = int(np.floor(shift + growth * begin + _EPSILON)) + binning * begin
-    right = int(np.floor(shift + growth * (end - 1) + _EPSILON)) + binning * end
-    top = matrix[0, 0] * row + matrix[0, 2] - half + slope * (left - matrix[1, 0] * row - matrix[1, 2])
-    height, width = raw.shape
-    width = min(right + 1, width) - left
-    ahead = int(top) + _ROWS_AHEAD * binning
-    for r in range(ahead, min(ahead + binning, height)):
-        for c in range(left, left + width + _CACHE_LINE - 1, _CACHE_LINE):
+    # first camera row of the grid's column j: top + tilt * j; first camera column: shift + (growth + binning) * j
+    top, tilt = matrix[0, 0] * row + matrix[0, 1] * half + matrix[0, 2] - half, binning * matrix[0, 1]
+    shift, growth = matrix[1, 0] * row + matrix[1, 1] * half + matrix[1, 2] - half, binning * (matrix[1, 1] - 1.0)
+    ahead = int(top + tilt * begin) + _ROWS_AHEAD * binning
+    left, right = int(shift + growth * begin) + binning * begin, int(shift + growth * end) + binning * end
+    for r in range(ahead, min(ahead + binning, len(raw))):
+        for c in range(left, right + _CACHE_LINE - 1, _CACHE_LINE):
             prefetch(raw, r, c)
-    if binning == 2 and slope == 0.0 and growth == 0.0 and top == np.floor(top) and shift == np.floor(shift):
-        _add_squares(raw, int(top), left, weight, into[begin:end])
-        return
-    sums = lines[0]
-    sums[width] = sums[width + 1] = np.float32(0)
-    a = int(np.intp(0))  # a variable, as later
-    while a < width:
-        above, b = _run(top, slope, a, width)
-        _sum_rows(raw, above, max(top + slope * a - above, 0.0), slope, left, a, b, binning, sums)
-        a = b
-    a = begin
-    while a < end:
-        whole, b = _run(shift, growth, a, end)
-        across = max(shift + growth * a - whole, 0.0)
-        _sum_columns(sums[binning * a + whole - left :], across, growth, binning, weight, lines[1:], into[a:b])
-        a = b
+    whole_pixels = tilt == 0.0 and growth == 0.0 and top == np.floor(top) and shift == np.floor(shift)
+    while begin < end:
+        whole, stop = _run(shift, growth, begin, end)
+        above, stop = _run(top, tilt, begin, stop)
+        left, run = whole + binning * begin, into[begin:stop]
+        if whole_pixels:
+            _add_squares(raw, above, left, pixels, weight, run)
+        else:
+            down, across = top + tilt * begin - above, shift + growth * begin - whole
+            _add_between(raw, above, left, (down, tilt), (across, growth), pixels, weight, run)
+        begin = stop
 
 
 @lean_kernel
@@ -127,61 +119,55 @@ def _run(at: float, slope: float, begin: int, end: int) -> tuple[int, int]:
 
 
 @lean_kernel
-def _add_squares(raw: Frame, top: int, left: int, weight: float, into: Image) -> None:
-    """Add the sums of two by two camera pixels that lie squarely on the grid."""
-    size, w = len(into), np.float32(weight)
-    upper, lower = raw[top, left : left + 2 * size], raw[top + 1, left : left + 2 * size]
-    for k in range(size):
-        above = np.float32(upper[2 * k]) + np.float32(upper[2 * k + 1])
-        into[k] += w * (above + (np.float32(lower[2 * k]) + np.float32(lower[2 * k + 1])))
-
-
-@lean_kernel
-def _sum_rows(
-    raw: Frame, above: int, down: float, slope: float, left: int, begin: int, end: int, binning: int, sums: Image
-) -> None:
-    """Sum `binning` rows from `down` below row `above`, in a run of columns."""
-    one, d, g = np.float32(1), np.float32(down), np.float32(slope)
-    upper, lower = raw[above, left + begin : left + end], raw[above + binning, left + begin : left + end]
-    second = raw[above + min(1, binning - 1), left + begin : left + end]
-    into = sums[begin:end]
-    if binning == 1:
-        for k in range(end - begin):
-            f = d + g * np.float32(k)
-            into[k] = (one - f) * np.float32(upper[k]) + f * np.float32(lower[k])
-        return
-    for k in range(end - begin):
-        f = d + g * np.float32(k)
-        into[k] = (one - f) * np.float32(upper[k]) + np.float32(second[k]) + f * np.float32(lower[k])
-    for r in range(2, binning):
-        more = raw[above + r, left + begin : left + end]
-        for k in range(end - begin):
-            into[k] += np.float32(more[k])
-
-
-@lean_kernel
-def _sum_columns(
-    sums: Image, across: float, growth: float, binning: int, weight: float, lines: Image, into: Image
-) -> None:
-    """Add `binning` columns from `across` beyond the first, for a run of the grid's columns."""
-    one, a, g, w = np.float32(1), np.float32(across), np.float32(growth), np.float32(weight)
+def _add_squares(raw: Frame, top: int, left: int, pixels: Pixels, weight: float, into: Image) -> None:
+    """Add the sums of squares of camera pixels that lie squarely on the grid, two rows at a time."""
+    binning, w = len(pixels), np.float32(weight)
     size = len(into)
-    edge, between = lines[0, : size + 1], lines[1, :size]
-    if binning == 2:
+    for r in range(0, binning, 2):
+        paired = r + 1 < binning
+        upper, lower = raw[top + r, left : left + binning * size], raw[top + r + paired, left : left + binning * size]
+        v = w if paired else np.float32(0)
         for k in range(size):
-            edge[k], between[k] = sums[2 * k], sums[2 * k + 1]
-    else:
-        for k in range(size):
-            edge[k] = sums[binning * k]
-            total = np.float32(0)
-            for b in range(1, binning):
-                total += sums[binning * k + b]
-            between[k] = total
-    edge[size] = sums[binning * size]
-    beyond = edge[1:]
+            into[k] += w * _sum(upper, k, pixels) + v * _sum(lower, k, pixels)
+
+
+@lean_kernel
+def _add_between(
+    raw: Frame, above: int, left: int, down: tuple[float, float], across: tuple[float, float], pixels: Pixels,
+    weight: float, into: Image,
+) -> None:  # fmt: skip
+    """Add the sums of squares that lie between camera pixels: `down` and `across` are fractions and their slopes."""
+    binning, one, w = len(pixels), np.float32(1), np.float32(weight)
+    d, tilt, f, growth = np.float32(down[0]), np.float32(down[1]), np.float32(across[0]), np.float32(across[1])
+    size = len(into)
+    right = left + binning * size + 1
+    upper, lower = raw[above, left:right], raw[above + binning, left:right]
+    second, middle = raw[above + min(1, binning - 1), left:right], np.float32(min(1, binning - 1))
     for k in range(size):
-        f = a + g * np.float32(k)
-        into[k] += w * ((one - f) * edge[k] + between[k] + f * beyond[k])
+        part, aside = d + tilt * np.float32(k), f + growth * np.float32(k)
+        edges = (one - part) * _sum_aside(upper, k, aside, pixels) + part * _sum_aside(lower, k, aside, pixels)
+        into[k] += w * (edges + middle * _sum_aside(second, k, aside, pixels))
+    for r in range(2, binning):
+        more = raw[above + r, left:right]
+        for k in range(size):
+            into[k] += w * _sum_aside(more, k, f + growth * np.float32(k), pixels)
+
+
+@lean_kernel
+def _sum(line: Frame, k: int, pixels: Pixels) -> np.float32:
+    """Return the sum of the camera pixels of a row that column k of the grid covers."""
+    binning, total = len(pixels), np.float32(line[len(pixels) * k])
+    for b in range(1, binning):
+        total += np.float32(line[binning * k + b])
+    return total
+
+
+@lean_kernel
+def _sum_aside(line: Frame, k: int, aside: np.float32, pixels: Pixels) -> np.float32:
+    """Return the sum of as many camera pixels, a fraction of one aside."""
+    binning = len(pixels)
+    step: np.float32 = np.float32(line[binning * k + binning]) - np.float32(line[binning * k])
+    return _sum(line, k, pixels) + aside * step
 
 
 @lean_kernel

@@ -69,7 +69,7 @@ class FrontEnd:
             subtracts = sign != 0 and mode is not Mode.RESIDUAL
             grid = replace(grid, seen=seen, line_offset=line_offset_px(calibration) / q if subtracts else 0.0)
         self.grid = grid
-        self._work = scratch(grid.side, frame_shape[1])
+        self._work = scratch(grid.side)
         self.lit = grid.spans(1.0)
         inside = lit_pixels(*self.lit).astype(np.float32)
         weights = _smooth(inside)
@@ -119,7 +119,7 @@ class FrontEnd:
         confocal, residual = self._confocal, self._residual
         subtract_views(
             _read_only(raw), _read_only(raw_residual), confocal.matrix, residual.matrix,
-            (confocal.weight, residual.weight), self.grid.binning, *self.lit,
+            (confocal.weight, residual.weight), tuple(range(self.grid.binning)), *self.lit,
             self._scale, self._offset, self._work, out,
         )  # fmt: skip
 
