@@ -60,6 +60,19 @@ def test_an_edited_kernel_is_compiled_again_into_those_that_call_it(package: Pat
     assert answer(package) == "16.0 1"
 
 
+def test_a_kernel_is_compiled_once_for_all_constants_that_other_kernels_pass() -> None:
+    @compiled.kernel
+    def scaled(x: float, factor: int) -> float:
+        return factor * x
+
+    @compiled.kernel
+    def outer(x: float, factor: int) -> float:
+        return scaled(x, 2) + scaled(x, factor=3) + scaled(x, factor)
+
+    assert outer(1.0, 4) == 9.0
+    assert len(scaled.signatures) == 1  # type: ignore[attr-defined]
+
+
 def test_kernels_that_are_compiled_are_named_while_somebody_waits() -> None:
     @numba.njit
     def inner(x: float) -> float:

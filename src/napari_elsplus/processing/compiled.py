@@ -16,7 +16,7 @@ from numba.extending import intrinsic, register_jitable
 from napari_elsplus.processing.compilation import report_compilation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -54,7 +54,14 @@ def _cached(compile_with: Callable[..., Any], function: Function) -> Function:
     except RuntimeError:  # raised by numba where no cache folder is writable
         return cast("Function", compile_with()(function))
     dispatcher._cache._cache_file._source_stamp = _sources_of_kernels()  # noqa: SLF001 - numba has no public way
+    dispatcher.get_call_template = partial(_template_without_literals, dispatcher.get_call_template)
     return cast("Function", dispatcher)
+
+
+def _template_without_literals(resolve: Callable[..., Any], args: Sequence[Any], kws: Mapping[str, Any]) -> Any:
+    """Resolve a call between kernels by the types of its arguments: numba compiles a kernel anew for each constant."""
+    kinds = {name: numba.types.unliteral(kind) for name, kind in kws.items()}
+    return resolve(tuple(numba.types.unliteral(kind) for kind in args), kinds)
 
 
 class _Compilations(event.Listener):

@@ -103,9 +103,9 @@ def pair_at(level: int, lit: int, earlier: Images, later: Images, tools: Tools) 
     earlier, later, tools
         As of :func:`descend`.
     """
-    first, last = tools.lit[lit]
     side = len(earlier[level])
-    return FramePair(earlier[level], later[level], first[:side], last[:side], tools.middles[level])
+    first, last = tools.lit[lit, 0, :side], tools.lit[lit, 1, :side]  # contiguous, as all other frame pairs are
+    return FramePair(earlier[level], later[level], first, last, tools.middles[level])
 
 
 @lean_kernel
