@@ -22,7 +22,12 @@ if TYPE_CHECKING:
 
     Function = TypeVar("Function", bound=Callable[..., Any])
 
-_OPTIONS: Final = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp", "nsz", "reassoc"}}
+_OPTIONS: Final = {
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "arcp", "nsz", "reassoc"},
+    "no_cfunc_wrapper": True,  # of use to C alone, and a tenth of the compiler's work
+}
 
 
 def kernel(function: Function) -> Function:
