@@ -79,7 +79,7 @@ class MaskedCorrelation:
         sums = self.correlate(self.mask_spectrum, spectrum) / self._root_cells
         squares = self.correlate(self.mask_spectrum, self.spectrum(inside * inside))
         squares -= sums * sums
-        squares[~self.searched | (squares <= 0)] = np.inf
+        np.copyto(squares, np.inf, where=~self.searched | (squares <= 0))
         scale = np.reciprocal(np.sqrt(squares), dtype=np.float32)
         return CoarseImage(spectrum, scale, sums * scale)
 
@@ -98,7 +98,7 @@ class MaskedCorrelation:
         """Return the spectrum (size, size) of an image (n, n), packed as OpenCV does."""
         padded = np.zeros((self._size, self._size), np.float32)
         padded[: len(image), : len(image)] = image
-        return np.asarray(cv2.dft(padded, dst=padded, nonzeroRows=len(image)), np.float32)
+        return np.asarray(cv2.dft(padded, dst=padded), np.float32)
 
     def correlate(self, template: NDArray[np.float32], image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return sums (size, size) of the products of two images at each shift.

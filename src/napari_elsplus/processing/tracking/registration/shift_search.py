@@ -11,11 +11,11 @@ from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
 from napari_elsplus.processing.tracking.registration.masked_correlation import CoarseImage, MaskedCorrelation
 
 if TYPE_CHECKING:
-    from typing import TypeVar
+    from typing import Any, TypeVar
 
     from numpy.typing import NDArray
 
-    Distance = TypeVar("Distance", float, NDArray[np.float64])
+    Distance = TypeVar("Distance", float, NDArray[np.floating[Any]])
 
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 
@@ -43,13 +43,13 @@ class ShiftSearch:
         self._correlation = MaskedCorrelation(
             lit_pixels(first, last).astype(np.float32), LEAST_OVERLAP, _HIGH_PASS_CELLS
         )
-        self._shifts = self._correlation.lags * scale
+        self._shifts = (self._correlation.lags * scale).astype(np.float32)
 
     def prepare(self, image: NDArray[np.float32]) -> CoarseImage:
         """Return what the search needs of a coarse image (n, n)."""
         return self._correlation.prepare(self._correlation.high_passed(image))
 
-    def peaks(self, earlier: CoarseImage, later: CoarseImage, expected: Warp, reach_px: float) -> NDArray[np.float64]:
+    def peaks(self, earlier: CoarseImage, later: CoarseImage, expected: Warp, reach_px: float) -> NDArray[np.float32]:
         """Return the most likely shifts (b, d), in pixels of full resolution, best first.
 
         Parameters
@@ -63,8 +63,8 @@ class ShiftSearch:
         """
         alike = np.clip(self._correlation.coefficients(earlier, later), 0.0, _MAX_CORRELATION)
         before = prior(self._shifts[:, None] - expected.b, self._shifts - expected.d, reach_px)
-        score = before - _NATS_PER_CELL * self._correlation.overlap * np.log1p(-alike * alike)
-        score[alike == 0] = -np.inf
+        score = before - _NATS_PER_CELL * self._correlation.overlap * np.log(1 - alike * alike)
+        np.copyto(score, -np.inf, where=alike == 0)
         around = cv2.dilate(cv2.copyMakeBorder(score, 1, 1, 1, 1, cv2.BORDER_WRAP), None)[1:-1, 1:-1]
         highest = np.flatnonzero((score == around) & (alike > 0))
         best = highest[np.argsort(-score.ravel()[highest])[:CANDIDATES]]
@@ -81,5 +81,5 @@ def prior(rows: Distance, cols: Distance, reach_px: float) -> Distance:
     reach_px : float
         Scale of the prior, pixels.
     """
-    log_probability: Distance = -1.5 * np.log1p((rows * rows + cols * cols) / (reach_px * reach_px))
+    log_probability: Distance = -1.5 * np.log(1 + (rows * rows + cols * cols) / (reach_px * reach_px))
     return log_probability
