@@ -63,12 +63,12 @@ def test_a_sweep_under_row_noise_is_mapped_as_without(row_noise_dn: float) -> No
 
 def test_frames_without_row_noise_are_left_alone() -> None:
     frame = np.random.default_rng(3).normal(10, 1, (120, 300)).astype(np.float32)
-    assert RowReference(np.ones(frame.shape, np.float32)).without_row_noise(frame) is frame
+    assert RowReference(np.ones(frame.shape, np.uint8)).without_row_noise(frame) is frame
 
 
 def test_frames_without_dark_pixels_are_left_alone() -> None:
     frame = (10 + np.random.default_rng(4).normal(0, 3, (120, 1)) + np.zeros(300)).astype(np.float32)
-    assert RowReference(np.zeros(frame.shape, np.float32)).without_row_noise(frame) is frame
+    assert RowReference(np.zeros(frame.shape, np.uint8)).without_row_noise(frame) is frame
 
 
 def test_the_light_of_the_bundle_is_kept() -> None:

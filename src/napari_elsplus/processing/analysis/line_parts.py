@@ -16,7 +16,6 @@ from napari_elsplus.errors import MeasurementError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from scipy.optimize import OptimizeResult
 
     Floats = NDArray[np.float64]
 
@@ -28,6 +27,9 @@ _REACH: Final = 0.78
 """Distance from the line to which profiles are fitted, of its half length; derived: inside of the rim there."""
 _HONEYCOMB: Final = 0.1
 """Scatter of a group's profile over its level, from the cores' transmission; chosen, that of a few cores."""
+MAX_STEPS, SMALL_STEP = 4, 0.01
+"""Gauss-Newton steps from the fit of the mean profile to that of the groups, and the largest relative change of a
+width that ends them; chosen: the error after a step is about the square of that step."""
 _MIN_HALO_SHARE: Final = 0.02
 """Share of the light below which no halo is stated; chosen: its width is then unknown."""
 _MIN_SIGMAS: Final = 3.0
@@ -86,12 +88,15 @@ def measure_line_parts(
 
     peak, level = float(mean.max()), float(np.percentile(mean, 5))
     start = np.array([0.7 * (peak - level), np.log(core_rows), 0.3 * (peak - level), np.log(5 * core_rows), 0.0, level])
-    # from the mean profile, which is tilted but a sixteenth of the data, to the groups
-    for at, light in ((u.mean(axis=1, keepdims=True), mean[:, None]), (u, profiles)):
-        best = _fit(start, at, light, weights[:, None])
-        start = best.x
-    sigma = _jackknife_sigma(best.x, best.jac, best.fun, np.arange(profiles.size) % GROUPS)
-    core, halo, share = _parts(best.x)
+    best = _fit(start, u.mean(axis=1), mean, weights)
+    # The groups differ from their mean by the tilt alone, so that few steps lead from its fit to theirs.
+    for _ in range(MAX_STEPS):
+        misfit = (_model(best, u) - profiles) * weights[:, None]
+        before, (best, without) = best, _steps(best, _derivatives(best, u) * weights[:, None], misfit)
+        if np.abs(best - before)[[1, 3]].max() < SMALL_STEP:
+            break
+    core, halo, share = _parts(best)
+    sigma = _jackknife_sigma(best, without)
     significant = min(share, 1 - share) > _MIN_SIGMAS * sigma[2]
     if not (share > _MIN_HALO_SHARE and significant and halo > 2 * core):
         raise MeasurementError(
@@ -102,25 +107,41 @@ def measure_line_parts(
     return LineParts(core, halo, share, float(sigma[0]), float(sigma[1]), float(sigma[2]))
 
 
-def _fit(start: Floats, u: Floats, light: Floats, weights: Floats) -> OptimizeResult:
-    """Fit the model to grey levels at distances from the line, both (rows, profiles), by Levenberg-Marquardt."""
-    return least_squares(
-        lambda parameters: ((_model(parameters, u) - light) * weights).ravel(),
-        start,
-        lambda parameters: (_derivatives(parameters, u) * weights).reshape(len(start), -1).T,
-        x_scale=np.maximum(np.abs(start), 0.1),
-        method="lm",
+def _fit(start: Floats, u: Floats, light: Floats, weights: Floats) -> Floats:
+    """Fit the model to grey levels at distances from the line, both (rows,), by Levenberg-Marquardt."""
+    return np.asarray(
+        least_squares(
+            lambda parameters: (_model(parameters, u) - light) * weights,
+            start,
+            lambda parameters: (_derivatives(parameters, u) * weights).T,
+            x_scale=np.maximum(np.abs(start), 0.1),
+            method="lm",
+        ).x
     )
 
 
-def _jackknife_sigma(best: Floats, jacobian: Floats, misfit: Floats, group: NDArray[np.intp]) -> Floats:
-    """Return one standard deviation of core, halo and share, from fits without each group: one step from the best."""
-    members = [np.flatnonzero(group == k) for k in range(GROUPS)]
-    curvature = np.array([jacobian[own].T @ jacobian[own] for own in members])
-    pull = np.array([jacobian[own].T @ misfit[own] for own in members])
-    kept = zip(curvature.sum(axis=0) - curvature, pull.sum(axis=0) - pull, strict=True)
-    steps = [np.linalg.lstsq(each, pulled, rcond=None)[0] for each, pulled in kept]
-    core_peak, log_core, halo_peak, log_halo, _, _ = (np.array(steps) - np.mean(steps, axis=0)).T
+def _steps(parameters: Floats, jacobian: Floats, misfit: Floats) -> tuple[Floats, Floats]:
+    """Return parameters one Gauss-Newton step on: of all groups, and without each of them, (GROUPS, parameters).
+
+    Parameters
+    ----------
+    parameters : numpy.ndarray
+        Shape (parameters,).
+    jacobian, misfit : numpy.ndarray
+        Derivatives of the misfit, (parameters, rows, profiles), and the misfit, (rows, profiles); each group has two
+        of the profiles.
+    """
+    by_group = jacobian.reshape(len(parameters), -1, GROUPS).transpose(2, 0, 1)
+    curvature = by_group @ by_group.transpose(0, 2, 1)
+    pull = (by_group @ misfit.reshape(-1, GROUPS).T[:, :, None])[..., 0]
+    whole = np.linalg.pinv(curvature.sum(axis=0)) @ pull.sum(axis=0)
+    without = np.linalg.pinv(curvature.sum(axis=0) - curvature) @ (pull.sum(axis=0) - pull)[..., None]
+    return parameters - whole, parameters - without[..., 0]
+
+
+def _jackknife_sigma(best: Floats, without: Floats) -> Floats:
+    """Return one standard deviation of core, halo and share, from the parameters without each group."""
+    core_peak, log_core, halo_peak, log_halo, _, _ = (without - without.mean(axis=0)).T
     core, halo, share = _parts(best)
     by_share = halo_peak / best[2] + log_halo - core_peak / best[0] - log_core
     left_out = np.stack([core * log_core, halo * log_halo, share * (1 - share) * by_share])
@@ -150,7 +171,7 @@ def _model(parameters: Floats, u: Floats) -> Floats:
 
 
 def _derivatives(parameters: Floats, u: Floats) -> Floats:
-    """Return the derivatives of the model by its parameters, (parameters, rows, groups)."""
+    """Return the derivatives of the model by its parameters, (parameters, ...) as `u`."""
     core, log_core, halo, log_halo, shift, _ = parameters
     from_line = u - shift
     by_core, by_halo = (from_line * np.exp(-2 * each) for each in (log_core, log_halo))

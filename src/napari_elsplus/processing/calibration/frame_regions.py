@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 MAX_SATURATED: Final = 0.01
 """Largest saturated share of a frame; chosen, well above the share of hot pixels and below that of a core's image."""
+EXACT_FLOAT32: Final = 2**24
+"""Up to which float32 holds every integer; derived from its 24 bits of mantissa."""
 LINE_MARGIN_PX: Final = 40
 """Beside the lit columns of a line, in pixels; chosen: its ends fade out towards the rim."""
 
@@ -40,15 +42,22 @@ def mean_frame(frames: Frames) -> Image:
     """
     if not len(frames):
         raise InputError("there are 0 frames", "give at least one")
-    total = np.zeros(frames[0].shape, np.float64)
+    if len(frames) == 1:
+        return _finite(np.array(frames[0], np.float32))
+    exact = largest_level(frames[0]) * len(frames) < EXACT_FLOAT32
+    total = np.zeros(frames[0].shape, np.float32 if exact else np.float64)
     for number in range(len(frames)):
         frame = np.asarray(frames[number])
-        # OpenCV adds integers to float64 without a converted copy of the frame, many times as fast as numpy.
-        cv2.accumulate(frame if frame.dtype in (np.uint8, np.uint16) else frame.astype(np.float64), total)
-    if not np.isfinite(total.sum()):
-        raise InputError("a frame holds NaN or infinity", "record it again")
+        # OpenCV adds integers to floats without a converted copy of the frame, many times as fast as numpy.
+        cv2.accumulate(frame if frame.dtype in (np.uint8, np.uint16) else frame.astype(total.dtype), total)
     total /= len(frames)
-    return total.astype(np.float32)
+    return _finite(total.astype(np.float32, copy=False))
+
+
+def _finite(frame: Image) -> Image:
+    if not np.isfinite(frame.sum(dtype=np.float64)):
+        raise InputError("a frame holds NaN or infinity", "record it again")
+    return frame
 
 
 def brightest(frames: Frames, background: Image | None) -> Image:
@@ -86,8 +95,8 @@ def unlit_pixels(
     background: Image | None = None,
     discs: Sequence[tuple[tuple[float, float], float]] = (),
     lines: Sequence[tuple[int, int]] = (),
-) -> NDArray[np.float32]:
-    """Return 1 in the pixels of a frame that no light of the bundle reaches, 0 elsewhere, (rows, cols) float32.
+) -> NDArray[np.uint8]:
+    """Return 1 in the pixels of a frame that no light of the bundle reaches, 0 elsewhere, (rows, cols) uint8.
 
     Parameters
     ----------
@@ -103,7 +112,7 @@ def unlit_pixels(
     if discs:
         return dark_pixels((frame.shape[0], frame.shape[1]), discs)
     if lines:
-        dark = np.ones(frame.shape[1], np.float32)
+        dark = np.ones(frame.shape[1], np.uint8)
         for first, stop in lines:
             dark[max(first - LINE_MARGIN_PX, 0) : stop + LINE_MARGIN_PX] = 0
         return np.broadcast_to(dark, frame.shape)
@@ -129,6 +138,8 @@ def saturated_share(frame: NDArray[Any], name: str, limit: float = MAX_SATURATED
         If it exceeds the limit.
     """
     white = largest_level(frame)
+    if not np.isfinite(white):
+        return 0.0
     share = np.count_nonzero(frame == white) / frame.size
     if share > limit:
         raise MeasurementError(

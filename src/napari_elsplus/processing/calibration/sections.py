@@ -106,7 +106,7 @@ def apply_pair(draft: Draft, pair: BundlePair) -> Calibration:
             update={"optics": (known.optics or OpticsSection()).model_copy(update={"um_per_px": scale})}
         )
     flat = measure_flat_field(pair.image[None], above_dark) if pair.shows_flat_field else None
-    known = known.model_copy(update={"flat": flat, "quality": _quality(known, pair, flat)})
+    known = known.model_copy(update={"flat": flat, "quality": _quality(known, pair, flat, above_dark.background)})
     if draft.offset is not None:
         known = apply_offset(draft.with_calibration(known), draft.offset)
     if draft.galvo is not None:
@@ -195,9 +195,12 @@ def _above_dark(calibration: Calibration, pair: BundlePair) -> Calibration:
     return calibration.model_copy(update={"background": darkness(pair.image, pair.confocal, pair.residual)})
 
 
-def _quality(calibration: Calibration, pair: BundlePair, flat: Image | None) -> QualitySection:
-    """Estimate how well the two views cancel, before and after the core filter."""
-    errors = measure_alignment_errors(pair.image, in_lamp_light(calibration, pair).model_copy(update={"flat": flat}))
+def _quality(
+    calibration: Calibration, pair: BundlePair, flat: Image | None, dark: Image | None = None
+) -> QualitySection:
+    """Estimate how well the two views cancel, before and after the core filter, above the darkness of the pair."""
+    known = in_lamp_light(calibration, pair).model_copy(update={"flat": flat})
+    errors = measure_alignment_errors(pair.image, known, dark)
     return QualitySection(
         alignment_error=errors.before, alignment_error_filtered=errors.after, core_filter=errors.cores.value
     )

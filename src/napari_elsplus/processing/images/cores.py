@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
+from scipy.fft import rfft2
 from scipy.ndimage import median_filter
 from scipy.spatial import Delaunay, cKDTree
 
@@ -110,8 +111,9 @@ def core_pitch_px(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> floa
     """
     side = len(flat)
     level = float(flat[inside].mean())
-    window = np.hanning(side)
-    spectrum = np.abs(np.fft.rfft2(np.where(inside, flat - level, 0) * np.outer(window, window))) ** 2
+    window = np.hanning(side).astype(np.float32)
+    light = np.where(inside, np.subtract(flat, level, dtype=np.float32), 0) * (window[:, None] * window)
+    spectrum = np.square(np.abs(rfft2(light)))
     frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
     ring = np.minimum((frequency * side / 2).astype(int), side)
     power = np.bincount(ring.ravel(), spectrum.ravel()) / np.maximum(np.bincount(ring.ravel()), 1)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.images.modes import Frames
 
     Image = NDArray[np.float32]
-    Mask = NDArray[np.float32]
+    Mask = NDArray[np.uint8]
 
 MIN_DARK_PIXELS: Final = 8
 """Dark pixels of a row below which there is no reference; chosen: fewer are noisier than what they correct."""
@@ -46,7 +46,7 @@ DARK_LIGHT: Final = 0.1
 
 
 def dark_pixels(shape: tuple[int, ...], discs: Iterable[tuple[tuple[float, float], float]]) -> Mask:
-    """Return 1 in the pixels outside of the discs and of `RIM_MARGIN_PX` around them, 0 inside, (rows, cols) float32.
+    """Return 1 in the pixels outside of the discs and of `RIM_MARGIN_PX` around them, 0 inside, (rows, cols) uint8.
 
     Parameters
     ----------
@@ -55,14 +55,14 @@ def dark_pixels(shape: tuple[int, ...], discs: Iterable[tuple[tuple[float, float
     discs : iterable of tuple
         Centre (row, col) and diameter in pixels of each.
     """
-    dark = np.ones(shape, np.float32)
+    dark = np.ones(shape, np.uint8)
     for centre, diameter_px in discs:
         radius = diameter_px / 2 + RIM_MARGIN_PX
         rows = np.arange(max(ceil(centre[0] - radius), 0), min(floor(centre[0] + radius) + 1, shape[0]))
         half = np.sqrt(radius**2 - np.square(rows - centre[0]))
-        first, stop = np.ceil(centre[1] - half), np.floor(centre[1] + half) + 1
-        for row, *lit in zip(rows, *np.clip((first, stop), 0, shape[1]).astype(int), strict=True):
-            dark[row, slice(*lit)] = 0
+        ends = np.stack((np.ceil(centre[1] - half), np.floor(centre[1] + half) + 1), axis=1)
+        for row, (first, stop) in zip(rows.tolist(), np.clip(ends, 0, shape[1]).astype(int).tolist(), strict=True):
+            dark[row, first:stop] = 0
     return dark
 
 
@@ -75,7 +75,7 @@ def dark_columns(frame: Image) -> Mask:
     light = np.asarray((smooth - darkest).max(axis=0), np.float64)
     low, high = np.percentile(light, (1, 90))
     lit = ndimage.binary_dilation(light > low + DARK_LIGHT * (high - low), iterations=SMOOTH_PX)
-    return np.broadcast_to((~lit).astype(np.float32), frame.shape)
+    return np.broadcast_to((~lit).astype(np.uint8), frame.shape)
 
 
 TESTED_FRAMES: Final = 4
@@ -124,7 +124,7 @@ class RowReference:
     Parameters
     ----------
     dark : numpy.ndarray
-        1 in dark pixels, 0 elsewhere, (rows, cols) float32.
+        1 in dark pixels, 0 elsewhere, (rows, cols) uint8.
     background : numpy.ndarray, optional
         Mean frame of the dark tube, (rows, cols), which will be taken off: what it contains is left in the frames.
     smooth_rows : int, optional
@@ -143,7 +143,7 @@ class RowReference:
     >>> random = np.random.default_rng(0)
     >>> noise = random.normal(0, 2, (200, 1))
     >>> frame = 4 + noise + random.normal(0, 0.5, (200, 300))
-    >>> left = RowReference(np.ones(frame.shape, np.float32)).without_row_noise(frame)
+    >>> left = RowReference(np.ones(frame.shape, np.uint8)).without_row_noise(frame)
     >>> bool(left.mean(axis=1).std() < 0.1)
     True
     """
@@ -196,7 +196,7 @@ class _Columns:
     def __init__(self, dark: Mask, background: Image | None, step: int, smooth_rows: int | None) -> None:
         self._smooth_rows = smooth_rows
         self._parts = slice(0, None, 2 * step), slice(1, None, 2 * step)
-        self._dark = [np.ascontiguousarray(dark[:, part]) for part in self._parts]
+        self._dark = [np.ascontiguousarray(dark[:, part], np.float32) for part in self._parts]
         counts = [mask.sum(axis=1) for mask in self._dark]
         self._counts = [np.maximum(count, 1) for count in counts]
         self._known = np.minimum(*counts) >= MIN_DARK_PIXELS / 2

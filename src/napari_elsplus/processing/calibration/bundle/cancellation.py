@@ -64,7 +64,9 @@ class AlignmentErrors:
         return ", ".join([f"{100 * self.before:.2f} % unfiltered", *parts])
 
 
-def measure_alignment_errors(image: NDArray[np.floating], calibration: Calibration) -> AlignmentErrors:
+def measure_alignment_errors(
+    image: NDArray[np.floating], calibration: Calibration, dark: NDArray[np.float32] | None = None
+) -> AlignmentErrors:
     """Measure the alignment error of a raw frame in transmission, above the darkness around its bundle images.
 
     Parameters
@@ -73,6 +75,8 @@ def measure_alignment_errors(image: NDArray[np.floating], calibration: Calibrati
         (rows, cols), raw: the bundle lit from its far end, the laser off.
     calibration : Calibration
         Contains the bundle section; with a flat field the Gaussian filter is applied, too.
+    dark : numpy.ndarray, optional
+        (rows, cols) float32: the darkness around the bundle images, as far as it was estimated before.
 
     Raises
     ------
@@ -81,11 +85,13 @@ def measure_alignment_errors(image: NDArray[np.floating], calibration: Calibrati
     """
     bundle = calibration.measured_bundle
     frame = np.asarray(image, np.float32)
-    discs = (
-        Disc(centre, bundle.diameter_px, 0.0, 0.0, 0.0, 1.0)
-        for centre in (bundle.confocal_centre, bundle.residual_centre)
-    )
-    above_dark = calibration.model_copy(update={"background": darkness(frame, *discs)})
+    if dark is None:
+        discs = (
+            Disc(centre, bundle.diameter_px, 0.0, 0.0, 0.0, 1.0)
+            for centre in (bundle.confocal_centre, bundle.residual_centre)
+        )
+        dark = darkness(frame, *discs)
+    above_dark = calibration.model_copy(update={"background": dark})
     sectioner = Sectioner(above_dark, frame.shape)
     views = sectioner.ls(frame), sectioner.residual(frame)
     inside = disc(sectioner.side, bundle.diameter_px)

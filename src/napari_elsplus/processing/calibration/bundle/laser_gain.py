@@ -111,7 +111,7 @@ class LightCollector:
             np.multiply(weight, frame[band, part], out=weight, casting="same_kind")
             self._light[band, part] += weight
 
-    def swept(self, unlit: Image) -> SweptLight:
+    def swept(self, unlit: NDArray[np.uint8]) -> SweptLight:
         """Return the light above the level of the pixels that none reaches, 1 in an image `unlit` (rows, cols)."""
         dark = unlit > 0
         level = self._light[dark].sum(dtype=np.float64) / max(self._weight[dark].sum(dtype=np.float64), 1e-9)

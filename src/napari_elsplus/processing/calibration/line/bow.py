@@ -47,4 +47,6 @@ def fit_bow(
     basis = np.stack([np.ones(runs), at, at**2], axis=1)
     moments = basis.T @ (weights[:, None] * basis)
     bend = float(np.linalg.lstsq(moments, basis.T @ pull, rcond=None)[0][2])
-    return Bow(bend, float(np.linalg.lstsq(moments[:2, :2], moments[:2, 2], rcond=None)[0][0]))
+    spread = moments[0, 0] * moments[1, 1] - moments[0, 1] ** 2
+    height = moments[1, 1] * moments[0, 2] - moments[0, 1] * moments[1, 2]
+    return Bow(bend, float(height / spread) if spread > 0 else 0.0)

@@ -8,6 +8,7 @@ of the cores averages out and its remainder is part of the stated uncertainty.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -41,6 +42,10 @@ MAX_MISFIT: Final = 0.04
 MIN_BEND_ROWS: Final = 0.3
 """Root mean square of a bow that is fitted along its own curve; chosen: of a smaller one the vertex is a hundredth of
 a row off in the linear estimate, and a straight line's noise stays below."""
+LAST_STEP_ROWS, SMALL_STEP_ROWS = 1e-5, 1e-2
+"""Largest step that ends a fit, and one from which another starts; chosen: the error is about the step's square."""
+RIDGE: Final = 1e-12
+"""Of the curvature's trace, added to its diagonal, which is 0 for a line without light; chosen: no step changes."""
 _ROW, _SLOPE = 3, 4
 """Indices of row and slope among the fitted parameters."""
 
@@ -137,8 +142,7 @@ class Line:
 
     def influence_at(self, column: float) -> Floats:
         """Return the contribution of each run of columns to the error of the row at a column, shape (runs,)."""
-        total: Floats = self.influence[:, 0] + (column - self.column) * self.influence[:, 1]
-        return total
+        return np.asarray(self.influence[:, 0] + (column - self.column) * self.influence[:, 1], np.float64)
 
     def uncertainty_rows(self, column: float | None = None) -> float:
         """Return one standard deviation of the line's row at a column, by default its middle."""
@@ -169,10 +173,10 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None, near
 
     Notes
     -----
-    The profiles are smoothed with the line's own width before the Gaussian is fitted. That costs little precision and
-    keeps the rows of cores, which are about as far apart as the line is wide, from biasing the fit. A slope of the
-    background is fitted too: near the bundle's rim the line's halo is cut on one side. A reflection within three widths
-    merges with the line and moves it; it does so in both views alike, so that their offset stays true.
+    The profiles are smoothed with the line's own width before the Gaussian is fitted, which keeps the rows of cores,
+    about as far apart as the line is wide, from biasing it. A slope of the background is fitted too: near the bundle's
+    rim the line's halo is cut on one side. A reflection within three widths merges with the line and moves it, in both
+    views alike, so that their offset stays true.
 
     Examples
     --------
@@ -181,20 +185,19 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None, near
     >>> round(line.row, 3)
     31.25
     """
-    image = np.asarray(view, np.float32) if background is None else np.subtract(view, background, dtype=np.float32)
-    line = None if near is None else _still_near(image, near)
+    line = None if near is None else _still_near(view, background, near)
     if line is None:
-        streak = brightest_streak(image)
-        first, band = _band_around(image, streak)
-        line = _fit(band, streak._replace(row=streak.row - first))
+        streak = brightest_streak(view, background)
+        first, band = _band_around(view, background, streak)
+        line = _fit(band, streak._replace(row=streak.row - first), SMALL_STEP_ROWS)
         # Centred on a whole row: interpolation then skews both sides alike.
         line = _fit(band, line.streak)
         if line.bow:
             line = _fit(band, line.streak)
         line = replace(line, row=line.row + first)
-    if line.width_rows > len(image) / 8:
+    if line.width_rows > len(view) / 8:
         raise MeasurementError(
-            f"no laser line: the brightest streak is {2.355 * line.width_rows:.0f} of {len(image)} rows wide",
+            f"no laser line: the brightest streak is {2.355 * line.width_rows:.0f} of {len(view)} rows wide",
             "is other light on?",
         )
     return line
@@ -216,9 +219,9 @@ def parts_of(line: Line, view: NDArray[np.generic]) -> LineParts | None:
         return None
 
 
-def _still_near(image: Image, near: Line) -> Line | None:
+def _still_near(view: NDArray[np.generic], background: Image | None, near: Line) -> Line | None:
     """Fit the line near its last position; return None if it has moved by more than its width."""
-    first, band = _band_around(image, near.streak)
+    first, band = _band_around(view, background, near.streak)
     try:
         line = _fit(band, near.streak._replace(row=near.streak.row - first))
     except MeasurementError:
@@ -227,15 +230,17 @@ def _still_near(image: Image, near: Line) -> Line | None:
     return line if abs(line.row_at(near.column) - near.row) < near.width_rows else None
 
 
-def _band_around(image: Image, streak: Streak) -> tuple[int, Image]:
-    """Return the first row, and the rows that a fit may need, without hot pixels."""
-    half = image.shape[1] / 2
+def _band_around(view: NDArray[np.generic], background: Image | None, streak: Streak) -> tuple[int, Image]:
+    """Return the first row, and the rows that a fit may need, without background and hot pixels."""
+    half = view.shape[1] / 2
     reach = MAX_REACH_ROWS + int(np.ceil(abs(streak.slope) * half + abs(streak.bend) * half**2))
     first = max(int(streak.row) - reach, 0)
-    return first, without_hot_pixels(image[first : int(streak.row) + reach + 1])
+    rows = slice(first, int(streak.row) + reach + 1)
+    of_tube = np.float32(0) if background is None else background[rows]
+    return first, without_hot_pixels(np.subtract(view[rows], of_tube, dtype=np.float32))
 
 
-def _fit(image: Image, streak: Streak) -> Line:
+def _fit(image: Image, streak: Streak, last_step_rows: float = LAST_STEP_ROWS) -> Line:
     """Fit one tilted Gaussian line, by Gauss-Newton, to the profiles around a streak."""
     width = min(streak.width_rows, MAX_REACH_ROWS / 9)
     reach = int(np.ceil(4.5 * width)) + 2
@@ -256,7 +261,7 @@ def _fit(image: Image, streak: Streak) -> Line:
     u = np.broadcast_to(np.arange(-reach, reach + 1.0)[:, None], data.shape)[seen]
     x = np.broadcast_to((edges[:-1] + edges[1:] - 1) / 2 - middle, data.shape)[seen]
     run = np.broadcast_to(np.arange(RUNS), data.shape)[seen]
-    parameters, influence, left, jacobian, taper = _gauss_newton(data[seen], u, x, run, width)
+    parameters, influence, left, jacobian, taper = _gauss_newton(data[seen], u, x, run, width, last_step_rows)
     bow = fit_bow(left, parameters[0] * jacobian[:, 0], jacobian[:, _ROW], taper, x, run, RUNS)
     amplitude, level, log_width, shift, turn, ramp = (float(value) for value in parameters)
     away = middle - streak.column
@@ -283,9 +288,9 @@ def _fit(image: Image, streak: Streak) -> Line:
 
 
 def _along(image: Image, streak: Streak, reach: int) -> tuple[Floats, NDArray[np.bool_], float]:
-    """Return profiles of all columns, each shifted so that the streak lies in its middle: (2 reach + 1, cols).
+    """Return profiles of all columns about the streak, (2 reach + 1, cols), their rows on the view, the added variance.
 
-    The shift interpolates linearly; the variance that this adds to the profile is returned last.
+    Linear interpolation between rows adds that variance to the profile.
     """
     rows, cols = image.shape
     along = np.arange(cols) - streak.column
@@ -293,13 +298,13 @@ def _along(image: Image, streak: Streak, reach: int) -> tuple[Floats, NDArray[np
     base = np.floor(where).astype(int)
     part = (where - base).astype(np.float32)
     index = base + np.arange(-reach, reach + 2)[:, None]
-    whole = image[np.clip(index, 0, rows - 1), np.arange(cols)]
+    # Columns whose streak lies in the same row are copied together.
+    whole = np.empty(index.shape, np.float32)
+    for start, stop in pairwise([0, *(np.flatnonzero(np.diff(base)) + 1).tolist(), cols]):
+        np.take(image[:, start:stop], index[:, start], axis=0, mode="clip", out=whole[:, start:stop])
     inside = (index >= 0) & (index < rows)
-    return (
-        ((1 - part) * whole[:-1] + part * whole[1:]).astype(np.float64),
-        inside[:-1] & inside[1:],
-        float(np.mean(part * (1 - part))),
-    )
+    profiles = ((1 - part) * whole[:-1] + part * whole[1:]).astype(np.float64)
+    return profiles, inside[:-1] & inside[1:], float(np.mean(part * (1 - part)))
 
 
 def _brightness(patch: Floats, width: float) -> Floats:
@@ -313,30 +318,34 @@ def _brightness(patch: Floats, width: float) -> Floats:
 def _lit_columns(brightness: Floats) -> tuple[int, int]:
     """Return the longest run of columns in which the line has half its usual brightness."""
     smooth = ndimage.uniform_filter1d(brightness, max(3, len(brightness) // RUNS), mode="nearest")
-    lit = np.r_[False, smooth > 0.5 * np.percentile(smooth, 85), False].astype(np.int8)
+    usual = np.sort(smooth)[17 * len(smooth) // 20]
+    lit = np.r_[False, smooth > 0.5 * usual, False].astype(np.int8)
     starts, stops = np.flatnonzero(np.diff(lit) == 1), np.flatnonzero(np.diff(lit) == -1)
     longest = int(np.argmax(stops - starts)) if len(starts) else 0
     return (int(starts[longest]), int(stops[longest])) if len(starts) else (0, 0)
 
 
 def _gauss_newton(
-    data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], width: float
+    data: Floats, u: Floats, x: Floats, run: NDArray[np.intp], width: float, last_step_rows: float
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Fit amplitude, level, log width, row, slope and the level's slope.
 
     Return them and the runs' influences; the data less the model, its derivatives, and the weights.
     """
-    level = float(np.percentile(data, 25))
-    start = (float(np.percentile(data, 95)) - level, level, np.log(np.sqrt(2) * width), 0.0, 0.0, 0.0)
+    ordered = np.sort(data)  # faster than np.percentile
+    level, top = float(ordered[len(data) // 4]), float(ordered[19 * len(data) // 20])
+    start = (top - level, level, np.log(np.sqrt(2) * width), 0.0, 0.0, 0.0)
     parameters = np.array(start)
     for _ in range(12):
         model, jacobian, taper = _model(parameters, u, x)
         weighted = jacobian * taper[:, None]
-        step = np.linalg.lstsq(weighted.T @ jacobian, weighted.T @ (data - model), rcond=None)[0]
+        curvature = weighted.T @ jacobian
+        curvature.flat[:: len(curvature) + 1] += RIDGE * np.trace(curvature)
+        step = np.linalg.solve(curvature, weighted.T @ (data - model))
         step[2] = np.clip(step[2], -0.4, 0.4)
         step[_ROW] = np.clip(step[_ROW], -width, width)
         parameters += step
-        if np.abs(step[2 : _ROW + 1]).max() < 1e-5:
+        if np.abs(step[2 : _ROW + 1]).max() < last_step_rows:
             break
     model, jacobian, taper = _model(parameters, u, x)
     weighted = jacobian * taper[:, None]

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+import cv2
 import numpy as np
-from scipy import ndimage
 
 from napari_elsplus.processing.calibration.line.location import TAPER
 
@@ -65,7 +65,8 @@ class LineShifts:
         ramp = np.float32(line.ramp) * (z * width)
         light = band if background is None else band - background[self._part]
         by_row = (light - np.float32(line.level) - ramp) * z * width / np.float32(line.width_rows**2)
-        self._weights = ndimage.gaussian_filter1d(taper * odd, line.width_rows, axis=0, truncate=3.0)
+        size = 2 * round(3 * line.width_rows) + 1
+        self._weights = cv2.GaussianBlur(taper * odd, (1, size), line.width_rows, borderType=cv2.BORDER_REFLECT)
         self._weights /= max(float((self._weights * by_row).sum()), 1e-9)
         self._rest = float((self._weights * band).sum())
 

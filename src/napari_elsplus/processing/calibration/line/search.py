@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import robust_sigma
@@ -30,6 +29,10 @@ _BLOCKS: Final = 16
 """Of columns; chosen: over one of them a line of that slope stays within a few rows."""
 _REACH: Final = 12
 """Rows to either side for the width; chosen: twice the widest streak that is expected."""
+_THINNED: Final = 3
+"""Rows from one to the next of which medians are taken; chosen: hundreds are left, a line covers a tenth of them."""
+_REDUCED: Final = (np.uint8, np.uint16, np.float32)
+"""Types of pixels that OpenCV averages without a converted copy."""
 _NEIGHBOURS: Final = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 """Structuring element of the eight neighbours of a pixel, without itself."""
 
@@ -63,37 +66,54 @@ def without_hot_pixels(image: Image) -> Image:
     return np.where(hot, cv2.medianBlur(image, 3), image) if hot.any() else image
 
 
-def brightest_streak(image: Image) -> Streak:
+def brightest_streak(view: NDArray[np.generic], background: Image | None = None) -> Streak:
     """Find the straight, nearly level streak with the most light.
 
     Parameters
     ----------
-    image : numpy.ndarray
-        One view (rows, cols), float32.
+    view : numpy.ndarray
+        One view (rows, cols), any real dtype.
+    background : numpy.ndarray, optional
+        Mean frame of the dark tube for the same pixels.
 
     Raises
     ------
     MeasurementError
         If the view is too small or uniform.
     """
-    rows, cols = image.shape
+    rows, cols = view.shape
     if rows < MIN_VIEW[0] or cols < MIN_VIEW[1]:
         raise MeasurementError(f"no laser line: the view has {rows} x {cols} pixels", "a line needs at least 16 x 48")
     edges = np.linspace(0, cols, _BLOCKS + 1).astype(int)
-    profiles = np.add.reduceat(image, edges[:-1], axis=1, dtype=np.float64) / np.diff(edges)
-    profiles -= np.median(profiles, axis=0)
-    noise = float(robust_sigma(profiles)) + 1e-3 * float(np.abs(profiles).max())
+    profiles = _block_means(view, edges)
+    if background is not None:
+        profiles -= _block_means(background, edges)
+    profiles -= np.median(profiles[::_THINNED], axis=0)
+    noise = float(robust_sigma(profiles[::_THINNED])) + 1e-3 * float(np.abs(profiles).max())
     if noise == 0:
-        raise MeasurementError(f"no laser line: all pixels are {float(image.flat[0]):g}", "is the laser on?")
-    evidence = np.log1p(np.clip(ndimage.gaussian_filter1d(profiles, 1.0, axis=0) / noise, 0, None))
+        raise MeasurementError(f"no laser line: all pixels are {float(view[0, 0]):g}", "is the laser on?")
+    evidence = np.log1p(np.clip(_smooth(profiles) / noise, 0, None))
     middles = (edges[:-1] + edges[1:] - 1) / 2 - (cols - 1) / 2
     count = int(MAX_SLOPE * cols / 2.5)
     slopes = np.linspace(-MAX_SLOPE, MAX_SLOPE, 2 * count + 1)
     shifts = np.rint(slopes[:, None] * middles).astype(np.int64)
     sheared = np.zeros((len(slopes), rows))
-    _add_along(np.ascontiguousarray(evidence.T), shifts, sheared)
-    best, row = np.unravel_index(int(np.argmax(ndimage.gaussian_filter1d(sheared, 1.0, axis=1))), sheared.shape)
+    _add_along(np.ascontiguousarray(_smooth(evidence).T), shifts, sheared)
+    best, row = np.unravel_index(int(np.argmax(sheared)), sheared.shape)
     return Streak(float(row), (cols - 1) / 2, float(slopes[best]), _width(profiles, int(row), shifts[best]))
+
+
+def _block_means(view: NDArray[np.generic], edges: NDArray[np.intp]) -> Floats:
+    """Return the mean of each block of columns in each row, (rows, blocks)."""
+    image = view if view.dtype in _REDUCED else np.asarray(view, np.float32)
+    blocks = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    means = [cv2.reduce(image[:, first:stop], 1, cv2.REDUCE_AVG, dtype=cv2.CV_32F) for first, stop in blocks]
+    return np.concatenate(means, axis=1, dtype=np.float64)
+
+
+def _smooth(profiles: Floats) -> Floats:
+    """Return profiles (rows, blocks) smoothed by a Gaussian of one row."""
+    return np.asarray(cv2.GaussianBlur(profiles, (1, 9), sigmaX=1.0, sigmaY=1.0, borderType=cv2.BORDER_REFLECT))
 
 
 def _width(profiles: Floats, row: int, shifts: NDArray[np.int64]) -> float:
