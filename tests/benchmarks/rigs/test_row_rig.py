@@ -13,7 +13,7 @@ import tifffile
 from benchmarks.rigs.row_rig import ROUGH, RowRecording, RowRig
 from napari_elsplus.cli.files.process import command as process
 from napari_elsplus.cli.rig.calibrate import command as calibrate
-from napari_elsplus.processing.calibration.measurements import measure_offset
+from napari_elsplus.processing.calibration.measurements import measure_offset, measure_pair
 from tests.commands import runner
 
 SMALL = RowRig(shape=(120, 240), left=(60.0, 59.0), right=(53.0, 180.5), diameter=106.0, seed=31)
@@ -26,6 +26,17 @@ def test_the_slit_offset_of_an_independent_rig_is_measured(bow: float) -> None:
     found = measure_offset(frames)
     assert found.rows == pytest.approx(-7.0, abs=0.03)
     assert 106**2 / 4 * found.confocal.bend == pytest.approx(bow, abs=0.15)
+
+
+@pytest.mark.parametrize("turn", [0.5, -5.0])
+def test_views_of_an_independent_rig_are_aligned_however_they_are_rotated(turn: float) -> None:
+    rig = RowRig(**{**vars(SMALL), "bundle_um": 250.0, "right_turn": turn})
+    recording = RowRecording(rig)
+    alignment = measure_pair(recording.expose(recording.lit())[None]).alignment
+    assert alignment.residual_to_confocal[:, :2] == pytest.approx(rig.right_to_bundle, abs=4e-4)
+    at_centre = alignment.residual_to_confocal @ (*rig.right, 1)
+    assert at_centre == pytest.approx(rig.left, abs=0.02)
+    assert alignment.uncertainty_px < 0.02
 
 
 def correlation(folder: Path, els: np.ndarray) -> float:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 MAX_ROTATION_DEG: Final = 2.0
 """Between the views; chosen: four times the rotation of the rigs that are drawn at random for the benchmark."""
+MAX_SEARCHED_ROTATION_DEG: Final = 10.0
+"""Between views whose cores do not match within :data:`MAX_ROTATION_DEG`; chosen: five times as long a search."""
 COMPARED_DISC: Final = 0.9
 """Of the diameter; as the paper's alignment error."""
 TILES: Final = 8
@@ -210,7 +212,13 @@ class CoreMatcher:
         moved[:, 2] += np.array(centre) - moved[:, :2] @ np.full(2, (self.side - 1) / 2)
         return moved
 
-    def start(self, part: float = 1.0, scales: Sequence[float] = (1.0,), steps: int = SHIFT_STEPS) -> Floats:
+    def start(
+        self,
+        part: float = 1.0,
+        scales: Sequence[float] = (1.0,),
+        steps: int = SHIFT_STEPS,
+        rotation_deg: float = MAX_ROTATION_DEG,
+    ) -> Floats:
         """Estimate the motion to within half a core: scale from the diameters, angle and shift by correlation.
 
         Parameters
@@ -221,6 +229,8 @@ class CoreMatcher:
             Factors to the ratio of the diameters that are tried: distorted views differ more at the rim than inside.
         steps : int
             Of :data:`SHIFT_STEP_PX`, to either side.
+        rotation_deg : float
+            Largest rotation that is tried, to either side.
 
         Notes
         -----
@@ -237,7 +247,7 @@ class CoreMatcher:
         shifts = SHIFT_STEP_PX * np.arange(-steps, steps + 1)
         down, across = (grid.ravel() for grid in np.meshgrid(shifts, shifts, indexing="ij"))
         step = 0.5 / float(np.hypot(rows, cols).max())
-        count = int(np.radians(MAX_ROTATION_DEG) / step)
+        count = int(np.radians(rotation_deg) / step)
         best, found = -1.0, motion
         for turned in (_rotated(scale * motion, k * step) for scale in scales for k in range(-count, count + 1)):
             row, col = turned @ np.stack([rows, cols, np.ones_like(rows)]) + np.array(self.residual_centre)[:, None]

@@ -14,6 +14,8 @@ import numpy as np
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.bundle.core_matching import (
+    MAX_ROTATION_DEG,
+    MAX_SEARCHED_ROTATION_DEG,
     AlignmentModel,
     CoreFit,
     CoreMatcher,
@@ -130,8 +132,11 @@ def align_views(
     """
     views = _Views(np.asarray(image, np.float32), confocal, residual, saturated)
     try:
-        return _core_alignment(views)
+        return _core_alignment(views, _affine_fit(views.matcher))
     except DifferentCoresError as refusal:
+        rotated = _affine_fit(views.matcher, MAX_SEARCHED_ROTATION_DEG)
+        if rotated is not None and rotated.correlation > MIN_CLOSE:
+            return _core_alignment(views, rotated)
         unresolved = isinstance(refusal, UnresolvedCoresError) or not views.resolve_cores
         if not unresolved or min(confocal.edge_seen, residual.edge_seen) < MIN_CERTAIN_EDGE:
             raise
@@ -205,15 +210,14 @@ class _Views:
         return np.column_stack([back, shift])
 
 
-def _core_alignment(views: _Views) -> Alignment:
-    """Return the alignment by the cores.
+def _core_alignment(views: _Views, affine: CoreFit | None) -> Alignment:
+    """Return the alignment by the cores, from an affine fit to them if there is one.
 
     Raises
     ------
     MeasurementError
         A DifferentCoresError if they do not match.
     """
-    affine = _affine_fit(views.matcher)
     if affine is not None and affine.correlation > MIN_CLOSE:
         evidence = distortion_evidence(affine.left_over, views.confocal.diameter_px / 2)
         if not evidence.needs_distortion:
@@ -246,10 +250,10 @@ def _centre_alignment(views: _Views, refusal: str) -> Alignment:
     )
 
 
-def _affine_fit(matcher: CoreMatcher) -> CoreFit | None:
-    """Return the affine fit; None if it diverges, as it does on strongly distorted views."""
+def _affine_fit(matcher: CoreMatcher, rotation_deg: float = MAX_ROTATION_DEG) -> CoreFit | None:
+    """Return the affine fit within a rotation; None if it diverges, as it does on strongly distorted views."""
     try:
-        return matcher.fit(matcher.start(), AlignmentModel.AFFINE)
+        return matcher.fit(matcher.start(rotation_deg=rotation_deg), AlignmentModel.AFFINE)
     except DifferentCoresError:
         return None
 
