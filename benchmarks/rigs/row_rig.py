@@ -70,8 +70,10 @@ class RowRig:
         Galvo map.
     sweep_frames, sweep_range : int, tuple of float
         Standing lines, and the rows they span about the centre, in diameters.
-    scene, motion, step, frames : str, str, float, int
+    scene, motion, step, turn_deg, frames : str, str, float, float, int
         As in :class:`Scene`.
+    idle_rows : float
+        Line periods between the last row of a frame and the first of the next.
     signal, haze, depths_um : float, float, tuple of float
         Grey levels of a full-brightness core, out-of-focus light over that, and the planes it comes from.
     lamp, line_level, electrons, read, black, bits : float
@@ -107,6 +109,8 @@ class RowRig:
     scene: str = "fibres"
     motion: str = "smooth"
     step: float = 40.0
+    turn_deg: float = 0.0
+    idle_rows: float = 0.0
     frames: int = 90
     signal: float = 110.0
     haze: float = 0.6
@@ -133,6 +137,11 @@ class RowRig:
     def um(self) -> float:
         """Micrometres per pixel."""
         return self.bundle_um / self.diameter
+
+    @property
+    def line_periods_per_frame(self) -> float:
+        """Line periods from a frame to the next."""
+        return self.shape[0] + self.idle_rows
 
     @property
     def radius(self) -> float:
@@ -203,7 +212,8 @@ class RowRecording:
     def scene(self) -> Scene:
         """The scene and the probe's path over it."""
         rig = self.rig
-        return Scene(rig.scene, rig.motion, rig.step, len(rig.depths_um), np.random.default_rng([rig.seed, 3]))
+        random = np.random.default_rng([rig.seed, 3])
+        return Scene(rig.scene, rig.motion, rig.step, rig.turn_deg, len(rig.depths_um), random)
 
     def _bundle(self, random: np.random.Generator) -> tuple[Floats, Floats]:
         """Return places (cores, 2) and transmission of irregular cores."""
@@ -291,16 +301,17 @@ class RowRecording:
         """Return the in-focus light of a scanned frame in one view, over full brightness."""
         row, core, matrix = self._focus[view]
         y, x = self.cores[core].T
-        value = self.scene.focal(y, x, time + row / self.rig.shape[0])
+        value = self.scene.focal(y, x, time + row / self.rig.line_periods_per_frame)
         return np.asarray(matrix @ value).reshape(self.rig.shape)
 
     def scanned(self, time: float) -> Floats:
         """Return the light of a scanned frame that begins at a time in frames, grey levels."""
         h, w = self.rig.shape
+        periods = self.rig.line_periods_per_frame
         light = self.focal(time, "left") + self.focal(time, "right")
         flat = {view: np.asarray(spots.sum(axis=1)).reshape(h, w) for view, spots in self.views.items()}
         for number, plane in enumerate(self._planes):
-            value = self.scene.deep(number, *plane.at, time + plane.row / h)
+            value = self.scene.deep(number, *plane.at, time + plane.row / periods)
             for view, collected in plane.collected.items():
                 summed = np.bincount(plane.cell, value * plane.weights[view], h * collected.shape[1])
                 light += flat[view] * (summed.reshape(h, -1) @ collected.T)
@@ -368,14 +379,14 @@ class RowRecording:
             "right_to_bundle": rig.right_to_bundle.tolist(),
             "um_per_px": rig.um,
             "positions": self.scene.place(times).T.tolist(),
-            "mid": self.scene.place(times[:-1] + rig.left[0] / rig.shape[0]).T.tolist(),
+            "mid": self.scene.place(times[:-1] + rig.left[0] / rig.line_periods_per_frame).T.tolist(),
         }
         (folder / "truth.json").write_text(json.dumps(truth))
         np.save(folder / "scene.npy", self.scene.texture)
-        self.scene.motion = "still"
+        self.scene.motion, self.scene.turn_deg = "still", 0.0
         still = self.scanned(0)
         save("still", [self.expose(dark + still) for _ in range(6)])
-        ideal = RowRecording(replace(rig, motion="still", bow=0.0, uneven=0.0, ripple=0.0))
+        ideal = RowRecording(replace(rig, motion="still", turn_deg=0.0, bow=0.0, uneven=0.0, ripple=0.0))
         for name, recording in (("infocus", self), ("ideal", ideal)):
             focal = np.round(rig.black + rig.signal * recording.focal(0, "left"))
             save(f"still_{name}", np.clip(focal, 0, 255).astype(np.uint8))

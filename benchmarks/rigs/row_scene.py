@@ -18,6 +18,8 @@ SIDE: Final = 1400
 """Rows and columns of a scene, px of the confocal view."""
 SWEEP_PX: Final = 290.0
 """Amplitude of the probe's path to either side; chosen: it stays within the scene."""
+SWING_DEG: Final = 20.0
+"""Amplitude of the probe's rotation to either side; chosen, that of a wrist."""
 
 
 def nuclei(random: np.random.Generator) -> Image:
@@ -62,16 +64,18 @@ class Scene:
     kind : str
         One of :data:`SCENES`.
     motion : str
-        "smooth", "turn" (rotates, too), "jerk" (jumps of 25 px) or "still".
-    step : float
-        Speed, px per frame.
+        "smooth", "jerk" (jumps of 25 px) or "still".
+    step, turn_deg : float
+        Speed, px per frame, and largest rotation, degrees per frame: to and fro by 20 degrees.
     planes : int
         Number of out-of-focus planes.
     random : numpy.random.Generator
     """
 
-    def __init__(self, kind: str, motion: str, step: float, planes: int, random: np.random.Generator) -> None:
-        self.motion, self.step = motion, step
+    def __init__(
+        self, kind: str, motion: str, step: float, turn_deg: float, planes: int, random: np.random.Generator
+    ) -> None:
+        self.motion, self.step, self.turn_deg = motion, step, turn_deg
         self.texture: Image = np.clip(cv2.GaussianBlur(SCENES[kind](random), (0, 0), 1.0), 0, 1)
         self._spline = ndimage.spline_filter(self.texture.astype(float), 3)
         mottle = [ndimage.gaussian_filter(random.normal(size=(SIDE, SIDE)), 25) for _ in range(planes)]
@@ -94,7 +98,8 @@ class Scene:
 
     def angle(self, time: Floats) -> Floats:
         """Return the probe's rotation at times in frames, radians."""
-        return 0.35 * np.sin(0.09 * time) if self.motion == "turn" else np.zeros_like(time)
+        swing = np.deg2rad(SWING_DEG)
+        return np.asarray(swing * np.sin(self.turn_deg / SWING_DEG * time))
 
     def _at(self, y: Floats, x: Floats, time: Floats) -> Floats:
         a, (row, col) = self.angle(time), self.place(time)

@@ -205,4 +205,10 @@ class RegistrationTracking(FrontEndImages):
 
         if model is MotionModel.TRANSLATION:
             model = review_rotation(links, registrar, frame)
+        if model is not MotionModel.TRANSLATION:  # its angle is known from the first frame on then
+            again = Tracker(registrar.grid, registrar, next((e.turn / (b - a) for a, b, _, e in links if e.turn), 0.0))
+            links = again.links
+            for index in range(len(poses)):
+                again.slot()[:] = image(index)
+                poses[index] = again.add()
         return refine(poses, links, PoseGraph(registrar.grid, FrameRegistration(registrar), frame), model)

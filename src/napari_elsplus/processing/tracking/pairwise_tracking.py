@@ -117,7 +117,7 @@ class PairwiseRegistrar(Registrar):
         """Register two frames: :meth:`link`, which the function searches by itself."""
         return self.link(earlier, later, motion)
 
-    def remainder(self, *_: object) -> None:
+    def remainder(self, *_: object, **__: object) -> None:
         """Return None: no rotation is tested for."""
 
 

@@ -9,7 +9,7 @@ that no link reaches are predicted for a while, then lost; a new segment starts 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot, inf, isnan, nan
+from math import hypot, isnan, nan
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
@@ -79,6 +79,8 @@ class Tracker:
         The grid of the images, with the timing of its rows.
     registrar : Registrar, optional
         Registers two frames on that grid.
+    turn_rate : float, optional
+        Rotation of the probe at first, radians per frame, if it is modelled from the first frame on.
 
     Attributes
     ----------
@@ -86,19 +88,19 @@ class Tracker:
         (earlier frame, later frame, displacement in the later one's orientation, link) of every accepted link.
     """
 
-    def __init__(self, grid: Grid, registrar: Registrar | None = None) -> None:
+    def __init__(self, grid: Grid, registrar: Registrar | None = None, turn_rate: float | None = None) -> None:
         self.grid = grid
         self._max_displacement_px = MAX_DISPLACEMENT_DIAMETERS * grid.diameter
         self.registrar = registrar or Registrar(grid)
         self.links: list[tuple[int, int, Displacement, PairRegistration]] = []
         self._slots = [self.registrar.view() for _ in range(4)]
         self._scratch = self.registrar.view()
-        self._selection = ModelSelection()
+        self._selection = ModelSelection(MotionModel.TRANSLATION if turn_rate is None else MotionModel.RIGID)
         self._newest: PairRegistration | None = None
         self._tested = 0
         self._began = self._covered = 0
         self._turned = 0.0
-        self._turning = Turning()
+        self._turning = Turning(turn_rate or 0.0)
         self._motion = Motion(grid.shutter, FIELD * grid.diameter)
         self._key = self._last = self._previous = _Placed(self._slots[0])
         self._usual = nan
@@ -296,11 +298,14 @@ class Tracker:
 
     def _turned_link(self, earlier: _Placed, here: _Placed, motion: MotionPrior) -> PairRegistration | None:
         """Register two frames of a probe that rotates."""
-        last, known = self._last, self._motion.known
-        turn = last.angle - earlier.angle + self._turning.rate * (here.index - last.index) if known else 0.0
-        spread = self._turning.spread(here.index - last.index) if known and self.model is MotionModel.RIGID else inf
+        last, known, rate = self._last, self._motion.known, self._turning.rate
+        gap, apart = here.index - last.index, here.index - earlier.index
+        turn = last.angle - earlier.angle + rate * gap if known else rate * apart
+        spread = self._turning.spread(gap)
         for reach in (None, motion.shift_sigma) if known else (motion.shift_sigma,):
-            link = self.registrar.turned_link(earlier.view, here.view, motion, turn, self._scratch, reach, spread)
+            link = self.registrar.turned_link(
+                earlier.view, here.view, motion, turn, self._scratch, reach, spread, apart
+            )
             if link is not None and self._accepted(link):
                 return link
         return None

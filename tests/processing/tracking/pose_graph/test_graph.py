@@ -127,11 +127,12 @@ def test_the_longer_the_way_between_two_nodes_the_less_it_is_trusted() -> None:
 def test_the_node_at_which_a_turn_was_noticed_does_not_say_how_far_the_probe_turned_since_the_one_before() -> None:
     grid = FrontEnd(truth().calibration, truth().frames.shape[1:]).grid
     trail = KeyframeSelector(grid)
-    link = PairRegistration(Warp(1.0, -2.0, 0.0, 0.0), np.eye(4) * 1e4, 0.95, 0.9, 1.0, turn=0.01, turn_sigma=1e-3)
+    before = PairRegistration(Warp(1.0, -2.0, 0.0, 0.0), np.eye(4) * 1e4, 0.95, 0.9, 1.0)
+    link = before._replace(turn=0.01, turn_sigma=1e-3)
     pose = Pose(1, 0.0, 0.0, Velocity(2.0, 0.0), 0.9, 0.1, TrackingState.TRACKED)
-    assert len(trail.add(0, pose, (0, 1, link))) == 1
-    assert not trail.add(1, pose._replace(row=2.0), (1, 2, link))
+    assert len(trail.add(0, pose, (0, 1, before))) == 1
+    assert not trail.add(1, pose._replace(row=2.0), (1, 2, before))
     (node,) = trail.add(2, pose._replace(row=4.0, angle=0.1), (2, 3, link))
-    assert node.upright == (1, pose._replace(row=2.0))
+    assert node.upright == (1, pose._replace(row=2.0), 0.01)
     assert node.turn_sigma == 1.0
     assert not trail.add(3, pose._replace(row=6.0, angle=0.11), (3, 4, link))

@@ -21,3 +21,12 @@ def test_the_origin_of_a_later_segment_lies_its_displacement_before_the_next_fra
     assert poses[1].state is TrackingState.TRACKED
     np.testing.assert_allclose((poses[2].row - poses[1].row, poses[2].col - poses[1].col), moved)
     np.testing.assert_allclose(poses[1].velocity, STEADY, atol=1e-9)
+
+
+def test_the_origin_of_a_segment_of_a_probe_that_rotates_has_an_angle() -> None:
+    moved = Displacement(*STEADY)
+    link = PairRegistration(SHUTTER.warp(STEADY, STEADY, moved), np.eye(4), 0.98, 0.9, turn=0.02, turn_sigma=1e-3)
+    first = Pose(0, 0.0, 0.0, STEADY, 0.98, 0.1, TrackingState.TRACKED, angle=np.pi / 2)
+    origin, _ = with_origins([LOST, first], [(0, 1, moved, link)], SHUTTER)
+    assert origin.angle == np.pi / 2 - 0.02
+    np.testing.assert_allclose((origin.row, origin.col), (moved.col, -moved.row))

@@ -198,10 +198,10 @@ def _of_random_walk(last: float, q: float, frames: int, earlier: float | None) -
 class Turning:
     """Rate of rotation of the probe from accepted registrations, and its scatter.
 
-    Attributes
+    Parameters
     ----------
     rate : float
-        Radians per frame.
+        Radians per frame; kept as an attribute.
 
     Examples
     --------
@@ -212,8 +212,8 @@ class Turning:
     (0.002, True)
     """
 
-    def __init__(self) -> None:
-        self.rate = 0.0
+    def __init__(self, rate: float = 0.0) -> None:
+        self.rate = rate
         self._surprise = _FIRST_TURN
 
     def follow(self, turned: float, frames: int) -> None:

@@ -197,8 +197,8 @@ class PoseGraph:
             along = known.setdefault(node.pose.segment, [])
             here = Correction.between(node.pose, place)
             if node.upright is not None:
-                frame, pose = node.upright
-                along.append((frame, Correction.between(pose, here.of(pose)._replace(angle=place.angle))))
+                frame, pose, turn = node.upright
+                along.append((frame, Correction.between(pose, here.of(pose)._replace(angle=place.angle - turn))))
             along.append((node.frame, here))
         return Corrections(known)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot, isnan
+from math import hypot, inf, isnan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -37,8 +37,9 @@ class Node(NamedTuple):
         (2, 2) of its displacement from the node before, pixels squared.
     turn_sigma : float
         Standard deviation of its angle against the node before, radians; 1 where no rotation was modelled.
-    upright : tuple of int and Pose, optional
-        The tracked frame before and its pose, if rotation is modelled from this node on: up to there no angle is known.
+    upright : tuple of int, Pose and float, optional
+        The tracked frame before, its pose, and the turn since, radians, if rotation is modelled from this node on: up
+        to there no angle is known.
     """
 
     frame: int
@@ -46,7 +47,7 @@ class Node(NamedTuple):
     gone_px: float
     covariance: NDArray[np.float64]
     turn_sigma: float
-    upright: tuple[int, Pose] | None = None
+    upright: tuple[int, Pose, float] | None = None
 
 
 class KeyframeSelector:
@@ -94,12 +95,13 @@ class KeyframeSelector:
         newest, self._newest = self._newest, link
         if link is not None and newest is not None and link[0] != newest[0]:
             self._since.append(newest[2])  # frames are registered to a newer one now, which was registered by that
-        begins_to_turn = pose.angle != 0 and before.angle == 0
+        begins_to_turn = link is not None and newest is not None and link[2].turn_sigma < newest[2].turn_sigma == inf
         if self._gone < self._spacing_px and not begins_to_turn:
             return nodes
         node = Node(frame, pose, self._gone, *self._spread())
-        if begins_to_turn:  # the angle that was added is not what the probe turned by since
-            node = node._replace(turn_sigma=1.0, upright=known)
+        if begins_to_turn and link is not None:  # the angle that was added is not what the probe turned by since
+            turn = link[2].turn * (frame - known[0]) / (link[1] - link[0])
+            node = node._replace(turn_sigma=1.0, upright=(*known, turn))
         self._node, self._gone, self._since = link, 0.0, []
         return [*nodes, node]
 

@@ -12,7 +12,7 @@ from napari_elsplus.processing.tracking.pose_graph.correction import Correction
 from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector
 from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares_positions, upright_edges
 from napari_elsplus.processing.tracking.pose_graph.node_registration import LINK_STRETCH_PX, edge_covariance
-from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -167,8 +167,9 @@ def with_origins(poses: Sequence[Pose], links: Links, shutter: RollingShutter) -
             continue
         if begins or (first.state is TrackingState.LOST and alone):
             before, _ = shutter.velocities(link.warp)
-            row, col = after.row - moved.row, after.col - moved.col
-            result[earlier] = Pose(after.segment, row, col, before, np.nan, np.nan, TrackingState.TRACKED)
+            row, col = (after.row, after.col) - turned_by(after.angle) @ moved
+            angle, place = after.angle - link.turn, (after.segment, float(row), float(col))
+            result[earlier] = Pose(*place, before, np.nan, np.nan, TrackingState.TRACKED, angle)
     return result
 
 

@@ -156,6 +156,11 @@ def largest_sum(
 class ModelSelection:
     """Sequential selection of the motion model from the score tests of registrations.
 
+    Parameters
+    ----------
+    model : MotionModel
+        From the beginning.
+
     Attributes
     ----------
     model : MotionModel
@@ -171,8 +176,8 @@ class ModelSelection:
     ['TRANSLATION', 'TRANSLATION', 'RIGID']
     """
 
-    def __init__(self) -> None:
-        self.model = MotionModel.TRANSLATION
+    def __init__(self, model: MotionModel = MotionModel.TRANSLATION) -> None:
+        self.model = model
         self._found = np.zeros((3, 2 * _REMEMBERED))
         self._stored = 0
 

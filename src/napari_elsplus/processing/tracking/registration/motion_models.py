@@ -77,7 +77,7 @@ def upright(
     out: NDArray[np.float32],
     centre: tuple[float, float],
     matrix: Matrix,
-    shift: tuple[float, float] = (0.0, 0.0),
+    shift: tuple[float, float] | Matrix = (0.0, 0.0),
 ) -> NDArray[np.float32]:
     """Move every point of an image to `matrix` times where it was, about the bundle's centre; beyond it lies zero.
 
@@ -89,7 +89,7 @@ def upright(
         Row and column of the bundle's centre.
     matrix : numpy.ndarray
         (2, 2), of (row, col).
-    shift : tuple of float
+    shift : tuple or numpy.ndarray of float
         Rows and columns by which everything is moved besides, pixels.
     """
     row, col = centre
@@ -112,6 +112,27 @@ def unsheared(velocity: Velocity, line_periods_per_frame: float) -> Matrix:
         In rows of the grid.
     """
     return np.array([[1 + velocity.row / line_periods_per_frame, 0.0], [velocity.col / line_periods_per_frame, 1.0]])
+
+
+def turned_while_read(turn: float, warp: Warp) -> Matrix:
+    """Return what a steady rotation while frames are read adds to the coordinates of the earlier one, (2, 3).
+
+    A frame read at a turn of w a row displaces (y, x) by w y (-x, y). Between two that are shifted this is affine.
+
+    Parameters
+    ----------
+    turn : float
+        Radians per row of the grid.
+    warp : Warp
+        From the earlier to the later frame, of which the shift is used.
+
+    Returns
+    -------
+    numpy.ndarray
+        Matrix of (row, col, 1).
+    """
+    y, x = -warp.b, -warp.d
+    return turn * np.array([[-x, -y, x * y], [2 * y, 0.0, -y * y]])
 
 
 def composed(warp: Warp, step: Matrix) -> tuple[Warp, float]:
