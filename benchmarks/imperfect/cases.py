@@ -312,5 +312,7 @@ CASES: Final = (
     Case("half of the halo in collection", "halo-in-collection=50", NUCLEI, of_clean(0.98)),
     Case("hot pixels, 0.1 %", "hot-pixels=0.1", HAZE, of_clean(0.97)),
     Case("pixels differ by 1.5 % in gain", "prnu=1.5", HAZE, of_clean(0.97)),
+    Case("ghost of 2 %", "ghost=2", HAZE, of_clean(0.97)),
+    *_offset_cases("ghost of 2 %", "ghost=2", "240hz"),
     Case("bundle bent while it moves, 5 %", "bundle-bending=5", TRACKED, at_least(0.98), "240hz"),
 )  # fmt: skip

@@ -164,6 +164,16 @@ def test_pixels_differ_in_gain_and_hot_ones_shine_in_the_dark() -> None:
     assert (uneven[lit] / even[lit]).std() == pytest.approx(0.03, rel=0.15)
 
 
+def test_a_ghost_displays_a_part_of_the_light_again_a_sixteenth_of_the_frame_to_the_right() -> None:
+    alone, both = (
+        renderer(text, uniform(), light_dn=80.0, **PLAIN).render(0).astype(float) for text in ("", "ghost=20")
+    )
+    displaced = alone.shape[1] // 16
+    reflected = both - alone
+    np.testing.assert_allclose(reflected[:, displaced:], 0.2 * (alone[:, :-displaced] - alone.min()), atol=1.01)
+    assert not reflected[:, :displaced].any()
+
+
 def test_a_specimen_bleaches_and_the_bundle_does_not() -> None:
     first, later = (cores("bleaching=20", uniform(), frame=frame) for frame in (0, 100))
     glass = cores("bleaching=20", empty(), frame=100)

@@ -120,6 +120,9 @@ class Imperfections:
     bleaching_percent: float = _imperfection(
         "%", 0, 90, (0, 10), "share of the specimen's fluorescence lost in 100 frames"
     )
+    ghost_percent: float = _imperfection(
+        "%", 0, 50, (0, 0.5), "light of each view that a reflection displays again a sixteenth of the frame beside"
+    )
 
     def __post_init__(self) -> None:
         for name, parameter in PARAMETERS.items():

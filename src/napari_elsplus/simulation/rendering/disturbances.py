@@ -32,13 +32,14 @@ class Readout(NamedTuple):
     """Deviations of one frame's readout: arguments of :func:`napari_elsplus.simulation.rendering.sensor.expose`.
 
     ``row_power`` and ``row_black_dn`` are (rows,), ``pixel_gain`` and ``pixel_dark_dn`` (rows, cols), float32; all are
-    None where there are none.
+    None where there are none. ``ghost`` is the share of the light in a reflection.
     """
 
     row_power: Values | None = None
     row_black_dn: Values | None = None
     pixel_gain: Values | None = None
     pixel_dark_dn: Values | None = None
+    ghost: float = 0.0
 
 
 UNDISTURBED: Final = Readout()
@@ -66,7 +67,11 @@ class Disturbances:
         given = instrument.imperfections
         self._has_power = laser and bool(given.power_noise_percent or given.power_ripple_percent)
         self._of_camera = of_camera and bool(
-            self._has_power or given.row_noise_dn or given.prnu_percent or given.hot_pixels_percent
+            self._has_power
+            or given.row_noise_dn
+            or given.prnu_percent
+            or given.hot_pixels_percent
+            or given.ghost_percent
         )
 
     @property
@@ -79,7 +84,8 @@ class Disturbances:
         if not self._of_camera:
             return UNDISTURBED
         black = self._rng(_ROW_NOISE, frame_index).normal(0, given.row_noise_dn, rows)
-        return Readout(self._power(frame_index), black.astype(np.float32), *_pixel_patterns(self._instrument))
+        patterns = _pixel_patterns(self._instrument)
+        return Readout(self._power(frame_index), black.astype(np.float32), *patterns, given.ghost_percent / 100)
 
     def jitter_rows(self, frame_index: int) -> float:
         """Return the rows by which the laser line is lower in a frame, by the frame's index; 0 in a lamp's light."""

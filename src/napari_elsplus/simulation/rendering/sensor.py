@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 SPOTS_PER_PIXEL = 3
 """Cores that light a pixel; the fourth nearest lies more than a pitch away, 3.8 standard deviations of a spot."""
+GHOST_PART = 16
+"""Part of the frame's width by which a ghost is displaced; chosen: within the same view, and far from its own light."""
 _REACH_PITCHES = 1.0
 """Distance from the outermost cores, in core pitches, to which pixels are lit."""
 
@@ -97,6 +99,7 @@ def expose(
     row_black_dn: NDArray[np.float32] | None,
     pixel_gain: NDArray[np.float32] | None,
     pixel_dark_dn: NDArray[np.float32] | None,
+    ghost: float,
     black_dn: float,
     electrons_per_dn: float,
     read_noise_e: float,
@@ -124,6 +127,8 @@ def expose(
         instrument, as the next two.
     pixel_gain, pixel_dark_dn : numpy.ndarray or None
         (rows, cols) factor on each pixel's signal, and its dark signal in grey levels.
+    ghost : float
+        Share of the light that a reflection displays again, displaced along the row by a sixteenth of the frame.
     black_dn, electrons_per_dn, read_noise_e : float
         Black level, grey levels; gain, electrons per grey level; read noise, electrons.
     key : int
@@ -144,6 +149,9 @@ def expose(
         _spread_row(
             row_signal, right_column[r], right_first[r], right_first[r + 1], right_cores, right_weights, right_values
         )
+        if ghost > 0:
+            for c in range(cols - 1, cols // GHOST_PART - 1, -1):  # from the right: no ghost of the ghost
+                row_signal[c] += np.float32(ghost) * row_signal[c - cols // GHOST_PART]
         base = np.uint32(r * cols)
         row_black = black
         if row_black_dn is not None:
