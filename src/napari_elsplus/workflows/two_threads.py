@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
@@ -15,10 +15,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.workflows.tracking import Pipeline
 
-BATCH: Final = 4
+BATCH: Final = 8
 """Frames handed over at once; chosen: handing over costs a tenth of what a frame does."""
 AHEAD: Final = 3 * BATCH
 """Frames in progress at once; chosen so that neither thread waits for the other's slowest frame."""
@@ -42,9 +41,9 @@ def computed_ahead(images: Iterator[NDArray[np.float32]]) -> Iterator[NDArray[np
 class Pipelined:
     """Adds frames to a pipeline on two threads; the track and the mosaics are the same, bit for bit, as on one.
 
-    The caller's thread prepares the images and inserts those that are registered; a second one registers, some frames
-    at a time, so that the threads seldom wait for each other. Kernels release the interpreter's lock. A context
-    manager: on exit all frames are in the track, and the second thread has ended.
+    The caller's thread prepares the images; a second one registers and inserts them, some frames at a time, so that the
+    threads seldom wait for each other and an image passes between two cores once. Kernels release the interpreter's
+    lock. A context manager: on exit all frames are in the track, and the second thread has ended.
 
     Parameters
     ----------
@@ -59,7 +58,7 @@ class Pipelined:
         self._linker = ThreadPoolExecutor(1, thread_name_prefix="link")
         self._images = deque(np.zeros((pipeline.grid.side,) * 2, np.float32) for _ in range(AHEAD))
         self._batch: list[_Prepared] = []
-        self._under_way: deque[tuple[Future[None], list[_Prepared]]] = deque()
+        self._under_way: deque[Future[None]] = deque()
         self._broken = False
 
     def add(
@@ -70,8 +69,8 @@ class Pipelined:
         Parameters are those of :meth:`Pipeline.add`. An error in an earlier frame's registration is raised here, or on
         leaving the context; that frame and those after it are then not in the track.
         """
-        while self._under_way and (len(self._under_way) * BATCH == AHEAD or self._under_way[0][0].done()):
-            self._append_oldest()
+        while self._under_way and (len(self._under_way) * BATCH == AHEAD or self._under_way[0].done()):
+            self._under_way.popleft().result()
         image = self._images[0]
         self._pipeline.prepare_image(raw, image, raw_residual)
         self._images.rotate(-1)
@@ -84,28 +83,20 @@ class Pipelined:
         if self._batch:
             self._submit()
         while self._under_way:
-            self._append_oldest()
+            self._under_way.popleft().result()
 
     def _submit(self) -> None:
-        self._under_way.append((self._linker.submit(self._register, self._batch), self._batch))
+        self._under_way.append(self._linker.submit(self._register, self._batch))
         self._batch = []
 
-    def _append_oldest(self) -> None:
-        """Wait for the oldest frames in progress and append them to the track, those before an error only."""
-        registered, batch = self._under_way.popleft()
-        wait((registered,))
-        for image, frame, time_s, pose in batch:
-            if pose is not None:
-                self._pipeline.append(image, pose, frame, time_s, insert=self._insert)
-        registered.result()
-
     def _register(self, batch: list[_Prepared]) -> None:
-        """Estimate the poses of some frames, on the second thread; none after one that failed."""
+        """Append some frames to the track, and insert them, on the second thread; none after one that failed."""
         if self._broken:
             return
         self._broken = True
-        for k, prepared in enumerate(batch):
-            batch[k] = prepared._replace(pose=self._pipeline.estimate_pose(prepared.image))
+        for image, frame, time_s in batch:
+            pose = self._pipeline.estimate_pose(image)
+            self._pipeline.append(image, pose, frame, time_s, insert=self._insert)
         self._broken = False
 
     def __enter__(self) -> Self:
@@ -123,9 +114,8 @@ class Pipelined:
 
 
 class _Prepared(NamedTuple):
-    """Tracking image of a frame, its number and time, and its pose once that is estimated."""
+    """Tracking image of a frame, its number and its time."""
 
     image: NDArray[np.float32]
     frame: int
     time_s: float
-    pose: Pose | None = None
