@@ -66,6 +66,7 @@ class AxialScan:
     ) -> None:
         self.instrument, self.depths_um = instrument, depths_um
         self._seed, self._line_rows = seed, line_rows
+        self._renderers: dict[float, Renderer] = {}
 
     def __len__(self) -> int:
         return len(self.depths_um)
@@ -73,8 +74,16 @@ class AxialScan:
     def __getitem__(self, index: int) -> NDArray[np.uint8]:
         """Return the frame (rows, cols), uint8, at the depth of this index."""
         index = range(len(self))[index]
-        scene = plate(float(self.depths_um[index]) + self.instrument.line.gap_um)
-        return Renderer(self.instrument, scene, seed=self._seed).render(index, line_rows=self._line_rows)
+        return self._renderer(float(self.depths_um[index])).render(index, line_rows=self._line_rows)
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
         return (self[index] for index in range(len(self)))
+
+    def _renderer(self, depth_um: float) -> Renderer:
+        """Return the renderer of a depth, kept where the plate comes back to it."""
+        if depth_um not in self._renderers:
+            renderer = Renderer(self.instrument, plate(depth_um + self.instrument.line.gap_um), seed=self._seed)
+            if np.count_nonzero(self.depths_um == depth_um) == 1:
+                return renderer
+            self._renderers[depth_um] = renderer
+        return self._renderers[depth_um]

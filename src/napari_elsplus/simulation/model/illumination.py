@@ -10,7 +10,6 @@ cores.
 
 from __future__ import annotations
 
-from collections import deque
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -64,7 +63,6 @@ class Edge:
         inside = rows[:, None] ** 2 + rows[None, :] ** 2 <= radius_um**2
         self._disc = inside.reshape(points, 8, points, 8).mean((1, 3))
         self._step_um = float(step)
-        self._faces: deque[tuple[Grid, Grid]] = deque(maxlen=2)
         self._cell_edges = np.append(self.grid_um - step / 2, self.grid_um[-1] + step / 2)
 
     def vignette(self, offsets_um: Grid, depth_um: float) -> Grid:
@@ -103,8 +101,7 @@ class Edge:
             along_rows = _gaussian(self.grid_um[:, None] - origin, self._inner_um)
             clipped = np.einsum("iq,iqj->ij", along_rows, along_cols)
         else:
-            collect = self._collected(spread_um)
-            clipped = (collect[:, None, :] @ self._leaving(offsets_um))[:, 0] @ collect.T
+            clipped = self._collected_halo(offsets_um, self._collected(spread_um))
         return np.asarray(np.where(visible[:, None], clipped / np.maximum(unclipped, 1e-9)[:, None], 1.0))
 
     def _entering(self, offsets_um: Grid) -> tuple[Grid, Grid]:
@@ -112,17 +109,15 @@ class Edge:
         rows_um = (self.grid_um + offsets_um)[:, None] + self._core_um * _NODES
         return rows_um, self._on_chord(rows_um) * _NODE_WEIGHTS[:, None]
 
-    def _leaving(self, offsets_um: Grid) -> Grid:
-        """Halo light that leaves the bundle while each grid row is read: (points, rows, columns)."""
-        for known, face in self._faces:
-            if np.array_equal(known, offsets_um):
-                return face
-        rows_um, along_cols = (array.astype(np.float32) for array in self._entering(offsets_um))  # in half the time
-        grid_um = self.grid_um.astype(np.float32)
-        along_rows = _gaussian(grid_um[None, :, None] - rows_um[:, None, :], self._inner_um)
-        leaving: Grid = (along_rows @ along_cols) * self._disc
-        self._faces.append((offsets_um, leaving))
-        return leaving
+    def _collected_halo(self, offsets_um: Grid, collect: Grid) -> Grid:
+        """Halo light that leaves the bundle while each grid row is read, collected onto that row: (points, columns)."""
+        rows_um, along_cols, grid_um, collect, disc = (
+            array.astype(np.float32) for array in (*self._entering(offsets_um), self.grid_um, collect, self._disc)
+        )  # in half the time
+        points, nodes = rows_um.shape
+        along_rows = _gaussian(grid_um - rows_um[..., None], self._inner_um) * collect[:, None, :]
+        leaving = (along_rows.reshape(-1, points) @ disc).reshape(points, nodes, points)
+        return np.asarray(np.einsum("iqj,iqj->ij", leaving, along_cols) @ collect.T)
 
     def _on_chord(self, rows_um: Grid) -> Grid:
         """Share of the grid cell at each column that lies on the chord at each row; 0 off the bundle."""

@@ -116,10 +116,7 @@ class LineLight:
         return self._steps[step]
 
     def _light(self, jitter_rows: float) -> ViewsLight:
-        rows = self._line_rows
-        if jitter_rows:
-            rows = np.asarray((self._ideal if rows is None else rows) + jitter_rows)
-        views = tuple(self._scan.light(view, rows) for view in self._views)
+        views = tuple(self._scan.light(view, self._line_rows, jitter_rows) for view in self._views)
         shifts_um = np.stack([light.shift_um for light in views])
         bounds = zip(shifts_um.min((0, 2)).tolist(), shifts_um.max((0, 2)).tolist(), strict=True)
         return ViewsLight(views, tuple(bounds))
