@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 import numpy as np
 
-from napari_elsplus.processing.calibration.line.location import TAPER
+from napari_elsplus.processing.analysis.uncertainty import small_sample_factor
+from napari_elsplus.processing.calibration.line.location import RUNS, TAPER
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -47,7 +48,7 @@ class LineShifts:
     >>> from napari_elsplus.processing.calibration.line.location import locate_line
     >>> rows = np.arange(80)[:, None] - 31.25 + 0 * np.arange(120)
     >>> mean, lower = (np.float32(100 * np.exp(-((rows - by) ** 2) / 8)) for by in (0, 0.1))
-    >>> round(float(LineShifts(mean, locate_line(mean)).shift_rows(1.1 * lower)), 2)
+    >>> round(float(LineShifts(mean, locate_line(mean)).shifts_rows(1.1 * lower).sum()), 2)
     0.11
     """
 
@@ -68,11 +69,27 @@ class LineShifts:
         size = 2 * round(3 * line.width_rows) + 1
         self._weights = cv2.GaussianBlur(taper * odd, (1, size), line.width_rows, borderType=cv2.BORDER_REFLECT)
         self._weights /= max(float((self._weights * by_row).sum()), 1e-9)
-        self._rest = float((self._weights * band).sum())
+        self._runs = np.arange(len(columns)) * RUNS // len(columns)
+        self._rest = self._by_run(band)
 
-    def shift_rows(self, view: NDArray[np.generic]) -> float:
-        """Return the rows by which the line of a single frame's view (rows, cols) lies below that of the mean."""
-        return float((self._weights * np.asarray(view[self._part], np.float32)).sum()) - self._rest
+    def shifts_rows(self, view: NDArray[np.generic]) -> NDArray[np.float64]:
+        """Return what each run of columns contributes to the rows by which the line lies below that of the mean.
+
+        Parameters
+        ----------
+        view : numpy.ndarray
+            (rows, cols) of a single frame.
+
+        Returns
+        -------
+        numpy.ndarray
+            (runs,); the sum is the shift of the line.
+        """
+        return np.asarray(self._by_run(view[self._part]) - self._rest, np.float64)
+
+    def _by_run(self, band: NDArray[np.generic]) -> NDArray[np.float64]:
+        by_column = np.einsum("ij,ij->j", self._weights, np.asarray(band, np.float32))
+        return np.bincount(self._runs, by_column, RUNS)
 
 
 def relative_shifts(
@@ -81,7 +98,7 @@ def relative_shifts(
     frames: Iterable[NDArray[np.generic]],
     background: Image | None = None,
 ) -> NDArray[np.float64]:
-    """Return the shift of the second view's line less that of the first one's in each frame, rows, shape (frames,).
+    """Return the shift of the second view's line less that of the first one's by frame and run of columns, rows.
 
     Parameters
     ----------
@@ -93,10 +110,37 @@ def relative_shifts(
         Single frames (rows, cols).
     background : numpy.ndarray, optional
         (rows, cols) mean frame of the dark tube, which the frames contain.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (frames, runs); the sum over the runs is the shift of the lines.
     """
     shifts = [
         (LineShifts(mean[:, part], line, None if background is None else background[:, part]), part)
         for line, part in views
     ]
-    rows = np.array([[each.shift_rows(frame[:, part]) for each, part in shifts] for frame in frames])
+    rows = np.array([[each.shifts_rows(frame[:, part]) for each, part in shifts] for frame in frames])
     return np.asarray(rows[:, 1] - rows[:, 0], np.float64)
+
+
+def common_scatter_rows(shifts: NDArray[np.float64]) -> float:
+    """Return the standard deviation of the mean of the frames' shifts by what their runs of columns have in common.
+
+    Noise of single columns is in the residuals of the fit to the mean already; power noise of the laser is not.
+
+    Parameters
+    ----------
+    shifts : numpy.ndarray
+        (frames, runs) of :func:`relative_shifts`; of few frames the variance is that of Student's t.
+
+    Examples
+    --------
+    >>> round(common_scatter_rows(np.tile([[0.01], [-0.01]], (5, 32))), 2)
+    0.12
+    >>> common_scatter_rows(np.tile([[0.01, -0.01], [-0.01, 0.01]], (5, 16)))
+    0.0
+    """
+    frames = len(shifts)
+    together, apart = float(np.var(shifts.sum(axis=1), ddof=1)), float(np.var(shifts, axis=0, ddof=1).sum())
+    return small_sample_factor(frames - 1) * float(np.sqrt(max(together - apart, 0.0) / frames))
