@@ -41,9 +41,11 @@ JUDGED: Final = 0.9
 LIT_SIGMAS: Final = 3.0
 """Distance of the line from the bundle's rim, in standard deviations of its core over the slit, up to which it lights
 cores; derived: 0.1 % of a Gaussian's light lies beyond."""
-_THERE_UM: Final = np.r_[np.arange(0.0, 40, 8), np.arange(40, 200, 10), np.arange(200, 720, 40)]
-DEPTHS_UM: Final = np.asarray(np.random.default_rng(0).permutation(np.r_[_THERE_UM, _THERE_UM]), np.float64)
-"""Depths of a scan, um; chosen: a quarter of those of a whole scan, each twice, in a random order. Power that changes
+_THERE_UM: Final = np.r_[0.0, 8, np.arange(16.0, 64, 4), np.arange(68.0, 184, 8), np.arange(220.0, 720, 40)]
+_CONTACT_FRAMES: Final = 6
+"""Frames in contact beyond the two; chosen: all of a curve is divided by its value there."""
+DEPTHS_UM: Final = np.random.default_rng(0).permutation(np.r_[_THERE_UM, _THERE_UM, np.zeros(_CONTACT_FRAMES)])
+"""Depths of a scan, um; chosen: a third of those of a whole scan, each twice, in a random order. Power that changes
 slowly then differs from one depth to the next, and is seen as noise; in order it would bend the curve."""
 
 MAX_SCANS: Final = 16
@@ -263,14 +265,16 @@ def axial(rig: ImperfectRig, calibration: Calibration, *, seed: int = 0) -> Axia
 def axial_as_advised(rig: ImperfectRig, calibration: Calibration, line_rows: Rows, *, seed: int = 0) -> AxialResponse:
     """Measure the axial response of a rig's scan, recorded again as often as the uncertainty so far advises."""
     count, parts = len(DEPTHS_UM), list[AxialProfiles]()
-    scan = rig.axial_scan(np.tile(DEPTHS_UM, MAX_SCANS), seed=seed, line_rows=line_rows)
+    # In one order, a ripple of the power could have the same phase at a depth in all scans.
+    depths_um = np.random.default_rng(seed).permuted(np.tile(DEPTHS_UM, (MAX_SCANS, 1)), axis=1).ravel()
+    scan = rig.axial_scan(depths_um, seed=seed, line_rows=line_rows)
     dark = calibration.model_copy(update={"background": background(scan.instrument, seed=seed + 1)})
     wanted = 1
     while len(parts) < wanted:
         for number in range(len(parts), wanted):
             parts.append(axial_profiles([scan[k] for k in range(number * count, (number + 1) * count)], dark))
         ls, residual = (np.concatenate([getattr(part, name) for part in parts]) for name in ("ls", "residual"))
-        response = axial_response(np.tile(DEPTHS_UM, wanted), ls, residual, parts[0].systematic)
+        response = axial_response(depths_um[: len(ls)], ls, residual, parts[0].systematic)
         wanted = min(wanted * response.frames_advised, MAX_SCANS)
     return response
 

@@ -58,7 +58,7 @@ class Surveyed:
         What the software said, if it refused the rig.
     warning : str
         What was warned of, if anything: rows that miss the slit, and the frame rate at which they would not; drop-offs
-        that are uncertain by more than 1 %, and how many frames there should be.
+        that are uncertain, and how many frames there should be.
     """
 
     seed: int

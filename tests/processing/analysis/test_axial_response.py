@@ -195,7 +195,9 @@ def test_more_frames_are_advised_where_power_noise_leaves_a_distance_uncertain()
     power = random.normal(1, 0.05, len(depths))
     response = axial_response(depths, power * ls, power * residual)
     shares = [drop.uncertainty_um / drop.um for drop in (response.els_3db, response.els_10db)]
-    assert response.frames_advised == np.ceil((max(shares) / 0.01) ** 2) > 3
+    assert response.frames_advised == np.ceil((max(shares) / 0.005) ** 2) > 3
+    gain = SystematicUncertainty(gain=0.02)  # more frames do not reduce it
+    assert axial_response(depths, power * ls, power * residual, gain).frames_advised == response.frames_advised
 
 
 def test_jitter_of_the_line_from_frame_to_frame_is_in_the_stated_distances() -> None:

@@ -48,11 +48,11 @@ def uncertainty_note(response: AxialResponse) -> str:
         Of a scan.
     """
     advised = response.frames_advised
-    if advised == 1:
+    if advised == 1 and response.uncertainty <= MAX_UNCERTAINTY:
         return ""
-    remedy = (
-        f"record {advised} times as many frames at each depth"
-        if advised <= MAX_FRAMES_ADVISED
-        else "more frames would not help: the line jitters or the light varies from frame to frame"
-    )
-    return f"warning: ELS+ distances are uncertain by more than {100 * MAX_UNCERTAINTY:g} %: {remedy}"
+    remedy = "calibrate with a sweep of more voltages: the residual view's gain is uncertain"
+    if advised > MAX_FRAMES_ADVISED:
+        remedy = "more frames would not help: the line jitters or the light varies from frame to frame"
+    elif advised > 1:
+        remedy = f"record {advised} times as many frames at each depth"
+    return f"warning: ELS+ distances are uncertain by {100 * response.uncertainty:.1f} %: {remedy}"

@@ -15,12 +15,9 @@ from scipy.optimize import isotonic_regression
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.processing.analysis.bleaching import light_loss
-from napari_elsplus.processing.analysis.curve_noise import (
-    MIN_POINTS,
-    noise_of_curve,
-    relative_variance,
-    variance_of_means,
-)
+from napari_elsplus.processing.analysis.curve_noise import MIN_POINTS, scatter_at_depths
+from napari_elsplus.processing.analysis.falling_curve import DropOff as DropOff
+from napari_elsplus.processing.analysis.falling_curve import FallingCurve
 from napari_elsplus.processing.analysis.rounding import pixel_noise_dn, rounding_bias_dn
 from napari_elsplus.processing.images.sectioning import Sectioner
 
@@ -42,24 +39,13 @@ LEVEL_3DB: Final = 0.5
 LEVEL_10DB: Final = 0.1
 """Level of the 10 dB drop-off, fraction of the signal in contact (the paper, Sec. 3.1)."""
 MAX_UNCERTAINTY: Final = 0.01
-"""Standard deviation of an ELS+ distance over it, beyond which more frames are advised; chosen: three of it are the 3 %
-by which a rig may differ from another."""
+"""Standard deviation of an ELS+ distance over it, beyond which it is warned of; chosen: three of it are the 3 % by
+which a rig may differ from another."""
+MAX_CHANCE: Final = 0.005
+"""Part of it that frames vary by, beyond which more are advised; derived: halo and bow of 100 random rigs move the
+distances by up to 2.2 %, which leaves 0.8 % for it and for the gain."""
 _MIN_SIGNAL_SIGMAS: Final = 3
 """Smallest signal in contact, standard deviations of its noise; chosen: the usual limit of detection."""
-
-
-@dataclass(frozen=True, slots=True)
-class DropOff:
-    """Distance from contact at which a curve falls to a level; NaN where the scan does not reach it.
-
-    Parameters
-    ----------
-    um, uncertainty_um : float
-        Distance and its standard deviation, micrometres.
-    """
-
-    um: float
-    uncertainty_um: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +86,18 @@ class AxialResponse:
 
     @property
     def frames_advised(self) -> int:
-        """Multiple of the frames by which the ELS+ distances are known to `MAX_UNCERTAINTY`, if they vary by chance."""
-        drops = (drop for drop in (self.els_3db, self.els_10db) if np.isfinite(drop.um) and drop.um > 0)
-        worst = max((drop.uncertainty_um / drop.um for drop in drops), default=0.0)
-        return max(1, ceil((worst / MAX_UNCERTAINTY) ** 2))
+        """Multiple of the frames by which the ELS+ distances are known to `MAX_CHANCE`."""
+        return max(1, ceil((max(drop.random_um / drop.um for drop in self._els_drops) / MAX_CHANCE) ** 2))
+
+    @property
+    def uncertainty(self) -> float:
+        """Largest standard deviation of an ELS+ distance over it."""
+        return max(drop.uncertainty_um / drop.um for drop in self._els_drops)
+
+    @property
+    def _els_drops(self) -> list[DropOff]:
+        drops = [drop for drop in (self.els_3db, self.els_10db) if np.isfinite(drop.um) and drop.um > 0]
+        return drops or [DropOff(1.0, 0.0)]
 
     def content(self) -> dict[str, Any]:
         """Return all results, ready for JSON; a distance that the scan does not reach is None."""
@@ -286,12 +280,11 @@ def axial_response(
     els_mean = ls_mean - residual_mean
     contact = _peak(ls_mean)
     beyond = slice(contact, None)
-    ls_variance, els_variance = (variance_of_means(depths, signal)[beyond] for signal in (ls, ls - residual))
-    repeats = len(depths) / len(depth) - 1
-    ls_fall = _Fall(depth[beyond], ls_mean[beyond], ls_variance, repeats, systematic.ls_zero_dn, 0 * depth[beyond])
+    ls_scatter, els_scatter = (scatter_at_depths(depths, each).beyond(contact) for each in (ls, ls - residual))
+    ls_fall = FallingCurve(depth[beyond], ls_mean[beyond], ls_scatter, systematic.ls_zero_dn, 0 * depth[beyond])
     els_zero_dn = float(np.hypot(systematic.ls_zero_dn, systematic.residual_zero_dn))
     together_dn = systematic.gain * residual_mean[beyond]
-    els_fall = _Fall(depth[beyond], els_mean[beyond], els_variance, repeats, els_zero_dn, together_dn)
+    els_fall = FallingCurve(depth[beyond], els_mean[beyond], els_scatter, els_zero_dn, together_dn)
     if not (ls_fall.contact > _MIN_SIGNAL_SIGMAS * ls_fall.noise and ls_fall.contact > 0):
         raise MeasurementError(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
@@ -318,57 +311,6 @@ def axial_response(
         ),
         loss=loss,
     )
-
-
-class _Fall:
-    """Curve that decreases from its first point, by isotonic regression of noisy signals.
-
-    Its zero has the standard deviation `zero_dn`; `together_dn` (depths,) is a fully correlated error of all depths,
-    `variance` (depths,) that of each depth by repeated frames, of which there are `repeats` beyond the first.
-    """
-
-    def __init__(
-        self, depth: Curve, signal: Curve, variance: Curve, repeats: float, zero_dn: float, together_dn: Curve
-    ) -> None:
-        self._all_depths, self._together_dn, self._zero_dn = depth, together_dn, zero_dn
-        self._means, self._variance, self._repeats = signal, variance, repeats
-        fitted = isotonic_regression(signal, increasing=False)
-        first, last = fitted.blocks[:-1], fitted.blocks[1:]
-        self._signal: Curve = fitted.x[first]
-        self._depth: Curve = np.array([depth[a:b].mean() for a, b in zip(first, last, strict=True)])
-        self._depth[0] = depth[0]
-        self._start = float(depth[0])
-        self.contact = float(self._signal[0])
-        self.noise, self._relative = noise_of_curve(depth, signal)
-
-    def drop(self, level: float) -> DropOff:
-        share = self._signal / self.contact
-        below = int(np.argmax(share < level))
-        if share[below] >= level:
-            return DropOff(float("nan"), float("nan"))
-        step = share[below] - share[below - 1]
-        slope, part = step / (self._depth[below] - self._depth[below - 1]), (level - share[below - 1]) / step
-        at = self._depth[below - 1] + (level - share[below - 1]) / slope
-        together = np.interp(at, self._all_depths, self._together_dn) - level * self._together_dn[0]
-        random_dn = self._random_dn(level, float(np.hypot(part, 1 - part)))
-        error_dn = np.linalg.norm([random_dn, (1 - level) * self._zero_dn, together])
-        return DropOff(float(at - self._start), float(error_dn / self.contact / abs(slope)))
-
-    def _random_dn(self, level: float, between: float) -> float:
-        """Return the standard deviation of the signal at a level less that share of the signal in contact.
-
-        Scatter about a smooth curve and that of repeated frames are independent estimates, of which the mean is taken,
-        the latter weighted by the frames beyond the first at each depth: its degrees of freedom. Interpolated, the
-        signal at the level has `between` times the standard deviation of a point.
-        """
-        unsteady = level * self._relative * self.contact  # in contact, and again at the drop-off
-        along_curve = float(np.linalg.norm([self.noise, level * self.noise, unsteady, unsteady]))
-        share = self._means / self.contact
-        relative = [relative_variance(share, self._variance, at, self._repeats) for at in (level, 1.0)]
-        of_repeats = level * np.sqrt(between**2 * relative[0] + relative[1])
-        if np.isnan(of_repeats):
-            return along_curve
-        return float(np.hypot(along_curve, np.sqrt(self._repeats) * of_repeats) / np.sqrt(1 + self._repeats))
 
 
 def _checked(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[Curve, Curve, Curve]:

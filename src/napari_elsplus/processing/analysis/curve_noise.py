@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -19,11 +19,22 @@ _BRIGHT: Final = 0.2
 """Of the signal in contact, above which points show the noise that is proportional to the signal; chosen."""
 _MIN_BRIGHT: Final = 5
 """Smallest number of such points; chosen: the median of fewer is no standard deviation."""
-_NEAR: Final = 2.5
+NEAR: Final = 2.5
 """Ratio of shares of the signal up to which points have noise of a kind; chosen: several points of a scan, and no more
 than a decade of signal."""
-_MIN_NEAR: Final = 3
-"""Smallest number of such points; chosen: fewer do not show their own scatter."""
+_MIN_FREEDOM: Final = 3
+"""Smallest number of frames beyond the first at such points; chosen: fewer do not show their own scatter."""
+
+
+class Scatter(NamedTuple):
+    """Frames at each depth, (depths,), and the sum of squares of their signals about the mean of the depth."""
+
+    frames: Curve
+    square: Curve
+
+    def beyond(self, contact: int) -> Scatter:
+        """Return that of the depths from an index on."""
+        return Scatter(self.frames[contact:], self.square[contact:])
 
 
 def noise_of_curve(depth: Curve, signal: Curve) -> tuple[float, float]:
@@ -56,8 +67,8 @@ def noise_of_curve(depth: Curve, signal: Curve) -> tuple[float, float]:
     return noise, float(np.sqrt(max(excess, 0.0)))
 
 
-def variance_of_means(depth: Curve, signal: Curve) -> Curve:
-    """Return the variance of the mean signal at each different depth, by the scatter of the frames recorded there.
+def scatter_at_depths(depth: Curve, signal: Curve) -> Scatter:
+    """Return the scatter of the frames recorded at each different depth.
 
     Parameters
     ----------
@@ -66,36 +77,37 @@ def variance_of_means(depth: Curve, signal: Curve) -> Curve:
 
     Returns
     -------
-    numpy.ndarray
-        (depths,) in increasing order of depth; NaN of a depth that was recorded once.
+    Scatter
+        In increasing order of depth.
 
     Examples
     --------
-    >>> variance_of_means(np.array([0.0, 5.0, 0.0]), np.array([3.0, 1.0, 5.0])).tolist()
-    [1.0, nan]
+    >>> scatter_at_depths(np.array([0.0, 5.0, 0.0]), np.array([3.0, 1.0, 5.0])).square.tolist()
+    [2.0, 0.0]
     """
     _, place, count = np.unique(depth, return_inverse=True, return_counts=True)
     mean = np.bincount(place, signal) / count
-    square = np.bincount(place, np.square(signal - mean[place]))
-    return np.where(count > 1, square / np.maximum(count * (count - 1), 1), np.nan)
+    return Scatter(count.astype(np.float64), np.bincount(place, np.square(signal - mean[place])))
 
 
-def relative_variance(share: Curve, variance: Curve, level: float, repeats: float) -> float:
-    """Return the variance at a level by points near it, over its squared share of the signal; NaN of too few points.
+def pooled_variance(share: Curve, scatter: Scatter, level: float) -> float:
+    """Return the variance of a frame at a level by the frames near it, over its squared share; NaN of too few frames.
 
-    Variances are taken for proportional to the signal: between noise that all points have and that of the power.
+    Variances are taken for proportional to the squared signal, as is that of the power. Of few
+    frames, it is that of Student's t.
 
     Parameters
     ----------
-    share, variance : numpy.ndarray
-        (depths,) signal over that in contact, and its variance, NaN where unknown.
+    share : numpy.ndarray
+        (depths,) signal over that in contact.
+    scatter : Scatter
+        Of the frames at each depth.
     level : float
         Share of the signal in contact.
-    repeats : float
-        Frames beyond the first at each depth: of few, the variance is that of Student's t.
     """
-    near = np.isfinite(variance) & (share > level / _NEAR) & (share < level * _NEAR)
-    if np.count_nonzero(near) < _MIN_NEAR:
+    near = (share > level / NEAR) & (share < level * NEAR)
+    freedom = round(float((scatter.frames[near] - 1).sum()))
+    if freedom < _MIN_FREEDOM:
         return float("nan")
-    factor = small_sample_factor(round(repeats * np.count_nonzero(near)))
-    return factor**2 * float(np.mean(variance[near] / np.square(share[near])))
+    square = float((scatter.square[near] / np.square(share[near])).sum())
+    return small_sample_factor(freedom) ** 2 * square / freedom
