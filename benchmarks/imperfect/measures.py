@@ -44,7 +44,8 @@ cores; derived: 0.1 % of a Gaussian's light lies beyond."""
 _THERE_UM: Final = np.r_[0.0, 8, np.arange(16.0, 64, 4), np.arange(68.0, 184, 8), np.arange(220.0, 720, 40)]
 _CONTACT_FRAMES: Final = 6
 """Frames in contact beyond the two; chosen: all of a curve is divided by its value there."""
-DEPTHS_UM: Final = np.random.default_rng(0).permutation(np.r_[_THERE_UM, _THERE_UM, np.zeros(_CONTACT_FRAMES)])
+_SCAN_UM: Final = np.r_[_THERE_UM, _THERE_UM, np.zeros(_CONTACT_FRAMES)]
+DEPTHS_UM: Final = np.asarray(np.random.default_rng(0).permutation(_SCAN_UM), np.float64)
 """Depths of a scan, um; chosen: a third of those of a whole scan, each twice, in a random order. Power that changes
 slowly then differs from one depth to the next, and is seen as noise; in order it would bend the curve."""
 

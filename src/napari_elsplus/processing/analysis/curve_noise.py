@@ -87,7 +87,8 @@ def scatter_at_depths(depth: Curve, signal: Curve) -> Scatter:
     """
     _, place, count = np.unique(depth, return_inverse=True, return_counts=True)
     mean = np.bincount(place, signal) / count
-    return Scatter(count.astype(np.float64), np.bincount(place, np.square(signal - mean[place])))
+    square = np.bincount(place, np.square(signal - mean[place]))
+    return Scatter(count.astype(np.float64), np.asarray(square, np.float64))
 
 
 def pooled_variance(share: Curve, scatter: Scatter, level: float) -> float:

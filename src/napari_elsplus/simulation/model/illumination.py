@@ -111,13 +111,12 @@ class Edge:
 
     def _collected_halo(self, offsets_um: Grid, collect: Grid) -> Grid:
         """Halo light that leaves the bundle while each grid row is read, collected onto that row: (points, columns)."""
-        rows_um, along_cols, grid_um, collect, disc = (
-            array.astype(np.float32) for array in (*self._entering(offsets_um), self.grid_um, collect, self._disc)
-        )  # in half the time
+        arrays = (*self._entering(offsets_um), self.grid_um, collect, self._disc)
+        rows_um, along_cols, grid_um, weights, disc = (array.astype(np.float32) for array in arrays)  # in half the time
         points, nodes = rows_um.shape
-        along_rows = _gaussian(grid_um - rows_um[..., None], self._inner_um) * collect[:, None, :]
+        along_rows = _gaussian(grid_um - rows_um[..., None], self._inner_um) * weights[:, None, :]
         leaving = (along_rows.reshape(-1, points) @ disc).reshape(points, nodes, points)
-        return np.asarray(np.einsum("iqj,iqj->ij", leaving, along_cols) @ collect.T)
+        return np.asarray(np.einsum("iqj,iqj->ij", leaving, along_cols) @ weights.T)
 
     def _on_chord(self, rows_um: Grid) -> Grid:
         """Share of the grid cell at each column that lies on the chord at each row; 0 off the bundle."""

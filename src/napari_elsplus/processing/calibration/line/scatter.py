@@ -89,7 +89,7 @@ class LineShifts:
 
     def _by_run(self, band: NDArray[np.generic]) -> NDArray[np.float64]:
         by_column = np.einsum("ij,ij->j", self._weights, np.asarray(band, np.float32))
-        return np.bincount(self._runs, by_column, RUNS)
+        return np.asarray(np.bincount(self._runs, by_column, RUNS), np.float64)
 
 
 def relative_shifts(
