@@ -33,7 +33,13 @@ class Scatter(NamedTuple):
     square: Curve
 
     def beyond(self, contact: int) -> Scatter:
-        """Return that of the depths from an index on."""
+        """Return that of the depths from contact on.
+
+        Parameters
+        ----------
+        contact : int
+            Index of the depth of contact.
+        """
         return Scatter(self.frames[contact:], self.square[contact:])
 
 

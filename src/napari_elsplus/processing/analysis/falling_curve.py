@@ -80,7 +80,13 @@ class FallingCurve:
         self.noise, self._relative = noise_of_curve(depth, signal)
 
     def drop(self, level: float) -> DropOff:
-        """Return the distance at which the curve falls to a share of its value in contact."""
+        """Return the distance at which the curve falls to a level.
+
+        Parameters
+        ----------
+        level : float
+            Share of the signal in contact.
+        """
         share = self._monotonic / self.contact
         below = int(np.argmax(share < level))
         if share[below] >= level:
