@@ -27,16 +27,18 @@ BUNDLE = {
 
 
 @pytest.mark.parametrize(("modes", "sectioned"), [(set(Mode) - {Mode.ELSA}, [1]), (set(Mode), [2, 3])])
-def test_beside_a_tracker_only_frames_that_are_displayed_are_sectioned(
-    monkeypatch: pytest.MonkeyPatch, modes: set[Mode], sectioned: list[int]
+@pytest.mark.parametrize("tracked", [True, False])
+def test_only_frames_that_are_displayed_are_sectioned(
+    monkeypatch: pytest.MonkeyPatch, tracked: bool, modes: set[Mode], sectioned: list[int]
 ) -> None:
     images = LiveImages(SHAPE, Calibration.parse({"bundle": BUNDLE}), LiveView(modes=frozenset(modes)))
     added: list[int] = []
     monkeypatch.setattr(Sectioner, "fill", lambda _, raw, *views, **images: added.append(int(raw[0, 0])))
     ring = Ring(bytearray(images.layout.nbytes), images.layout)
     stream, tally = FrameStream(SHAPE, 64), Tally()
-    tracker: Any = SimpleNamespace(add=lambda raw, stamp: None)
-    ProcessingWorker(stream, DisplaySink(images, ring), tally, FaultLog(), tracker).start()
+    tracker: Any = SimpleNamespace(add=lambda raw, stamp: None) if tracked else None
+    worker = ProcessingWorker(stream, DisplaySink(images, ring), tally, FaultLog(), tracker)
+    worker.start()
     deadline_s, stamp = time.perf_counter() + 10, None
     for number in range(1, sectioned[-1] + 1):
         slot = stream.acquire()
@@ -48,6 +50,9 @@ def test_beside_a_tracker_only_frames_that_are_displayed_are_sectioned(
     assert stamp is not None
     assert stamp.frame_number == sectioned[-1]
     stream.end()
+    worker.join(10)
+    assert tally.processed == sectioned[-1]
+    assert tally.latency.counts().frames.sum() == (sectioned[-1] if tracked else 1)
 
 
 def test_images_of_one_frame_are_sectioned_into_the_ring_and_a_failure_is_a_fault(

@@ -1,4 +1,4 @@
-"""Live images of every frame: sectioned at the camera's rate, finished at the display's."""
+"""Live images: sectioned and finished at the display's rate; averages take up every frame."""
 
 from __future__ import annotations
 

@@ -152,7 +152,7 @@ class CameraWorker(Thread):
 
 
 class ProcessingWorker(Thread):
-    """Sections every frame, passes it to the tracker if there is one, and publishes the newest at the display's rate.
+    """Passes every frame to the tracker if there is one, and sections and publishes the newest at the display's rate.
 
     Parameters
     ----------
@@ -198,35 +198,37 @@ class ProcessingWorker(Thread):
             tracker, sink = self.tracker, self.sink
             if tracker is not None:
                 self._track(tracker, raw, stamp)
+            displayed = False
             try:
-                if self._section(sink.images, raw, stamp.frame_number, each=tracker is None):
+                displayed = self._section(sink.images, raw, stamp.frame_number)
+                if displayed:
                     self._publish(sink, raw, stamp)
             except Exception as error:  # noqa: BLE001 - frames go on being acquired and recorded
                 self._faults.add("processing", error)
-            tally.latency.add(time.perf_counter() - stamp.received_s)
+            if displayed or tracker is not None:  # other frames have no result that could be late
+                tally.latency.add(time.perf_counter() - stamp.received_s)
             tally.processed += 1
             tally.skipped("processing slow", cursor.skipped)
         cursor.close()
 
-    def _section(self, images: LiveImages, raw: NDArray[np.uint8], frame_number: int, *, each: bool) -> bool:
+    def _section(self, images: LiveImages, raw: NDArray[np.uint8], frame_number: int) -> bool:
         """Return True if a frame is to be displayed, and section it unless its images are made of it alone.
 
-        Where a tracker gives every frame its result, only those are sectioned that are displayed: one frame, or the
-        confocal and the residual one of an ELSA image.
+        Only those frames are sectioned that contribute to what is displayed: one frame, the confocal and the residual
+        one of an ELSA image, or all that are averaged.
         """
         last = self._stream.ended
-        due = time.perf_counter() >= self._due_s
+        due = last or time.perf_counter() >= self._due_s
         confocal, residual = elsa_pair(frame_number)
-        if images.of_one_frame and (due or last):
-            return True  # sectioned into the display's ring
-        if each or images.averages or last:
+        if images.of_one_frame:
+            return due  # sectioned into the display's ring
+        if images.averages or last:
             images.add(raw, frame_number)
-            return due or last
+            return due
         if due and frame_number == confocal:
             images.add(raw, frame_number)
             self._begun = frame_number
-            return False
-        if images.pairs and frame_number == residual and self._begun == confocal:
+        elif frame_number == residual and self._begun == confocal:
             images.add(raw, frame_number)
             return True
         return False
