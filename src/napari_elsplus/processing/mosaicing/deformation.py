@@ -49,6 +49,8 @@ ROUNDS: Final = 2
 """Of fitting fields and averaging the frames freed of them; chosen: a third changes a mosaic's correlation by 0.001."""
 _SAMPLES_ACROSS: Final = 120
 """Pixels of the field that are compared, along a diameter; chosen: half of those of the grid."""
+_TESTED_ACROSS: Final = 60
+"""The same where it is tested whether tissue deforms; chosen: a quarter of the points."""
 _HIGH_PASS_DIAMETERS: Final = 1 / 30
 """Standard deviation of the Gaussian that is subtracted, as that of the registration: haze does not move."""
 _REDUCED_SIGMA_PX: Final = 2.0
@@ -64,11 +66,13 @@ class Deformation:
     ----------
     grid : Grid
         The frames' grid.
+    samples_across : int
+        Pixels of the field that are compared, along a diameter.
     """
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: Grid, samples_across: int = _SAMPLES_ACROSS) -> None:
         self._grid = grid
-        self._step = max(1, round(FIELD * grid.diameter / _SAMPLES_ACROSS))
+        self._step = max(1, round(FIELD * grid.diameter / samples_across))
         self._high_pass_px = _HIGH_PASS_DIAMETERS * grid.diameter
         self._radius = 0.5 * FIELD * grid.diameter
         points = self._points(self._step)
@@ -177,7 +181,7 @@ def estimate_deformation(
     if not tracked:
         return None
     grid = drawn[poses[tracked[0]].segment].grid
-    deformation = Deformation(grid)
+    deformation = Deformation(grid, _TESTED_ACROSS)
     tested = tracked[:: ceil(len(tracked) / MAX_TESTED)]
     # of the frames of a jerk some are distorted by uneven motion: more than half of all must need a field
     rigid = 0

@@ -104,10 +104,11 @@ def _edge_share(mean: Image, centre: Sequence[float] | NDArray[np.float64], diam
 def _reduced_mean(frames: Frames) -> tuple[Image, int]:
     """Return the mean of a few frames, reduced to at most `MAX_LOCATED_ROWS`, and the factor."""
     numbers = np.unique(np.linspace(0, len(frames) - 1, AVERAGED_FRAMES).round().astype(int))
-    rows, cols = frames[0].shape
-    factor = -(-rows // MAX_LOCATED_ROWS)
-    total = np.zeros((len(range(factor // 2, rows, factor)), cols // factor * factor), np.float32)
+    height, cols = frames[0].shape
+    factor = -(-height // MAX_LOCATED_ROWS)
+    total = np.zeros((len(range(factor // 2, height, factor)), cols // factor * factor), np.float32)
     for number in numbers.tolist():
-        np.add(total, frames[number][factor // 2 :: factor, : total.shape[1]], out=total, casting="unsafe")
+        rows = np.asarray(frames[number])[factor // 2 :: factor, : total.shape[1]]
+        cv2.accumulate(rows if rows.dtype in (np.uint8, np.uint16) else rows.astype(np.float32), total)
     mean = cv2.resize(total, (cols // factor, len(total)), interpolation=cv2.INTER_AREA) / len(numbers)
     return np.asarray(mean, np.float32), factor
