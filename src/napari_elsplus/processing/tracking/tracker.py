@@ -153,7 +153,8 @@ class Tracker:
         """Register a frame to the key frame of the segment, or to the last frame that was."""
         key, last = self._key, self._last
         ahead = self._expected(key, here.index)
-        renew = hypot(*ahead) > KEY_FRAME_REACH * self.grid.diameter
+        rigid = not self._usual < self.registrar.rigid_correlation
+        renew = hypot(*ahead) > (KEY_FRAME_REACH * self.grid.diameter if rigid else 0.0)
         if self.model is MotionModel.TRANSLATION:
             self._test_rotation(renew=renew)
         if renew:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple
+from math import nan
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 
 
 class TrackingState(StrEnum):
@@ -49,3 +49,8 @@ class Pose(NamedTuple):
     sigma: float
     state: TrackingState
     angle: float = 0.0
+
+    @property
+    def lost(self) -> Pose:
+        """The same frame without a position."""
+        return self._replace(row=nan, col=nan, velocity=Velocity(nan, nan), state=TrackingState.LOST)

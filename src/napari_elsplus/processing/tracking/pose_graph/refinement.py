@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     Links = Sequence[tuple[int, int, Displacement, PairRegistration]]
     """Earlier and later frame, displacement in the later one's orientation, and registration."""
 
-_NOWHERE: Final = Velocity(np.nan, np.nan)
 _SOLVED_AT: Final = 1.1
 """Factor by which the number of nodes grows between two solutions; chosen, so that their cost stays linear."""
 
@@ -135,7 +134,7 @@ def settle(poses: Sequence[Pose], links: Links) -> list[Pose]:
     last = {pose.segment: k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED}
     linked = {frame for earlier, later, *_ in links for frame in (earlier, later)}
     return [
-        pose._replace(row=np.nan, col=np.nan, velocity=_NOWHERE, state=TrackingState.LOST)
+        pose.lost
         if (pose.state is TrackingState.PREDICTED and k > last.get(pose.segment, -1))
         or (pose.state is TrackingState.TRACKED and linked and k not in linked)
         else pose

@@ -159,9 +159,11 @@ class Registrar:
         Standard deviation of a displacement up to which the tracker uses registrations.
     fall_of_correlation : float
         Correlation below the recent mean from which it does not.
+    rigid_correlation : float
+        Recent mean of the correlation below which each frame is registered to the one before, not to a keyframe.
     """
 
-    max_sigma_px, fall_of_correlation = MAX_SIGMA_PX, FALL_OF_CORRELATION
+    max_sigma_px, fall_of_correlation, rigid_correlation = MAX_SIGMA_PX, FALL_OF_CORRELATION, 0.0
 
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
