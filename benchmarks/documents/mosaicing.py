@@ -13,6 +13,7 @@ from benchmarks.documents.pages import fill, require_marks
 from benchmarks.harness.methods import Absent
 from benchmarks.parsimony.turning import Turned, Walk, follow
 from benchmarks.stability.pairs import SCENES, Statistics, cases, statistics
+from benchmarks.studies import rotation
 from benchmarks.studies.acceptance import HELD_OUT_SEEDS, ROWS, acceptance_table
 from benchmarks.studies.drift import Drift, drift
 from benchmarks.studies.mosaicing import TRANSLATION, Outcome, Scenario, outcomes
@@ -203,5 +204,8 @@ TABLES: Final[dict[str, Callable[[Path, bool], list[str]]]] = {
         }
     ),
     "turning": lambda _, quick: turning_table({walk: follow(walk) for walk in WALKS[: 1 if quick else None]}),
+    "rotation": lambda _, quick: rotation.rotation_table(
+        rotation.ROWS[:1] if quick else rotation.ROWS, rotation.HELD_OUT_SEEDS[: 1 if quick else None]
+    ),
 }
 """Tables of the page by their marks: folder of the pictures and `quick` to lines; each also draws its pictures."""
