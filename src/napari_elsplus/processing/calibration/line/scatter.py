@@ -127,7 +127,8 @@ def relative_shifts(
 def common_scatter_rows(shifts: NDArray[np.float64]) -> float:
     """Return the standard deviation of the mean of the frames' shifts by what their runs of columns have in common.
 
-    Noise of single columns is in the residuals of the fit to the mean already; power noise of the laser is not.
+    Noise of single columns is in the residuals of the fit to the mean already; power noise of the laser is not. What the
+    former adds up to by chance, one standard deviation of it, is not taken for the latter.
 
     Parameters
     ----------
@@ -143,4 +144,5 @@ def common_scatter_rows(shifts: NDArray[np.float64]) -> float:
     """
     frames = len(shifts)
     together, apart = float(np.var(shifts.sum(axis=1), ddof=1)), float(np.var(shifts, axis=0, ddof=1).sum())
-    return small_sample_factor(frames - 1) * float(np.sqrt(max(together - apart, 0.0) / frames))
+    by_chance = np.sqrt(2 / (frames - 1))  # relative standard deviation of a variance
+    return small_sample_factor(frames - 1) * float(np.sqrt(max(together - (1 + by_chance) * apart, 0.0) / frames))
