@@ -127,8 +127,8 @@ def relative_shifts(
 def common_scatter_rows(shifts: NDArray[np.float64]) -> float:
     """Return the standard deviation of the mean of the frames' shifts by what their runs of columns have in common.
 
-    Noise of single columns is in the residuals of the fit to the mean already; power noise of the laser is not. What the
-    former adds up to by chance, one standard deviation of it, is not taken for the latter.
+    Noise of single columns is in the residuals of the fit to the mean already; power noise of the laser is not. What
+    the former adds up to by chance, one standard deviation of it, is not taken for the latter.
 
     Parameters
     ----------
