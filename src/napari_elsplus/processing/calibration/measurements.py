@@ -54,7 +54,8 @@ gives each line a gain of its own."""
 SAMPLING_ROWS: Final = 0.003
 """Rows; part of the offset's uncertainty that no residual shows: the views' pixels sample the cores at other phases.
 Measured: bright lines on the presets' bundles are off by 0.0062 rows at 240 Hz (16 bundles) and 0.0020 at 120 Hz (5),
-RMS, of which residuals show 0.0042 and 0.0034; with it 72 % of 90 random rigs (seeds 1000 to 1089) are within 1 sigma."""
+RMS, of which residuals show 0.0042 and 0.0034; with it 72 % of 90 random rigs (seeds 1000 to 1089) are within a sigma
+of the truth."""
 MIN_SCATTER_FRAMES: Final = 3
 """Frames of a standing line below which their scatter is not estimated; chosen."""
 _NEIGHBOURS: Final = 4
