@@ -192,12 +192,16 @@ def changes() -> list[Change]:
         *left_out(
             "other peaks compete", pair, ("sum(exp(max(nats - highest, -700.0)) for nats in others)", "0.0")
         ),
+        *left_out(
+            "unrelated frames compete", "registration/pyramid_descent",
+            ("            odds = min(odds, _odds_against_unrelated(correlation, count))\n", ""),
+        ),
         *constant("smallest overlap", search, "LEAST_OVERLAP", without="0.0"),
         *constant("fall of correlation", pair, "FALL_OF_CORRELATION", without="inf"),
         *constant("memory of the correlation", "tracker", "_MEMORY", without="1.0"),
         *constant("largest standard deviation, px", pair, "MAX_SIGMA_PX", without="inf"),
-        *constant("within-frame acceleration", prediction, "_UNEVEN", without="0.0"),
-        *left_out("jolts count as such", prediction, ("            jerk = max(jerk, missed_px)\n", "")),
+        *constant("uneven motion estimated from, px", "tracker", "_UNEVEN_PX", without="inf"),
+        *constant("jolts count as uneven", prediction, "_JOLT", without="0.0"),
         *constant("starts wait from, nats", "tracker", "_WAITING_ODDS_NATS", without="MIN_ODDS_NATS", factors=()),
         *constant("reach of a keyframe, diameters", "tracker", "KEY_FRAME_REACH", without="0.0"),
         *constant("frames predicted", "tracker", "PATIENCE_FRAMES", without="0"),

@@ -117,6 +117,19 @@ class PairwiseRegistrar(Registrar):
         """Register two frames: :meth:`link`, which the function searches by itself."""
         return self.link(earlier, later, motion)
 
+    def evened(
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, link: PairRegistration,
+        jerk_sigma: float,
+    ) -> PairRegistration:  # fmt: skip
+        """Return the registration unchanged.
+
+        Parameters
+        ----------
+        earlier, later, motion, link, jerk_sigma
+            As of :meth:`~.Registrar.evened`.
+        """
+        return link
+
     def remainder(self, *_: object, **__: object) -> None:
         """Return None: no rotation is tested for."""
 

@@ -42,6 +42,9 @@ _MEMORY: Final = 0.2
 _TEST_EVERY: Final = 4
 """Frames between two score tests for rotation, as long as none is found; at rest each frame is tested that correlates
 less than usual, as all do of a probe that turns."""
+_UNEVEN_PX: Final = 0.2
+"""Standard deviation of a displacement by uneven motion, pixels, from which that is estimated; chosen: a third of the
+largest that is accepted."""
 _WAITING_ODDS_NATS: Final = 5.0
 """Odds from which a first registration waits for the next one; chosen: from 0 the slide of a fibre along itself was
 accepted, since a second registration, which starts from the motion of the first, repeats it."""
@@ -322,14 +325,20 @@ class Tracker:
 
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose and velocity; return False if the probe moved too unevenly within the frames."""
-        shutter, expected, after = self.grid.shutter, motion.displacement, link.velocity
-        here.velocity_variance = link.velocity_variance
-        by_velocity = hypot(link.warp.b, link.warp.d) / shutter.line_periods_per_frame
-        moved = shutter.displacement(link.warp, after)
+        shutter, expected = self.grid.shutter, motion.displacement
+        moved = shutter.displacement(link.warp, link.velocity)
         missed_px = hypot(moved.row - expected.row, moved.col - expected.col)
-        here.sigma = hypot(
-            link.sigma, self._motion.unevenness(after, link.warp, missed_px), by_velocity * here.velocity_variance**0.5
-        )
+        jerk_sigma = self._motion.jerk_sigma(link.velocity, link.warp, missed_px)
+        uneven_px = self._motion.uneven_px(jerk_sigma)
+        if uneven_px > _UNEVEN_PX and self.model is MotionModel.TRANSLATION:
+            evened = self.registrar.evened(earlier.view, here.view, motion, link, jerk_sigma)
+            if evened is None:
+                return False
+            link, uneven_px = evened, self._motion.left_uneven_px(jerk_sigma, missed_px)
+            moved = shutter.displacement(link.warp, link.velocity)
+        after, here.velocity_variance = link.velocity, link.velocity_variance
+        by_velocity = hypot(link.warp.b, link.warp.d) / shutter.line_periods_per_frame
+        here.sigma = hypot(link.sigma, uneven_px, by_velocity * here.velocity_variance**0.5)
         if here.sigma > self.registrar.max_sigma_px:
             return False
         if not self._motion.known:

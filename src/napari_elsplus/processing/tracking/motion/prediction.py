@@ -6,7 +6,7 @@ learnt from how far the last ones were.
 
 from __future__ import annotations
 
-from math import hypot
+from math import hypot, pi, sqrt
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
@@ -17,8 +17,15 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
 
 AT_REST: Final = Velocity(0.0, 0.0)
-_UNEVEN: Final = 1 / 24
+_JOLT: Final = 1 / 24
 """Mean over a frame of the parabola that a unit acceleration makes, per squared time in which the frame is read."""
+_JERK_VARIANCE: Final = 20 / 7
+"""Variance of the difference of two frames' accelerations over that of the velocity after a frame period, times the
+part of it in which a frame is read; derived for white-noise acceleration and least squares."""
+_UNEVEN: Final = 7 / 3200
+_UNEVEN_ESTIMATED: Final = 7 / 47440
+"""Variance of the middle of a frame from that of the difference of the accelerations, per fourth power of that part,
+where even motion is fitted within each frame; and where the difference is estimated, too. Derived likewise."""
 _MIN_SPREAD: Final = 0.3
 """Smallest standard deviation of the next velocity, pixels per frame period; chosen, about a hand's tremor."""
 _MEMORY: Final = 0.3
@@ -30,9 +37,9 @@ over the time in which a frame is read: the longer the period, the more a hand c
 recordings a row of ``benchmarks.studies.acceptance``."""
 _UNKNOWN_READ: Final = 0.3
 """Part of the frame period in which a frame is read, where the timing is unknown; chosen, that of some 80 Hz."""
-_SPREAD_OF_SURPRISE: Final = 1.0
-"""Standard deviation of a velocity, in each axis, over the mean distance of recent ones from those expected; 0.8 for a
-normal distribution, 1 for heavier tails."""
+_SPREAD_OF_SURPRISE: Final = 2 / pi
+"""Scale of a velocity, in each axis, over the mean distance of recent ones from those expected; derived for Student's
+t-distribution in two dimensions with the prior's four degrees of freedom (in one, for rotation, it is 1)."""
 MIN_SHARE: Final = 2.0
 MIN_SHARE_TURNING: Final = 0.3
 """Smallest variance of an estimated velocity over that of the next one; chosen. Distortion of the optics adds the same
@@ -107,11 +114,10 @@ class Motion:
         self.velocity, self.change, self.known = velocity, gained, True
         self.variance = variance
 
-    def unevenness(self, velocity: Velocity, warp: Warp, missed_px: float) -> float:
-        """Return the error of a displacement, pixels, because the probe did not move evenly within the frames.
+    def jerk_sigma(self, velocity: Velocity, warp: Warp, missed_px: float) -> float:
+        """Return the standard deviation by which the acceleration changes between two frames, px per squared period.
 
-        The rolling shutter's warp is exact for even motion within each frame, and stays so under a steady acceleration.
-        What remains grows with the change of the acceleration from frame to frame.
+        Each axis; from the spread of the velocity, or from what these frames were surprising by, if that is more.
 
         Parameters
         ----------
@@ -125,11 +131,36 @@ class Motion:
         if not self._read:
             return 0.0
         if self.known:
-            jerk = hypot(velocity.row - self.next_velocity.row, velocity.col - self.next_velocity.col)
-            jerk = max(jerk, missed_px)
+            change = hypot(velocity.row - self.next_velocity.row, velocity.col - self.next_velocity.col)
+            change = max(change, missed_px)
         else:
-            jerk = self._shutter.line_periods_per_frame * hypot(warp.a - 1, warp.s)
-        return _UNEVEN * self._read**2 * max(jerk, self.surprise)
+            change = self._shutter.line_periods_per_frame * hypot(warp.a - 1, warp.s)
+        return sqrt(_JERK_VARIANCE / self._read) * max(_SPREAD_OF_SURPRISE * change, self.spread)
+
+    def uneven_px(self, jerk_sigma: float) -> float:
+        """Return the standard deviation of a displacement because the probe moved unevenly within the frames, pixels.
+
+        The rolling shutter's warp is exact for even motion within each frame, and stays so under a steady acceleration.
+
+        Parameters
+        ----------
+        jerk_sigma : float
+            From :meth:`jerk_sigma`.
+        """
+        return sqrt(_UNEVEN) * self._read**2 * jerk_sigma
+
+    def left_uneven_px(self, jerk_sigma: float, missed_px: float) -> float:
+        """Return what of that remains where the change of the acceleration is estimated from the frames, pixels.
+
+        A jolt is more than that: after it neither the velocity nor the acceleration is known.
+
+        Parameters
+        ----------
+        jerk_sigma, missed_px
+            As of :meth:`jerk_sigma`.
+        """
+        jolt_px = _JOLT * missed_px if self.known else 0.0
+        return self._read**2 * hypot(sqrt(_UNEVEN_ESTIMATED) * jerk_sigma, jolt_px)
 
     @property
     def next_velocity(self) -> Velocity:
@@ -232,4 +263,4 @@ class Turning:
 
     def spread(self, frames: int) -> float:
         """Return the standard deviation of the turn within so many frames about what is expected."""
-        return frames * (_LEAST_TURN + _SPREAD_OF_SURPRISE * self._surprise)
+        return frames * (_LEAST_TURN + self._surprise)

@@ -25,6 +25,7 @@ from napari_elsplus.processing.tracking.registration.odds import (
 from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, fill_levels
 from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, descend, register
 from napari_elsplus.processing.tracking.registration.shift_search import ShiftSearch, prior
+from napari_elsplus.processing.tracking.registration.uneven_motion import EXACT_PX, align_unevenly
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -361,6 +362,30 @@ class Registrar:
         warp = Warp(start.a * stretch, start.b, start.s * stretch + shear, start.d)
         velocity, variance = own.later_velocity(warp, link.warp_covariance)
         return link._replace(warp=warp, velocity=velocity, velocity_variance=variance, turn=turn, turn_sigma=sigma)
+
+    def evened(
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, link: PairRegistration,
+        jerk_sigma: float,
+    ) -> PairRegistration | None:  # fmt: skip
+        """Return the registration of the middle rows of frames that moved unevenly; None where it is unconstrained.
+
+        Parameters
+        ----------
+        earlier, later, motion
+            As of :meth:`link`.
+        link : PairRegistration
+            Of even motion within each frame.
+        jerk_sigma : float
+            Standard deviation of the change of the acceleration between the frames, pixels per squared frame period.
+        """
+        found = align_unevenly(self._halves(earlier, later), motion, link.warp, jerk_sigma, CORRELATED_PX / 4)
+        if found is None:
+            return None
+        warp, link = found[0], link._replace(information=found[1])
+        if hypot(warp.b - link.warp.b, warp.d - link.warp.d) < EXACT_PX:
+            return link
+        velocity, variance = motion.later_velocity(warp, link.warp_covariance)
+        return link._replace(warp=warp, velocity=velocity, velocity_variance=variance)
 
     def _halves(self, earlier: PreparedFrame, later: PreparedFrame, *, rim: bool = True) -> FramePair:
         """Return two frames at half resolution, with or without the rim."""
