@@ -179,3 +179,15 @@ def test_noise_alone_never_makes_a_line() -> None:
     for _ in range(40):
         with pytest.raises(MeasurementError):
             locate_line(random.poisson(5, (120, 160)).astype(np.uint8))
+
+
+def test_a_bright_row_of_a_frame_without_a_line_is_refused_also_where_the_fit_diverges() -> None:
+    """A fit that turned away from all columns raised an error of linear algebra."""
+    for seed, shape in ((1302, (69, 172)), (2671, (116, 91)), (2926, (36, 240))):
+        random = np.random.default_rng(seed)
+        random.integers(20, 120), random.integers(40, 300)
+        image = random.normal(0, 1, shape)
+        random.integers(0, 4)
+        image[int(random.integers(0, len(image)))] += 10
+        with pytest.raises(MeasurementError, match="no laser line"):
+            locate_line(image.astype(np.float32))

@@ -311,8 +311,7 @@ def _brightness(patch: Floats, width: float) -> Floats:
     """Return the light of the line in each column, above the column's own background."""
     u = np.arange(len(patch)) - (len(patch) - 1) / 2
     bell = np.exp(-(u**2) / (2 * width**2))
-    weights = bell - bell.mean()
-    return np.asarray(weights @ patch, np.float64)
+    return np.asarray((bell - bell.mean()) @ patch, np.float64)
 
 
 def _lit_columns(brightness: Floats) -> tuple[int, int]:
@@ -334,12 +333,13 @@ def _gauss_newton(
     """
     ordered = np.sort(data)  # faster than np.percentile
     level, top = float(ordered[len(data) // 4]), float(ordered[19 * len(data) // 20])
-    start = (top - level, level, np.log(np.sqrt(2) * width), 0.0, 0.0, 0.0)
-    parameters = np.array(start)
+    parameters = np.array((top - level, level, np.log(np.sqrt(2) * width), 0.0, 0.0, 0.0))
     for _ in range(12):
         model, jacobian, taper = _model(parameters, u, x)
         weighted = jacobian * taper[:, None]
         curvature = weighted.T @ jacobian
+        if not np.trace(curvature) > 0:
+            raise MeasurementError("no laser line: the fit diverged from the brightest streak", "is the laser on?")
         curvature.flat[:: len(curvature) + 1] += RIDGE * np.trace(curvature)
         step = np.linalg.solve(curvature, weighted.T @ (data - model))
         step[2] = np.clip(step[2], -0.4, 0.4)
