@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.instrument.calibration import FrameSection
+from napari_elsplus.instrument.calibration import Calibration, FrameSection, OffsetSection
 from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo
 from napari_elsplus.processing.calibration.line.location import Line
@@ -184,6 +184,15 @@ def test_a_bowed_line_is_measured_and_makes_no_galvo_seem_curved(bow_rows: float
     assert not found.curved
     summary = summarize_galvo(found, Draft(), Setup(FrameSection(shape=(524, 1328))))
     assert any("the line is bowed" in warning for warning in summary.warnings)
+
+
+@pytest.mark.parametrize(("offset_rows", "warned"), [(-4.0, True), (4.0, True), (-21.7, False), (-2.0, False)])
+def test_a_bow_that_reaches_the_slit_of_the_residual_view_is_warned_of(offset_rows: float, warned: bool) -> None:
+    """ELS+ correlated by 0.83 instead of 0.99; an offset below the slit has a warning of its own."""
+    found = replace(fitted(ROWS, 1e-3 * ROWS), bow_rows=2.2)
+    calibration = Calibration(offset=OffsetSection(rows=offset_rows, uncertainty_rows=0.01))
+    summary = summarize_galvo(found, Draft(calibration), Setup(FrameSection(shape=(524, 1328))))
+    assert any("the bow reaches the slit" in warning for warning in summary.warnings) == warned
 
 
 def test_a_straight_line_has_no_bow() -> None:

@@ -64,7 +64,7 @@ def summarize_offset(offset: SlitOffset, draft: Draft, setup: Setup) -> StepSumm
     return StepSummary(headline, [f"tilt {tilt}°: {cost:.1f} rows at the rim"], warnings)
 
 
-def summarize_galvo(galvo: GalvoMap, _draft: Draft, setup: Setup) -> StepSummary:
+def summarize_galvo(galvo: GalvoMap, draft: Draft, setup: Setup) -> StepSummary:
     """Summarize a galvo map: slope, intercept, fit, bow of the line, frames left out; see :class:`CalibrationStep`."""
     frames, warnings = len(galvo.volts) + galvo.dark, []
     lines = [
@@ -80,6 +80,12 @@ def summarize_galvo(galvo: GalvoMap, _draft: Draft, setup: Setup) -> StepSummary
         warnings.append(
             f"the line is bowed by {galvo.bow_rows:.1f} rows: its ends miss the slit of {slit_rows:g} rows; "
             "straighten it, or widen the slit"
+        )
+    offset = draft.calibration.offset
+    if offset is not None and slit_rows <= abs(offset.rows) < slit_rows + abs(galvo.bow_rows):
+        warnings.append(
+            f"the bow reaches the slit of the residual view, {abs(offset.rows):.1f} rows from the line: ELS+ loses the "
+            "signal at the rim; straighten the line, or enlarge the offset"
         )
     if galvo.curved:
         warnings.append(f"the galvo is not linear: it departs by up to {galvo.curvature_rows:.2f} rows")
