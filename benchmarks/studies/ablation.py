@@ -200,7 +200,7 @@ def changes() -> list[Change]:
         *constant("fall of correlation", pair, "FALL_OF_CORRELATION", without="inf"),
         *constant("memory of the correlation", "tracker", "_MEMORY", without="1.0"),
         *constant("largest standard deviation, px", pair, "MAX_SIGMA_PX", without="inf"),
-        *constant("uneven motion estimated from, px", "tracker", "_UNEVEN_PX", without="inf"),
+        *constant("uneven motion estimated from, px", "tracker", "_UNEVEN_PX", without='float("inf")'),
         *constant("jolts count as uneven", prediction, "_JOLT", without="0.0"),
         *constant("starts wait from, nats", "tracker", "_WAITING_ODDS_NATS", without="MIN_ODDS_NATS", factors=()),
         *constant("reach of a keyframe, diameters", "tracker", "KEY_FRAME_REACH", without="0.0"),

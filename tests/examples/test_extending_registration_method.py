@@ -89,8 +89,8 @@ def test_frames_that_are_not_registered_are_predicted_then_lost_and_a_new_segmen
     assert "".join(pose.state[0] for pose in poses) == "tttt" + "ppppp" + "ll" + "ltt"
     assert [pose.segment for pose in poses[-2:]] == [1, 1]
     assert (poses[-2].row, poses[-2].col) == (0.0, 0.0)
-    # That of the shift, and what uneven motion adds: white-noise acceleration of the velocity's spread in a frame that is
-    # read all the time moves its middle by sqrt(1 / 160) of that, which the first spread is the largest of.
+    # That of the shift, and what uneven motion adds: white-noise acceleration moves the middle of a frame that is read
+    # all the time by sqrt(1 / 160) of the velocity's spread, of which the first is the largest.
     assert 0.2 < poses[3].sigma < hypot(0.2, sqrt(1 / 160) * 1.2 * 2 / pi)
 
 
