@@ -160,7 +160,7 @@ def ablation_command(words: tuple[str, ...], out: Path, quick: bool, folder: Pat
             click.echo(table.read_text("utf-8").splitlines()[-1])
     save_figure(draw_ablation(found), chart, force=True)
     if folder is not None:
-        fill(folder / "mosaicing.md", {"ablation": ablation_table(found)})
+        fill(folder / mosaicing.PAGE, {"ablation": ablation_table(found)})
         save_figure(draw_ablation(found), folder / "images" / "mosaicing-ablation.png", force=True)
 
 

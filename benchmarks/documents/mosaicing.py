@@ -1,4 +1,4 @@
-"""Pictures and tables of docs/mosaicing.md: ``python3 run.py bench docs --only mosaicing``, or ``mosaicing-TABLE``."""
+"""Pictures and tables of docs/tracking-accuracy.md: ``run.py bench docs --only mosaicing``, or ``mosaicing-TABLE``."""
 
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ WALKS: Final = tuple(
     for turn_deg_s in (0.0, 2.0, 10.0, 50.0)
 )
 PAIRS: Final = 1000
+PAGE: Final = "tracking-accuracy.md"
 _SHOWN_REGISTRATIONS: Final = (
     "link, searched", "link, predicted", "template", "template + parabola", "OpenCV phaseCorrelate",
     "OpenCV ECC, predicted", "scikit-image phase", "scikit-image masked", "PyFibreBundle",
@@ -53,12 +54,12 @@ _SHOWN_PX: Final = 360
 
 
 def make(docs: Path, only: Collection[str] = (), *, quick: bool = False) -> None:
-    """Measure, draw and tabulate everything in docs/mosaicing.md.
+    """Measure, draw and tabulate everything in docs/tracking-accuracy.md.
 
     Parameters
     ----------
     docs : pathlib.Path
-        Folder of ``mosaicing.md``; pictures go into its folder ``images``.
+        Folder of ``tracking-accuracy.md``; pictures go into its folder ``images``.
     only : collection of str
         Names of the tables that are made anew, with the pictures beside them; all by default.
     quick : bool
@@ -67,9 +68,9 @@ def make(docs: Path, only: Collection[str] = (), *, quick: bool = False) -> None
     Raises
     ------
     InputError
-        If there is no ``mosaicing.md`` in it, or a table's place is missing there.
+        If there is no ``tracking-accuracy.md`` in it, or a table's place is missing there.
     """
-    page, images = docs / "mosaicing.md", docs / "images"
+    page, images = docs / PAGE, docs / "images"
     require_marks(page, TABLES)
     for name in only or TABLES:
         fill(page, {name: "\n".join(TABLES[name](images, quick))})

@@ -1,4 +1,4 @@
-"""Mosaics of simulated recordings against the scene that was really there, for docs/mosaicing.md."""
+"""Mosaics of simulated recordings against the scene that was really there, for docs/tracking-accuracy.md."""
 
 from __future__ import annotations
 

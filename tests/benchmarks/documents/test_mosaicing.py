@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.documents.mosaicing import (
+    PAGE,
     draw_errors,
     draw_mosaics,
     drift_table,
@@ -66,7 +67,7 @@ def test_tables_of_pairs_and_turns() -> None:
 def test_a_page_without_a_place_for_the_table_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no"):
         make(tmp_path)
-    (tmp_path / "mosaicing.md").write_text("# Tracking")
+    (tmp_path / PAGE).write_text("# Tracking")
     with pytest.raises(InputError, match="no place for"):
         make(tmp_path)
 

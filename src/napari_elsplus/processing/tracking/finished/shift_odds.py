@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 MIN_ODDS_NATS: Final = 16.0
 """Log posterior odds from which a shift is accepted: one wrong shift in ten million if the noise model held. Unrelated
 pairs reach 0 nats in a real video and 3 in synthetic soft tissue; the rest is a margin, set on that video between what
-two other methods see (18 and more) and what they do not (``docs/mosaicing.md``)."""
+two other methods see (18 and more) and what they do not (``docs/tracking-accuracy.md``)."""
 MIN_OVERLAP: Final = 0.25
 """Smallest overlap that is searched, as a fraction of the mask; chosen: below it n is too small for the odds above."""
 _HIGH_PASS_DIAMETERS: Final = 1 / 24
