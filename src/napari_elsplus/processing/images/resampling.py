@@ -167,7 +167,7 @@ def _resample_down(
                 if k == 0:
                     total[:] = 0
                 for c in range(total.shape[0]):
-                    t = np.float32(c)
+                    t = np.float32(np.int32(c))  # of 32 bits, which are converted in vectors
                     total[c] += ((w0 + t * d0) * x0[c] + (w1 + t * d1) * x1[c]) + (
                         (w2 + t * d2) * x2[c] + (w3 + t * d3) * x3[c]
                     )

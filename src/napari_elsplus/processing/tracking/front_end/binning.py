@@ -144,13 +144,14 @@ def _add_between(
     upper, lower = raw[above, left:right], raw[above + binning, left:right]
     second, middle = raw[above + min(1, binning - 1), left:right], np.float32(min(1, binning - 1))
     for k in range(size):
-        part, aside = d + tilt * np.float32(k), f + growth * np.float32(k)
+        column = np.float32(np.int32(k))  # of 32 bits: the processor has no vectors for the conversion of 64
+        part, aside = d + tilt * column, f + growth * column
         edges = (one - part) * _sum_aside(upper, k, aside, pixels) + part * _sum_aside(lower, k, aside, pixels)
         into[k] += w * (edges + middle * _sum_aside(second, k, aside, pixels))
     for r in range(2, binning):
         more = raw[above + r, left:right]
         for k in range(size):
-            into[k] += w * _sum_aside(more, k, f + growth * np.float32(k), pixels)
+            into[k] += w * _sum_aside(more, k, f + growth * np.float32(np.int32(k)), pixels)
 
 
 @lean_kernel

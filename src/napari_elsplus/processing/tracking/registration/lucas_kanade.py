@@ -111,8 +111,9 @@ def tone_between(pair: FramePair, warp: Array, row_step: int) -> tuple[float, fl
     for row in range(1, len(template) - 1, row_step):
         above, down, whole, across, begin, end = row_shift(pair, row, warp)
         nearest, aside = above + int(down + 0.5), whole + int(across + 0.5)
-        for col in range(begin, end):
-            t, i = template[row, col], image[nearest, col + aside]
+        here, there = template[row, begin:end], image[nearest, begin + aside : end + aside]
+        for k in range(end - begin):
+            t, i = here[k], there[k]
             t1 += t
             i1 += i
             tt += t * t

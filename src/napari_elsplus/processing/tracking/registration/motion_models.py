@@ -262,7 +262,7 @@ def _rotation_products(
         ww, we, wy, wx, wt, w1 = zero, zero, zero, zero, zero, zero
         for k in range(end - begin):
             gx, gy = half * (after[k] - before[k]), half * (under[k] - over[k])
-            w, t = (x0 + np.float32(k)) * gy, here[k]
+            w, t = (x0 + np.float32(np.int32(k))) * gy, here[k]
             ww += w * w
             we += w * (between(corners, weights, k) - gain * t - offset)
             wy += w * gy
