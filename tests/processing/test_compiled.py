@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 
 import napari_elsplus
@@ -89,3 +90,18 @@ def test_kernels_that_are_compiled_are_named_while_somebody_waits() -> None:
     assert named == ["outer", ""]
     assert outer(1) == 3
     assert named == ["outer", ""]
+
+
+@compiled.lean_kernel
+def total_weight(weights, scale):
+    total = 0.0
+    for k in range(len(weights[0])):
+        total += scale * weights[0][k]
+    return total
+
+
+def test_a_kernel_resolved_once_returns_the_same() -> None:
+    """At the first call, which compiles it, and at later ones."""
+    resolved = compiled.resolved_once(total_weight)
+    for weights in (np.arange(3.0), np.arange(7.0)):
+        assert resolved((weights,), 2.0) == total_weight((weights,), 2.0) == 2 * weights.sum()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from napari_elsplus.processing.compiled import resolved_once
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
@@ -168,12 +169,12 @@ class Registrar:
 
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
-        self._lit = grid.spans(level=1)
-        self._turning = grid.spans(TURNING_FIELD, level=1)
+        self._lit, self._turning = grid.spans(level=1), grid.spans(TURNING_FIELD, level=1)
         self._column = (grid.centre[1] - 0.5) / 2
         self._everywhere = ShiftSearch(*grid.spans(level=LEVELS - 1), 2.0 ** (LEVELS - 1))
         self._tools = Tools.of(grid, lit)
         self._found = np.empty(9)
+        self._register_pair, self._score_rotation = resolved_once(register), resolved_once(motion_models.score_rotation)
 
     def view(self) -> PreparedFrame:
         """Return an empty view, to be filled again and again."""
@@ -212,7 +213,7 @@ class Registrar:
         min_correlation: float,
     ) -> PairRegistration:  # fmt: skip
         information, found, frames = np.empty((4, 4)), self._found, (earlier.arrays, later.arrays)
-        register(*frames, motion, start, coarsest, min_correlation, self._tools, information, found)
+        self._register_pair(*frames, motion, start, coarsest, min_correlation, self._tools, information, found)
         a, b, s, d, correlation, odds, row, col, variance = found.tolist()
         overlap = overlap_of_discs(hypot(b, d) / (FIELD * self.grid.diameter))
         return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
@@ -288,7 +289,7 @@ class Registrar:
             Compare the rim as well: a test has more power with it, an estimate less bias without.
         """
         stiffness, found = (spread[0] ** -2, spread[1] ** -2), self._found
-        if not motion_models.score_rotation(
+        if not self._score_rotation(
             self._halves(earlier, later, rim=rim), self._column, warp, 2.0, stiffness, CORRELATED_PX / 4, turn,
             self._tools.work, found,
         ):  # fmt: skip
