@@ -70,6 +70,16 @@ def test_stated_uncertainty_is_the_scatter_of_repeats() -> None:
         assert stated == pytest.approx(scatter, rel=0.2)
 
 
+def test_few_runs_that_agree_by_chance_are_not_overrated() -> None:
+    """By runs of voltages alone 1.6 % of the errors of jittering lines were beyond three standard deviations."""
+    random = np.random.default_rng(7)
+    repeats = [fitted(ROWS + random.normal(0, 0.3, ROWS.size), 0.001 * ROWS) for _ in range(500)]
+    errors = np.array([found.row(0.15) - 150 for found in repeats])
+    stated = np.array([found.middle_uncertainty_rows for found in repeats])
+    assert np.mean(np.abs(errors) < 3 * stated) >= 0.995
+    assert 0.60 <= np.mean(np.abs(errors) < stated) <= 0.76
+
+
 def test_the_middle_of_a_curved_galvo_is_as_uncertain_as_its_scatter() -> None:
     """A straight line through a cubic leaves rows over that repeat in every sweep: they are no scatter."""
     random = np.random.default_rng(5)

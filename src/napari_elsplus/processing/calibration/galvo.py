@@ -260,13 +260,19 @@ def _fit(
     alone = each_rows**2 * np.linalg.inv(jacobian.T @ jacobian)
     covariance = (influence.T @ influence * (len(v) - 2) + alone * PRIOR_LINES) / (len(v) - 2 + PRIOR_LINES)
     by_bow = bow.uncertainty_rows * np.linalg.lstsq(jacobian, bow.share[used], rcond=None)[0]
-    covariance = covariance + np.outer(by_bow, by_bow)
+    # Few runs may scatter little by chance; independent lines, of which there are hundreds, do not.
+    single = np.linalg.inv(jacobian.T @ jacobian) * np.square(scatter).sum() / (len(v) - 2)
+
+    def sigma(by: Floats) -> float:
+        largest = max(by @ covariance @ by, by @ single @ by)
+        return float(np.sqrt(largest + np.square(by @ by_bow)))
+
     return GalvoMap(
         volts_per_row=float(volts_per_row),
         volts_at_row_zero=float(middle - half * level / per_half),
-        volts_per_row_uncertainty=float(np.sqrt(covariance[1, 1]) * abs(volts_per_row / per_half)),
-        volts_at_row_zero_uncertainty=float(np.sqrt(to_zero @ covariance @ to_zero)),
-        middle_uncertainty_rows=float(np.hypot(np.sqrt(covariance[0, 0]), curve.significant * curve.middle_rows)),
+        volts_per_row_uncertainty=sigma(np.array([0.0, volts_per_row / per_half])),
+        volts_at_row_zero_uncertainty=sigma(to_zero),
+        middle_uncertainty_rows=float(np.hypot(sigma(np.array([1.0, 0.0])), curve.significant * curve.middle_rows)),
         r_squared=float(1 - np.square(residuals).sum() / np.square(y - y.mean()).sum()),
         rms_rows=float(np.sqrt(np.mean(np.square(residuals)))),
         curvature_rows=float(np.abs(curve.rows).max()),

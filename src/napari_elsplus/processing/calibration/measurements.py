@@ -335,7 +335,7 @@ def map_galvo(
             collector.add(frame, row, line.column, line.slope, line.bow, line.width_rows)
     column, diameter_px = (None, None) if pair is None else (pair.confocal.centre[1], pair.confocal.diameter_px)
     found = fit_galvo(volts, lines, column, diameter_px, max_chord_px)
-    return found if collector is None else replace(found, light=collector.swept(dark))
+    return found if collector is None else replace(found, light=collector.swept(dark, background))
 
 
 def _discs(pair: BundlePair | None) -> list[tuple[tuple[float, float], float]]:

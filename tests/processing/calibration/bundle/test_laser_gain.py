@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from itertools import islice
 
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN, laser_gain
+from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN, LightCollector, laser_gain
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.sections import in_lamp_light
-from napari_elsplus.simulation.calibration_scenes import standing_line, sweep_volts, transmission
+from napari_elsplus.simulation.calibration_scenes import dark_tube, standing_line, sweep_volts, transmission
 from napari_elsplus.simulation.model.imperfections import Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument, ResidualView
 
@@ -43,6 +44,39 @@ def test_cores_that_differ_in_gain_do_not_bias_the_gain() -> None:
     assert draft.calibration.gain_map is not None
     assert draft.pair is not None
     assert bundle.residual_gain == pytest.approx(draft.pair.alignment.gain, abs=6e-4)
+
+
+def test_hot_pixels_do_not_bias_the_gain() -> None:
+    """Their dark current counted in each line that passed, and in the gain of the core that they hide: 0.1 %."""
+    gains = []
+    for given in ("right-core-gain=10", "right-core-gain=10,hot-pixels=0.1"):
+        instrument = Instrument.of("240hz", imperfections=Imperfections.parse(given))
+        volts = sweep_volts(instrument)[::10]
+        draft = measure(
+            bundle=list(transmission(instrument, seed=61))[:4],
+            background=list(islice(dark_tube(instrument, seed=63), 8)),
+            sweep=list(standing_line(instrument, volts, seed=62)),
+            volts=volts,
+        )
+        assert draft.calibration.bundle is not None
+        gains.append(draft.calibration.bundle.residual_gain)
+    assert gains[1] == pytest.approx(gains[0], rel=4e-4)
+
+
+def test_lines_that_differ_by_chance_are_in_the_uncertainty() -> None:
+    random, count, spread = np.random.default_rng(1), 120, 0.02
+    chances, gains = [], []
+    for _ in range(20):
+        collector = LightCollector((200, 80), 40, (-20.0, 40.0, 0.0))
+        for row in random.permutation(np.linspace(40, 160, count)):
+            profile = 100 * np.exp(-np.square(np.arange(200.0) - row) / 8)
+            both = np.stack([profile, (1 + spread * random.normal()) * np.roll(profile, -20)], axis=1)
+            collector.add(np.repeat(both, 40, axis=1), float(row), 20.0, 0.0, 0.0, 2.0)
+        light = collector.swept(np.zeros((200, 80), np.uint8))
+        chances.append(light.chance)
+        gains.append(light.image[:, 40:].sum() / light.image[:, :40].sum())
+    assert np.mean(chances) == pytest.approx(spread / np.sqrt(count), rel=0.05)
+    assert np.std(gains) == pytest.approx(np.mean(chances), rel=0.5)
 
 
 @pytest.mark.parametrize("rotation_deg", [0.6, -1.5])

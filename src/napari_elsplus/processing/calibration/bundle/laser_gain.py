@@ -14,6 +14,7 @@ import numpy as np
 
 from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC
 from napari_elsplus.processing.calibration.bundle.gain import ratio_of_light
+from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ MAX_DISAGREEMENT: Final = 0.15
 BANDS: Final = 16
 """Of rows, the clusters of the uncertainty; chosen: power noise of the laser is common to all columns of a line, but
 not to successive lines."""
+MIN_LINES: Final = 3
+"""For a scatter of lines; chosen."""
 MAX_OFFSET_CHANGE_ROWS: Final = 1.0
 """Of the residual view since the sweep; chosen: a fraction of the line's width."""
 
@@ -49,10 +52,13 @@ class SweptLight:
         (rows, cols) float32: light about the lines, above darkness; 0 where no line stood near.
     offset_rows : float
         Of the line in the residual view, as used.
+    chance : float
+        Standard deviation of the residual view's light, over that of the confocal, by what lines differ in at random.
     """
 
     image: Image
     offset_rows: float
+    chance: float = 0.0
 
 
 class LightCollector:
@@ -77,6 +83,7 @@ class LightCollector:
         self._offset_rows = offset[0]
         self._views = ((slice(0, split), 0.0, 0.0, 0.0), (slice(split, shape[1]), *offset))
         self._light, self._weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self._lines: list[tuple[float, ...]] = []
 
     def add(
         self, frame: NDArray[np.generic], row: float, column: float, slope: float, bend: float, width_rows: float
@@ -93,12 +100,14 @@ class LightCollector:
             Standard deviation of its Gaussian.
         """
         reach = REACH_WIDTHS * width_rows
+        found = [row]
         for part, down, across, turn in self._views:
             along = np.arange(part.start, part.stop) - column - across
             line = (row + down + (slope + turn) * along + bend * np.square(along)).astype(np.float32)
             first = max(int(line.min() - reach), 0)
             band = slice(first, min(int(line.max() + reach) + 2, len(frame)))
             if band.start >= band.stop:
+                found.append(0.0)
                 continue
             weight = np.arange(band.start, band.stop, dtype=np.float32)[:, None] - line
             weight *= np.float32(1 / reach)
@@ -110,12 +119,37 @@ class LightCollector:
             self._weight[band, part] += weight
             np.multiply(weight, frame[band, part], out=weight, casting="same_kind")
             self._light[band, part] += weight
+            found.append(float(weight.sum()))
+        self._lines.append(tuple(found))
 
-    def swept(self, unlit: NDArray[np.uint8]) -> SweptLight:
-        """Return the light above the level of the pixels that none reaches, 1 in an image `unlit` (rows, cols)."""
-        dark = unlit > 0
-        level = self._light[dark].sum(dtype=np.float64) / max(self._weight[dark].sum(dtype=np.float64), 1e-9)
-        return SweptLight(self._light - np.float32(level) * self._weight, self._offset_rows)
+    def swept(self, unlit: NDArray[np.uint8], background: Image | None = None) -> SweptLight:
+        """Return the light above the level of the pixels that none reaches.
+
+        Parameters
+        ----------
+        unlit : numpy.ndarray
+            (rows, cols), 1 in these pixels.
+        background : numpy.ndarray, optional
+            (rows, cols) mean frame of the dark tube, which shows the hot pixels: their light would count in each line.
+        """
+        dark, lit = unlit > 0, HotPixels(background).mended(self._light)
+        level = lit[dark].sum(dtype=np.float64) / max(self._weight[dark].sum(dtype=np.float64), 1e-9)
+        image = lit - np.float32(level) * self._weight
+        total = float(image[:, self._views[0][0]].sum(dtype=np.float64))
+        return SweptLight(image, self._offset_rows, self._scatter() / total if total > 0 else 0.0)
+
+    def _scatter(self) -> float:
+        """Return the standard deviation of the sum of the residual view's light, for that of the confocal view.
+
+        By the differences of successive lines (von Neumann 1941), in which whatever varies slowly over the bundle
+        cancels: hundreds of lines tell it far better than a few bands of rows.
+        """
+        lines = np.array(sorted(line for line in self._lines if line[1] > 0), np.float64)
+        if len(lines) < MIN_LINES:
+            return 0.0
+        _, first, second = lines.T
+        differences = np.diff(second / first) * (first[1:] + first[:-1]) / 2
+        return float(np.sqrt(np.square(differences).sum() / 2))
 
 
 def laser_gain(light: SweptLight, calibration: Calibration) -> tuple[float, float] | None:
@@ -142,4 +176,5 @@ def laser_gain(light: SweptLight, calibration: Calibration) -> tuple[float, floa
     ratio, uncertainty = ratio_of_light(first, second, band, BANDS)
     if not abs(ratio - 1) < MAX_DISAGREEMENT:
         return None
-    return ratio * bundle.residual_gain, uncertainty * bundle.residual_gain
+    # The scatter over bands contains that of the lines, but of few bands it may be small by chance.
+    return ratio * bundle.residual_gain, max(uncertainty, light.chance) * bundle.residual_gain
