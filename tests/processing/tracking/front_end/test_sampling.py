@@ -15,16 +15,14 @@ SIDE = 40
 
 
 @lean_kernel
-def between_four(image, above, down, left, across, work):
-    size = len(work[0])
+def between_four(image, above, down, left, across, size, work):
     corners, weights = neighbours(image, above, left, size), bilinear(down, across)
     for k in range(size):
         work[0, k] = between(corners, weights, k)
 
 
 @lean_kernel
-def through_six(image, above, down, left, across, work):
-    size = work.shape[1] - 5
+def through_six(image, above, down, left, across, size, work):
     corners, weights = finely_sampled(image, above, down, left, across, size, work)
     for k in range(size):
         work[0, k] = between(corners, weights, k)
@@ -32,8 +30,8 @@ def through_six(image, above, down, left, across, work):
 
 def samples(sampled: Callable[..., None], image: np.ndarray, row: float, col: float, size: int) -> np.ndarray:
     above, left = int(row), int(col)
-    work = np.zeros((2, size + 5), np.float32)
-    sampled(image, above, row - above, left, col - left, work)
+    work = np.zeros((2, SIDE), np.float32)
+    sampled(image, above, row - above, left, col - left, size, work)
     return work[0, :size]
 
 
@@ -74,3 +72,12 @@ def test_nothing_is_read_beyond_the_frame() -> None:
     assert not reaches((SIDE, SIDE), SIDE - 3, 2, 5)
     assert not reaches((SIDE, SIDE), 5, 1, 5)
     assert not reaches((SIDE, SIDE), 5, 2, SIDE - 4)
+
+
+@pytest.mark.parametrize("size", [1, 3, 8, 30, SIDE - 5])
+def test_a_row_of_any_length_is_sampled_up_to_the_edge(size: int) -> None:
+    """Each sample is the one that it is by itself, also where more samples than are wanted do not fit the frame."""
+    image = np.random.default_rng(0).normal(size=(SIDE, SIDE)).astype(np.float32)
+    left = SIDE - 3 - size
+    alone = [samples(through_six, image, 20.3, left + k + 0.4, 1)[0] for k in range(size)]
+    np.testing.assert_allclose(samples(through_six, image, 20.3, left + 0.4, size), alone, atol=1e-5)

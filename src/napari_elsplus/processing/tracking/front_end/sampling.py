@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _BEFORE: Final = 2
 _AFTER: Final = 3
 """Pixels of the polynomial before the one that a sample follows, and after it."""
+_WHOLE_PX: Final = 8
+"""Numbers in a vector: loops over a multiple of it have no remainder, for which pixels are added one by one."""
 
 
 class FramePair(NamedTuple):
@@ -169,7 +171,8 @@ def finely_sampled(
     corners, weights : tuple
         What :func:`between` gives them by, as it does those between four pixels.
     """
-    begin, end = left - _BEFORE, left + size + _AFTER
+    wide = min(-(-size // _WHOLE_PX) * _WHOLE_PX, image.shape[1] - left - _AFTER)
+    begin, end = left - _BEFORE, min(left - _BEFORE + wide + _WHOLE_PX, image.shape[1])
     v0, v1, v2, v3, v4, v5 = _quintic(down)
     r0, r1, r2 = image[above - 2, begin:end], image[above - 1, begin:end], image[above, begin:end]
     r3, r4, r5 = image[above + 1, begin:end], image[above + 2, begin:end], image[above + 3, begin:end]
@@ -177,10 +180,10 @@ def finely_sampled(
     for k in range(end - begin):
         columns[k] = v0 * r0[k] + v1 * r1[k] + v2 * r2[k] + v3 * r3[k] + v4 * r4[k] + v5 * r5[k]
     w0, w1, w2, w3, w4, w5 = _quintic(across)
-    c0, c1, c2 = columns[:size], columns[1 : size + 1], columns[2 : size + 2]
-    c3, c4, c5 = columns[3 : size + 3], columns[4 : size + 4], columns[5 : size + 5]
-    samples = work[0, :size]
-    for k in range(size):
+    c0, c1, c2 = columns[:wide], columns[1 : wide + 1], columns[2 : wide + 2]
+    c3, c4, c5 = columns[3 : wide + 3], columns[4 : wide + 4], columns[5 : wide + 5]
+    samples = work[0, :wide]
+    for k in range(wide):
         samples[k] = w0 * c0[k] + w1 * c1[k] + w2 * c2[k] + w3 * c3[k] + w4 * c4[k] + w5 * c5[k]
     nothing = np.float32(0)
     return (samples, samples, samples, samples), (np.float32(1), nothing, nothing, nothing)

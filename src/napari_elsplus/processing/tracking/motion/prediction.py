@@ -68,8 +68,8 @@ class Motion:
     ----------
     known : bool
         True if any registration was accepted yet.
-    velocity, change : Velocity
-        During the last frame that was registered, and what it gained over the frame before; pixels per frame period.
+    velocity, next_velocity : Velocity
+        During the last frame that was registered, and expected in those to come; pixels per frame period.
     variance : float
         Of that velocity.
     surprise : float
@@ -89,7 +89,7 @@ class Motion:
         self._shutter = shutter
         self._read = min(diameter / shutter.line_periods_per_frame, 1.0)
         self.known = False
-        self.velocity = self.change = AT_REST
+        self.velocity = self.next_velocity = AT_REST
         self.variance = (FIRST_SPEED * diameter) ** 2
         self.surprise = _FIRST_SURPRISE / (self._read or _UNKNOWN_READ) if surprise is None else surprise
 
@@ -105,13 +105,14 @@ class Motion:
         successive : bool
             True if the frame just before it was registered as well.
         """
-        gained = AT_REST
+        following = velocity
         if self.known and successive:
-            expected = self.next_velocity
+            before, expected = self.velocity, self.next_velocity
             miss = hypot(velocity.row - expected.row, velocity.col - expected.col)
             self.surprise += _MEMORY * (miss - self.surprise)
-            gained = Velocity(velocity.row - self.velocity.row, velocity.col - self.velocity.col)
-        self.velocity, self.change, self.known = velocity, gained, True
+            gained = velocity.row - before.row, velocity.col - before.col
+            following = Velocity(velocity.row + _KEPT * gained[0], velocity.col + _KEPT * gained[1])
+        self.velocity, self.next_velocity, self.known = velocity, following, True
         self.variance = variance
 
     def jerk_sigma(self, velocity: Velocity, warp: Warp, missed_px: float) -> float:
@@ -161,11 +162,6 @@ class Motion:
         """
         jolt_px = _JOLT * missed_px if self.known else 0.0
         return self._read**2 * hypot(sqrt(_UNEVEN_ESTIMATED) * jerk_sigma, jolt_px)
-
-    @property
-    def next_velocity(self) -> Velocity:
-        """Velocity expected in the frames to come."""
-        return Velocity(self.velocity.row + _KEPT * self.change.row, self.velocity.col + _KEPT * self.change.col)
 
     @property
     def spread(self) -> float:
