@@ -49,6 +49,7 @@ TURNING_FIELD: Final = 0.85
 """Part of the diameter in which a rotation is estimated; chosen: what does not move at the rim biases it by 0.01
 degrees a frame with the whole field of 0.9 (independent rig, vessels); with 0.8 there is less to compare."""
 _AT_REST: Final = Velocity(0.0, 0.0)
+_register, _score_rotation = resolved_once(register), resolved_once(motion_models.score_rotation)
 _TELLING_PX: Final = 0.1
 _TURNS: Final = 4
 _SMALL_TURN: Final = 0.004
@@ -174,7 +175,6 @@ class Registrar:
         self._everywhere = ShiftSearch(*grid.spans(level=LEVELS - 1), 2.0 ** (LEVELS - 1))
         self._tools = Tools.of(grid, lit)
         self._found = np.empty(9)
-        self._register_pair, self._score_rotation = resolved_once(register), resolved_once(motion_models.score_rotation)
 
     def view(self) -> PreparedFrame:
         """Return an empty view, to be filled again and again."""
@@ -213,7 +213,7 @@ class Registrar:
         min_correlation: float,
     ) -> PairRegistration:  # fmt: skip
         information, found, frames = np.empty((4, 4)), self._found, (earlier.arrays, later.arrays)
-        self._register_pair(*frames, motion, start, coarsest, min_correlation, self._tools, information, found)
+        _register(*frames, motion, start, coarsest, min_correlation, self._tools, information, found)
         a, b, s, d, correlation, odds, row, col, variance = found.tolist()
         overlap = overlap_of_discs(hypot(b, d) / (FIELD * self.grid.diameter))
         return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
@@ -289,7 +289,7 @@ class Registrar:
             Compare the rim as well: a test has more power with it, an estimate less bias without.
         """
         stiffness, found = (spread[0] ** -2, spread[1] ** -2), self._found
-        if not self._score_rotation(
+        if not _score_rotation(
             self._halves(earlier, later, rim=rim), self._column, warp, 2.0, stiffness, CORRELATED_PX / 4, turn,
             self._tools.work, found,
         ):  # fmt: skip
