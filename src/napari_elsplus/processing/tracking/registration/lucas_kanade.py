@@ -166,74 +166,27 @@ def accumulate(
     normal, right, tone = work.equations[0], work.equations[1, 0], work.tone
     normal[:] = 0.0
     right[:] = 0.0
-    count, sum_t, sum_i, sum_tt, sum_ti, sum_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    steep, noise_level = 0.0, 0.0
-    gain, offset = np.float32(tone[0]), np.float32(tone[1])
+    sum_i, sum_ii, sum_ti, steep, noise_level = 0.0, 0.0, 0.0, 0.0, 0.0
     for row in range(1, len(template) - 1, row_step):
         above, down, whole, across, begin, end = row_shift(pair, row, warp)
         if end <= begin:
             continue
         size = end - begin
-        here = template[row, begin:end]
-        left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
-        over, under = template[row - 1, begin:end], template[row + 1, begin:end]
         corners, weights = neighbours(image, above, begin + whole, size), bilinear(down, across)
         if finely and reaches(image.shape, above, begin + whole, size):
             corners, weights = finely_sampled(image, above, down, begin + whole, across, size, work.samples)
-        zero = np.float32(0)
-        t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
-        y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
-        for k in range(size):
-            t = here[k]
-            gx = np.float32(0.5) * (right_of[k] - left[k])
-            gy = np.float32(0.5) * (under[k] - over[k])
-            i = between(corners, weights, k)
-            e = i - gain * t - offset
-            t1 += t
-            i1 += i
-            tt += t * t
-            ti += t * i
-            ii += i * i
-            y1 += gy
-            x1 += gx
-            yy += gy * gy
-            yx += gy * gx
-            xx += gx * gx
-            yt += gy * t
-            xt += gx * t
-            ye += gy * e
-            xe += gx * e
-            gg += (gy * gy + gx * gx) * e * e
-        y = row - middle
-        noise_level += float(gg)
-        steep += float(yy) + float(xx)
-        count += size
-        sum_t += float(t1)
-        sum_i += float(i1)
-        sum_tt += float(tt)
-        sum_ti += float(ti)
-        sum_ii += float(ii)
-        gradients, both, with_tone, with_residual = ((yy, yx), (yx, xx)), (y1, x1), (yt, xt), (ye, xe)
-        for m in range(2):
-            for n in range(2):
-                normal[2 * m, 2 * n] += y * y * gradients[m][n]
-                normal[2 * m, 2 * n + 1] += y * gradients[m][n]
-                normal[2 * m + 1, 2 * n] += y * gradients[m][n]
-                normal[2 * m + 1, 2 * n + 1] += gradients[m][n]
-            normal[2 * m, 4] += y * with_tone[m]
-            normal[2 * m, 5] += y * both[m]
-            normal[2 * m + 1, 4] += with_tone[m]
-            normal[2 * m + 1, 5] += both[m]
-            right[2 * m] += y * with_residual[m]
-            right[2 * m + 1] += with_residual[m]
-    normal[4, 4] = sum_tt
-    normal[4, 5] = sum_t
-    normal[5, 5] = count
-    right[4] = sum_ti - tone[0] * sum_tt - tone[1] * sum_t
-    right[5] = sum_i - tone[0] * sum_t - tone[1] * count
+        i1, ii, ti, gradients, weighted = add_row(
+            template, row, (begin, end), corners, weights, tone, (row - middle, 1.0), normal, right
+        )
+        sum_i += i1
+        sum_ii += ii
+        sum_ti += ti
+        steep += gradients
+        noise_level += weighted
     for m in range(UNKNOWNS):
         for n in range(m):
             normal[m, n] = normal[n, m]
+    sum_tt, sum_t, count = normal[4, 4], normal[4, 5], normal[5, 5]
     if count == 0 or steep == 0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
     return (
@@ -243,6 +196,80 @@ def accumulate(
         sum_ti - sum_t * sum_i / count,
         noise_level / steep,
     )
+
+
+@lean_kernel
+def add_row(
+    template: NDArray[np.float32], row: int, columns: tuple[int, int], corners: tuple[NDArray[np.float32], ...],
+    weights: tuple[np.float32, ...], tone: Array, powers: tuple[float, ...], normal: Array,
+    right: Array,
+) -> tuple[float, ...]:  # fmt: skip
+    """Add a row of the template, and what it is compared with, to normal equations.
+
+    Returns sums over its pixels: of the image i, i i, and i times the template; of the squared gradient, and of that
+    times the squared residual.
+
+    Parameters
+    ----------
+    template : numpy.ndarray
+        (n, n) float32: the earlier frame.
+    row : int
+        Row of the template.
+    columns : tuple of int
+        First column and the one after the last.
+    corners, weights : tuple
+        Give samples of the image by :func:`~.sampling.between`.
+    tone : numpy.ndarray
+        Gain and offset of the image against the template.
+    powers : tuple of float
+        (m,) derivatives of the row's shift by the m coefficients that each axis has.
+    normal, right : numpy.ndarray
+        (2 m + 2, 2 m + 2) and (2 m + 2,) for the coefficients of rows, those of columns, gain and offset; rows of
+        gain and offset from the diagonal on.
+    """
+    begin, end = columns
+    gain, offset, half, zero = np.float32(tone[0]), np.float32(tone[1]), np.float32(0.5), np.float32(0)
+    here, over, under = template[row, begin:end], template[row - 1, begin:end], template[row + 1, begin:end]
+    left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
+    t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
+    y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
+    for k in range(end - begin):
+        t, gx, gy = here[k], half * (right_of[k] - left[k]), half * (under[k] - over[k])
+        i = between(corners, weights, k)
+        e = i - gain * t - offset
+        t1 += t
+        i1 += i
+        tt += t * t
+        ti += t * i
+        ii += i * i
+        y1 += gy
+        x1 += gx
+        yy += gy * gy
+        yx += gy * gx
+        xx += gx * gx
+        yt += gy * t
+        xt += gx * t
+        ye += gy * e
+        xe += gx * e
+        gg += (gy * gy + gx * gx) * e * e
+    gradients, both, with_tone, with_residual = ((yy, yx), (yx, xx)), (y1, x1), (yt, xt), (ye, xe)
+    size = len(powers)
+    for m in range(2):
+        for p in range(size):
+            at = size * m + p
+            for n in range(2):
+                for q in range(size):
+                    normal[at, size * n + q] += powers[p] * powers[q] * gradients[m][n]
+            normal[at, 2 * size] += powers[p] * with_tone[m]
+            normal[at, 2 * size + 1] += powers[p] * both[m]
+            right[at] += powers[p] * with_residual[m]
+    of_gain = 2 * size
+    normal[of_gain, of_gain] += float(tt)
+    normal[of_gain, of_gain + 1] += float(t1)
+    normal[of_gain + 1, of_gain + 1] += end - begin
+    right[of_gain] += float(ti) - tone[0] * float(tt) - tone[1] * float(t1)
+    right[of_gain + 1] += float(i1) - tone[0] * float(t1) - tone[1] * (end - begin)
+    return float(i1), float(ii), float(ti), float(yy) + float(xx), float(gg)
 
 
 @lean_kernel

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
+from napari_elsplus.processing.tracking.front_end.sampling import bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-from napari_elsplus.processing.tracking.registration.lucas_kanade import Iteration, tone_between
+from napari_elsplus.processing.tracking.registration.lucas_kanade import Iteration, add_row, tone_between
 from napari_elsplus.processing.tracking.registration.odds import prior_terms, write_prior
 
 if TYPE_CHECKING:
@@ -110,57 +110,25 @@ def _equations(pair: FramePair, values: Array, square: float, normal: Array, rig
     """
     normal[:] = 0.0
     right[:] = 0.0
-    template, image, middle = pair.template, pair.image, pair.middle
-    gain, offset, half, zero = np.float32(values[6]), np.float32(values[7]), np.float32(0.5), np.float32(0)
-    steep, noise = 0.0, 0.0
-    for row in range(1, len(template) - 1):
-        y = row - middle
-        powers = (1.0, y, square * y * y)
-        warp[0], warp[1] = values[1], values[0] + powers[2] * values[2]
-        warp[2], warp[3] = values[4], values[3] + powers[2] * values[5]
+    tone, steep, noise = values[6:], 0.0, 0.0
+    for row in range(1, len(pair.template) - 1):
+        y = row - pair.middle
+        bend = square * y * y
+        warp[0], warp[1] = values[1], values[0] + bend * values[2]
+        warp[2], warp[3] = values[4], values[3] + bend * values[5]
         above, down, whole, across, begin, end = row_shift(pair, row, warp)
         if end <= begin:
             continue
-        here, corners = template[row, begin:end], neighbours(image, above, begin + whole, end - begin)
-        before, after = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
-        over, under = template[row - 1, begin:end], template[row + 1, begin:end]
-        weights = bilinear(down, across)
-        t1, tt, e1, te = zero, zero, zero, zero
-        y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
-        for k in range(end - begin):
-            t, gx, gy = here[k], half * (after[k] - before[k]), half * (under[k] - over[k])
-            e = between(corners, weights, k) - gain * t - offset
-            t1 += t
-            tt += t * t
-            e1 += e
-            te += t * e
-            y1 += gy
-            x1 += gx
-            yy += gy * gy
-            yx += gy * gx
-            xx += gx * gx
-            yt += gy * t
-            xt += gx * t
-            ye += gy * e
-            xe += gx * e
-            gg += (gy * gy + gx * gx) * e * e
-        steep += float(yy) + float(xx)
-        noise += float(gg)
-        gradients, both, with_tone, with_residual = ((yy, yx), (yx, xx)), (y1, x1), (yt, xt), (ye, xe)
-        for m in range(2):
-            for i in range(_POWERS):
-                at, factor = _POWERS * m + i, powers[i] * gain
-                for n in range(2):
-                    for k in range(_POWERS):
-                        normal[at, _POWERS * n + k] += factor * powers[k] * gain * gradients[m][n]
-                normal[at, 6] += factor * with_tone[m]
-                normal[at, 7] += factor * both[m]
-                right[at] += factor * with_residual[m]
-        normal[6, 6] += tt
-        normal[6, 7] += t1
-        normal[7, 7] += end - begin
-        right[6] += te
-        right[7] += e1
+        corners = neighbours(pair.image, above, begin + whole, end - begin)
+        _, _, _, gradients, weighted = add_row(
+            pair.template, row, (begin, end), corners, bilinear(down, across), tone, (1.0, y, bend), normal, right
+        )
+        steep += gradients
+        noise += weighted
+    for i in range(2 * _POWERS):
+        right[i] *= tone[0]
+        for k in range(_UNKNOWNS):
+            normal[i, k] *= tone[0] ** 2 if k < 2 * _POWERS else tone[0]
     for i in range(_UNKNOWNS):
         for k in range(i):
             normal[i, k] = normal[k, i]
