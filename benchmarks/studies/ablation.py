@@ -151,7 +151,7 @@ def left_out(rule: str, module: str, *replaced: tuple[str, str], change: str = "
 def changes() -> list[Change]:
     """Return all changes; that of nothing first."""
     odds, pair, search = "registration/odds", "registration/pair_registration", "registration/shift_search"
-    prediction = "motion/prediction"
+    prediction, near = "motion/prediction", "4.0, -4.0, 8.0, -8.0"
     return [
         Change("nothing", ""),
         *constant("odds accepted from, nats", pair, "MIN_ODDS_NATS"),
@@ -165,9 +165,9 @@ def changes() -> list[Change]:
         ),
         *(
             change
-            for px in ("4.0, -4.0", "4.0, -4.0, 8.0, -8.0", "8.0, -8.0, 16.0, -16.0")
+            for px in ("4.0, -4.0", near, "8.0, -8.0, 16.0, -16.0", f"{near}, 16.0, -16.0")
             for change in left_out(
-                "distances of competing shifts, px", odds, ("(4.0, -4.0, 8.0, -8.0, 16.0, -16.0)", f"({px})"),
+                "distances of competing shifts, px", odds, (f"({near}, 12.0, -12.0, 16.0, -16.0)", f"({px})"),
                 change=f"{px} only",
             )
         ),

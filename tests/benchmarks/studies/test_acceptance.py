@@ -23,9 +23,14 @@ def test_few_fibres_under_a_fast_hand_are_not_taken_for_a_rotation() -> None:
     assert measure(Row(60, "hand", 20.0), [7], 26).wrong == 0
 
 
-def test_a_fibre_does_not_slide_far_along_itself() -> None:
-    """By 13 pixels of the grid, which the next registration repeated: shifts 4 and 8 px away competed only."""
-    assert measure(Row(60, "hand", 120.0), [752]).wrong == 0
+@pytest.mark.parametrize(
+    ("row", "seed"),
+    [(Row(60, "hand", 120.0), 752), (Row(60, "jerky", 60.0), 816), (Row(3, "hand", 240.0), 803)],
+    ids=("beyond the competitors", "between two competitors", "on and on"),
+)
+def test_a_fibre_does_not_slide_far_along_itself(row: Row, seed: int) -> None:
+    """By 13 pixels of the grid, which the next registrations repeated: no shift near the true one competed."""
+    assert measure(row, [seed]).wrong == 0
 
 
 def test_structure_that_constrains_a_shift_is_distinguished() -> None:

@@ -36,8 +36,9 @@ _FLOOR_DN2: Final = 0.3
 _FLOOR_SHARE: Final = 0.03
 """Variance of the static pattern that flat-fielding leaves, which is no evidence: squared grey levels, and as a share
 of the brightest block's variance."""
-COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0, 16.0, -16.0)
-"""Distances of competing shifts, pixels of full resolution: a fibre slides along itself by up to 13."""
+COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0, 12.0, -12.0, 16.0, -16.0)
+"""Distances of competing shifts, pixels of full resolution: a fibre slides along itself by up to 14, and by what lies
+between two competitors that are farther apart than 4."""
 _HELD: Final = 1e8
 """Information that holds a competing shift where it is, 1 / px^2."""
 _FIT: Final = Iteration(2, 2, 0.02, False, 8)
