@@ -127,22 +127,6 @@ def tone_between(pair: FramePair, warp: Array, row_step: int) -> tuple[float, fl
 
 
 @lean_kernel
-def correlation_from_sums(count: float, template: float, image: float, both: float) -> float:
-    """Return the correlation of two frames; 0 where one of them is even.
-
-    Parameters
-    ----------
-    count : float
-        Number of pixels.
-    template, image, both : float
-        Sums of the squared deviations from the means, and of their product.
-    """
-    if count < 2 or not (template > 0 and image > 0):
-        return 0.0
-    return float(both / np.sqrt(template * image))
-
-
-@lean_kernel
 def accumulate(
     pair: FramePair, warp: Array, row_step: int, finely: bool, work: Workspace
 ) -> tuple[float, float, float, float, float]:
@@ -309,9 +293,9 @@ def align(
     information[:] = 0.0
     for _ in range(how.steps):
         count, template_sum, image_sum, both, noise = accumulate(pair, warp, how.row_step, how.finely, work)
-        ncc = correlation_from_sums(count, template_sum, image_sum, both)
-        if ncc == 0.0:
+        if not (template_sum > 0 and image_sum > 0):
             return 0.0, count
+        ncc = both / np.sqrt(template_sum * image_sum)
         noise = max(noise, 1e-6 * image_sum / count) * correlated_px
         # a pixel of motion changes the image by the template's gradient times the gain
         gain = tone[2] = np.sqrt(image_sum / template_sum)
