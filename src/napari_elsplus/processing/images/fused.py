@@ -101,7 +101,8 @@ class FusedSections:
         self._extents = extents(inside)
         self._factors = _NOT_WANTED if factors is None else np.ascontiguousarray(factors, np.float32)
         self._background = np.zeros(frame_shape, np.float32) if background is None else background
-        stepped = np.rint(self._background * SUBDIVISIONS)
+        stepped = self._background * np.float32(SUBDIVISIONS)
+        np.rint(stepped, out=stepped)
         self._stepped = stepped.astype(np.uint16) if stepped.min() >= 0 and stepped.max() < 2**16 else None
         self._views: dict[float, tuple[View, View]] = {}
 

@@ -74,11 +74,13 @@ def _stand_out(background: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArr
     """Return rows and columns of the pixels of a background that stand out of their neighbours."""
     frame, ring = np.asarray(background, np.float32), np.ones((3, 3), np.uint8)
     ring[1, 1] = 0
+    memory = np.empty((BAND_ROWS + 2, frame.shape[1]), np.float32)
     places, heights, maxima = [], [], []
     for first in range(0, len(frame), BAND_ROWS):
         top = max(first - 1, 0)
         part = frame[top : first + BAND_ROWS + 1]
-        excess = (part - cv2.dilate(part, ring))[first - top :][:BAND_ROWS]
+        brightest = cv2.dilate(part, ring, dst=memory[: len(part)])
+        excess = np.subtract(part, brightest, out=brightest)[first - top :][:BAND_ROWS]
         some = excess[::SAMPLED]
         maxima.append(some[some > 0])
         high = np.flatnonzero(excess > MIN_EXCESS)

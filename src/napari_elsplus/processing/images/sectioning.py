@@ -133,28 +133,27 @@ class Sectioner:
             within_frame(affine[:2], self.side, frame_shape) for affine in (grid_to_confocal, grid_to_residual)
         )
         self.seen = confocal_seen & residual_seen
-        confocal_brightness = (self.inside & confocal_seen).astype(np.float32)
-        relative = inverse_gain_map(calibration, self.centre, self.side)
-        residual_brightness = self.inside.astype(np.float32) / np.float32(bundle.residual_gain)
-        if relative is not None:
-            residual_brightness *= relative
-        self.subtracted = self.seen
-        if not self.seen[self.inside].all():
-            self.subtracted = self.seen & _line_within_bundle(calibration, self.side)
-        residual_brightness[self.inside & ~self.subtracted] = np.nan
+        whole = bool(np.all(self.seen >= self.inside))
+        self.subtracted = self.seen if whole else self.seen & _line_within_bundle(calibration, self.side)
         self._hot_pixels = HotPixels(calibration.background)
         self._rows = reference_of_rows(calibration, frame_shape, row_test_interval) if row_reference else None
         background = None if calibration.background is None else self._hot_pixels.mended(calibration.background)
-        confocal_resampler = Resampler(grid_to_confocal[:2], self.side)
-        residual_resampler = self._residual_resampler(calibration, grid_to_residual[:2])
-        self._confocal = _View(confocal_resampler, confocal_brightness, frame_shape, background)
-        self._residual = _View(residual_resampler, residual_brightness, frame_shape, background)
-        self._scratch = np.empty((self.side, self.side), np.float32)
-        self._fused: FusedSections | None = None
+        relative = inverse_gain_map(calibration, self.centre, self.side)
         maps = grid_to_confocal[:2], grid_to_residual[:2]
-        straight = calibration.distortion is None and all(FusedSections.fits(each, self.side) for each in maps)
-        if straight and self.seen[self.inside].all():
-            self._fused = FusedSections(*maps, bundle.residual_gain, self.inside, background, frame_shape, relative)
+        self._views: FusedSections | _Views
+        if whole and calibration.distortion is None and all(FusedSections.fits(each, self.side) for each in maps):
+            self._views = FusedSections(*maps, bundle.residual_gain, self.inside, background, frame_shape, relative)
+            return
+        confocal_brightness = (self.inside & confocal_seen).astype(np.float32)
+        residual_brightness = self.inside.astype(np.float32) / np.float32(bundle.residual_gain)
+        if relative is not None:
+            residual_brightness *= relative
+        residual_brightness[self.inside & ~self.subtracted] = np.nan
+        residual_resampler = self._residual_resampler(calibration, maps[1])
+        self._views = _Views(
+            _View(Resampler(maps[0], self.side), confocal_brightness, frame_shape, background),
+            _View(residual_resampler, residual_brightness, frame_shape, background),
+        )
 
     def _residual_resampler(
         self, calibration: Calibration, grid_to_residual: NDArray[np.float64]
@@ -222,17 +221,7 @@ class Sectioner:
         same = raw_residual is raw
         raw = self._mended(raw)
         raw_residual = raw if same else self._mended(raw_residual)
-        if self._fused is not None:
-            self._fused(raw, raw_residual, ls, residual, els)
-            return
-        if ls is None and els is not None:
-            ls = els
-        if ls is not None:
-            self._confocal.extract(raw, ls)
-        if residual is not None or els is not None:
-            residual = self._residual.extract(raw_residual, self._scratch if residual is None else residual)
-        if els is not None:
-            np.subtract(ls, residual, out=els)  # type: ignore[arg-type]
+        self._views(raw, raw_residual, ls, residual, els)
 
     def retest_row_noise(self) -> None:
         """Test the next frame for row noise, however many frames ago the last test was."""
@@ -292,7 +281,7 @@ class _View:
         frame_shape: tuple[int, int],
         background: NDArray[np.float32] | None,
     ) -> None:
-        self._brightness = brightness
+        self.brightness = brightness
         self._resampler = resampler
         first, window = resampler.first, resampler.window
         low = [max(f, 0) for f in first]
@@ -315,7 +304,7 @@ class _View:
             np.subtract(raw[self._in_frame], self._background, out=self._on_sensor, casting="unsafe")
         if self._cut:
             self._continue_edges()
-        return np.multiply(self._resampler(out), self._brightness, out=out)
+        return np.multiply(self._resampler(out), self.brightness, out=out)
 
     def _continue_edges(self) -> None:
         """Repeat the frame's outermost pixels beyond its edge, so that interpolation beside it stays unbiased."""
@@ -323,6 +312,32 @@ class _View:
         window[top : top + rows, :left] = self._on_sensor[:, :1]
         window[top : top + rows, left + cols :] = self._on_sensor[:, -1:]
         window[:top], window[top + rows :] = window[top], window[top + rows - 1]
+
+
+class _Views:
+    """The two bundle views, resampled one after the other: for any geometry."""
+
+    def __init__(self, confocal: _View, residual: _View) -> None:
+        self._confocal, self._residual = confocal, residual
+        self._scratch = np.empty_like(confocal.brightness)
+
+    def __call__(
+        self,
+        raw: NDArray[np.generic],
+        raw_residual: NDArray[np.generic],
+        ls: NDArray[np.float32] | None,
+        residual: NDArray[np.float32] | None,
+        els: NDArray[np.float32] | None,
+    ) -> None:
+        """Fill the images that are given, (n, n) float32, from the frames of the two views."""
+        if ls is None and els is not None:
+            ls = els
+        if ls is not None:
+            self._confocal.extract(raw, ls)
+        if residual is not None or els is not None:
+            residual = self._residual.extract(raw_residual, self._scratch if residual is None else residual)
+        if els is not None:
+            np.subtract(ls, residual, out=els)  # type: ignore[arg-type]
 
 
 def line_offset_px(calibration: Calibration) -> float:

@@ -59,6 +59,9 @@ _REDUCED_SIGMA_PX: Final = 2.0
 _MARGIN: Final = 0.96
 """Part of the field that is compared, within which slopes exist."""
 
+_PIXELS: Final = np.eye(2)[:, :, None]
+"""A pixel down, and one to the right, each (2, 1)."""
+
 
 class Deformation:
     """Fields of frames: fitted to a mosaic, and undone.
@@ -100,13 +103,13 @@ class Deformation:
         field = self._fields.setdefault(index, np.zeros((2, len(self._basis))))
         matrix = turned_by(pose.angle) @ unsheared(pose.velocity, self._grid.shutter.line_periods_per_frame)
         extent = mosaic.extent_of(pose).grown(2)
-        shown, weight = mosaic.read(extent)
-        shown = self._high_passed(shown, (weight > 0).astype(np.float32))
+        shown, _ = mosaic.read(extent)
         at = matrix @ self._samples + np.array([[pose.row - extent.top], [pose.col - extent.left]])
-        expected = _sampled(shown, at)
-        slopes: Floats = np.array([_sampled(np.asarray(slope, np.float32), at) for slope in np.gradient(shown)])
+        around = np.stack([at, *(at + side * pixel for pixel in _PIXELS for side in (1, -1))], axis=1)
+        expected, below, above, right, left = self._high_passed(shown, around)
+        slopes = np.array([below - above, right - left]) / 2
         moved = self._samples + np.einsum("ij,jk->ik", field, self._basis) + np.reshape(self._grid.centre, (2, 1))
-        seen = _sampled(self._high_passed(image, (image != 0).astype(np.float32)), moved)
+        seen = self._high_passed(image, moved)
         energy = float(expected @ expected)
         if not energy > 0:
             return 0.0
@@ -114,8 +117,8 @@ class Deformation:
         miss = seen - gain * expected
         design = (gain * (matrix.T @ slopes)[:, None] * self._basis).reshape(field.size, -1)
         noise = float(miss @ miss) / self._values
-        # einsum: for so little the threads of a BLAS wait for each other, a hundred times as long on a busy computer
-        normal = np.einsum("ik,jk->ij", design, design) / noise + np.eye(field.size) / COEFFICIENT_SIGMA_PX**2
+        # without a BLAS: for so little its threads wait for each other, a hundred times as long on a busy computer
+        normal = cv2.mulTransposed(design, aTa=False) / noise + np.eye(field.size) / COEFFICIENT_SIGMA_PX**2
         pull = np.einsum("ik,k->i", design, miss) / noise + field.ravel() / COEFFICIENT_SIGMA_PX**2
         step = np.linalg.solve(normal, pull)
         left = miss - np.einsum("i,ik->k", step, design)
@@ -153,9 +156,16 @@ class Deformation:
     def _terms(self, points: Floats) -> Floats:
         return legendre_terms(np.clip(points / self._radius, -1.1, 1.1))
 
-    def _high_passed(self, image: NDArray[np.float32], lit: NDArray[np.float32]) -> NDArray[np.float32]:
-        smooth, share = (_blurred(values, self._high_pass_px) for values in (image * lit, lit))
-        return np.asarray((image - smooth / np.maximum(share, 1e-3)) * lit, np.float32)
+    def _high_passed(self, image: NDArray[np.float32], at: Floats) -> Floats:
+        """Return an image at points (2, ..., n), freed of its blurred light; its pixels that are 0 show nothing."""
+        lit = (image != 0).astype(np.float32)
+        size = [ceil(length / max(1.0, self._high_pass_px / _REDUCED_SIGMA_PX)) for length in image.shape]
+        scale = np.divide(size, image.shape)
+        reduced = (cv2.resize(values, size[::-1], interpolation=cv2.INTER_AREA) for values in (image, lit))
+        sigmas = (self._high_pass_px * scale).tolist()
+        blurred = [cv2.GaussianBlur(values, (0, 0), sigmas[1], sigmaY=sigmas[0]) for values in reduced]
+        smooth, share = (_sampled(values, ((at.T + 0.5) * scale - 0.5).T) for values in blurred)
+        return _sampled(image, at) - smooth / np.maximum(share, 1e-3) * _sampled(lit, at)
 
 
 def estimate_deformation(
@@ -213,17 +223,8 @@ def legendre_terms(points: Floats) -> Floats:
     return np.array([down[i] * across[j] for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
 
 
-def _blurred(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
-    """Return an image blurred by a Gaussian, which is computed on a reduced one."""
-    factor = max(1.0, sigma_px / _REDUCED_SIGMA_PX)
-    size = tuple(ceil(length / factor) for length in image.shape[::-1])
-    reduced = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    smooth = cv2.GaussianBlur(reduced, (0, 0), sigma_px * size[0] / image.shape[1])
-    return np.asarray(cv2.resize(smooth, image.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
-
-
 def _sampled(image: NDArray[np.float32], at: Floats) -> Floats:
-    """Return an image at points (2, n) between its pixels."""
-    rows, cols = at.astype(np.float32)
-    sampled: Floats = cv2.remap(image, cols[None], rows[None], cv2.INTER_LINEAR)[0].astype(np.float64)
-    return sampled
+    """Return an image at points (2, ..., n) between its pixels."""
+    rows, cols = at.astype(np.float32).reshape(2, -1, at.shape[-1])
+    sampled = cv2.remap(image, cols, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(sampled, np.float64).reshape(at.shape[1:])

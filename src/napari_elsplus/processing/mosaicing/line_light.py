@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence
-from napari_elsplus.processing.compiled import kernel
+from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 
@@ -118,12 +118,15 @@ def _compare(
         return None
     frames, members = np.unique(pairs, return_inverse=True)
     members = members.reshape(-1, 2)
-    images = np.stack([image(int(index)).copy() for index in frames])
+    images = np.empty((len(frames), grid.side, grid.side), np.float32)
+    for place, index in zip(images, frames.tolist(), strict=True):
+        place[:] = image(index)
     places = np.array([[pose.row, pose.col] for pose in (poses[index] for index in frames)])
     moves = np.rint(places[members[:, 1]] - places[members[:, 0]]).astype(np.int64)
     first, last = grid.spans()
-    sums = np.zeros((len(pairs), 5, -(-grid.side // COLUMNS)))
-    _sum_columns(images, members, moves, first, last, sums)
+    by_column = np.zeros((len(pairs), 5, -(-grid.side // COLUMNS), COLUMNS))
+    _sum_columns(images, members, moves, first, last, by_column.reshape(len(pairs), 5, -1))
+    sums = by_column.sum(axis=-1)
     pair, columns = np.nonzero(sums[:, 0] >= MIN_PIXELS)
     pixels, *moments = sums[pair, :, columns].T
     one, two = (_contrast(pixels, *moments[k : k + 2]) for k in (0, 2))
@@ -211,7 +214,7 @@ def _fit(
     )
 
 
-@kernel
+@lean_kernel
 def _sum_columns(
     images: NDArray[np.float32],
     members: NDArray[np.int64],
@@ -231,16 +234,19 @@ def _sum_columns(
     first, last : numpy.ndarray
         Of :meth:`Grid.spans`.
     sums : numpy.ndarray
-        (pairs, 5, columns / COLUMNS) zeros: filled with pixels, grey levels and squares of the first, of the second.
+        (pairs, 5, columns) zeros: filled with pixels, grey levels and squares of the first, of the second.
     """
     side = len(first)
     for pair in range(len(members)):
-        one, two, (down, across) = images[members[pair, 0]], images[members[pair, 1]], moves[pair]
+        one, two, down, across = members[pair, 0], members[pair, 1], moves[pair, 0], moves[pair, 1]
         for r in range(max(0, down), min(side, side + down), ROW_STEP):
-            for c in range(max(first[r], first[r - down] + across), min(last[r], last[r - down] + across)):
-                here, there, block = one[r, c], two[r - down, c - across], c // COLUMNS
-                sums[pair, 0, block] += 1
-                sums[pair, 1, block] += here
-                sums[pair, 2, block] += here * here
-                sums[pair, 3, block] += there
-                sums[pair, 4, block] += there * there
+            begin, end = max(first[r], first[r - down] + across), min(last[r], last[r - down] + across)
+            here, there = images[one, r, begin:end], images[two, r - down, begin - across : end - across]
+            pixels, light, squares = sums[pair, 0, begin:end], sums[pair, 1, begin:end], sums[pair, 2, begin:end]
+            other_light, other_squares = sums[pair, 3, begin:end], sums[pair, 4, begin:end]
+            for c in range(end - begin):
+                pixels[c] += 1
+                light[c] += here[c]
+                squares[c] += here[c] * here[c]
+                other_light[c] += there[c]
+                other_squares[c] += there[c] * there[c]
