@@ -20,7 +20,6 @@ from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
-from napari_elsplus.processing.tracking.registration.shift_search import LEAST_OVERLAP
 from napari_elsplus.processing.tracking.template_tracking import TEMPLATE_PX
 
 if TYPE_CHECKING:
@@ -36,6 +35,8 @@ WRONG_PX = 3.0
 """Pixels of the tracking images. A shift this far off is no registration: the frame would lie in the wrong place."""
 _PREDICTION_PX = 3.0
 _VELOCITY_PX = 0.2
+_PEER_OVERLAP = 0.15
+"""Smallest overlap that scikit-image's masked correlation searches, part of the disc; chosen: all pairs have more."""
 
 
 class Pair(NamedTuple):
@@ -177,7 +178,7 @@ def _skimage_masked(case: Case) -> Callable[[Pair], Shift]:
 
     def register(pair: Pair) -> Shift:
         (row, col), _, _ = phase_cross_correlation(
-            pair.earlier, pair.later, reference_mask=inside, moving_mask=inside, overlap_ratio=LEAST_OVERLAP
+            pair.earlier, pair.later, reference_mask=inside, moving_mask=inside, overlap_ratio=_PEER_OVERLAP
         )
         return Shift(float(row), float(col))
 

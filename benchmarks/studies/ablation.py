@@ -150,7 +150,7 @@ def left_out(rule: str, module: str, *replaced: tuple[str, str], change: str = "
 
 def changes() -> list[Change]:
     """Return all changes; that of nothing first."""
-    odds, pair, search = "registration/odds", "registration/pair_registration", "registration/shift_search"
+    odds, pair, search = "registration/odds", "registration/pair_registration", "registration/masked_correlation"
     prediction, near = "motion/prediction", "4.0, -4.0, 8.0, -8.0"
     return [
         Change("nothing", ""),
@@ -196,7 +196,6 @@ def changes() -> list[Change]:
             "unrelated frames compete", "registration/pyramid_descent",
             ("            odds = min(odds, _odds_against_unrelated(correlation, count))\n", ""),
         ),
-        *constant("smallest overlap", search, "LEAST_OVERLAP", without="0.0"),
         *constant("fall of correlation", pair, "FALL_OF_CORRELATION", without="inf"),
         *constant("memory of the correlation", "tracker", "_MEMORY", without="1.0"),
         *constant("largest standard deviation, px", pair, "MAX_SIGMA_PX", without="inf"),

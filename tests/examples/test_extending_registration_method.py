@@ -13,6 +13,7 @@ import pytest
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.tracking import registry
 from napari_elsplus.processing.tracking.pairwise_tracking import PairwiseShift
 from napari_elsplus.processing.tracking.registry import (
     Method,
@@ -20,7 +21,6 @@ from napari_elsplus.processing.tracking.registry import (
     register_tracking_method,
     tracking_method,
     tracking_methods,
-    unregister_tracking_method,
 )
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
@@ -32,12 +32,17 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "extending" / "regi
 NAME = "phase-correlation"
 
 
+@pytest.fixture(autouse=True)
+def own_registry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test registers is known to it alone."""
+    monkeypatch.setattr(registry, "_METHODS", dict(registry._METHODS))
+
+
 @pytest.fixture
 def example():
     found = runpy.run_path(str(EXAMPLE))
     found["register"]()
-    yield found
-    unregister_tracking_method(NAME)
+    return found
 
 
 def test_the_example_tracks_a_moving_probe(example) -> None:
@@ -83,7 +88,6 @@ def test_frames_that_are_not_registered_are_predicted_then_lost_and_a_new_segmen
     register_pairwise_method("steps", register, "a pixel a frame")
     instrument = Instrument.of("120hz")
     method = tracking_method("steps").factory(true_calibration(instrument), instrument.frame_shape, Mode.LS)
-    unregister_tracking_method("steps")
     image = np.ones((method.grid.side, method.grid.side), np.float32)
     poses = [method.estimate_pose(image * place) for place in places]
     assert "".join(pose.state[0] for pose in poses) == "tttt" + "ppppp" + "ll" + "ltt"
@@ -99,7 +103,6 @@ def test_numbers_that_mean_nothing_are_refused(bad: PairwiseShift) -> None:
     register_pairwise_method("bad", lambda fixed, moving, expected: bad, "bad")
     instrument = Instrument.of("120hz")
     pipeline = Pipeline(true_calibration(instrument), instrument.frame_shape, method="bad")
-    unregister_tracking_method("bad")
     frame = np.zeros(instrument.frame_shape, np.uint8)
     pipeline.add(frame, 0)
     with pytest.raises(InputError, match="covariance"):

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.methods import TrackingMethod
     from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
-    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
+    from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
 
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
 """Note for the user where fewer than two frames are tracked."""
@@ -213,8 +213,8 @@ class Pipeline:
         return Mosaic(self.grid, self._insertion, weights=self._weights, store=store)
 
     @property
-    def newest_registration(self) -> tuple[int, int, PairRegistration] | None:
-        """Indices of the earlier and the later frame last registered, and their registration; None if there is none."""
+    def newest_registration(self) -> TrackedPair | None:
+        """The newest registration that was accepted; None if there is none."""
         return self._tracking.newest_registration
 
     @property

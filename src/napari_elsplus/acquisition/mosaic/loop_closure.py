@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from napari_elsplus.hardware.priority import leave_frame_core
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
-from napari_elsplus.processing.tracking.pose_graph.node_registration import FrameRegistration
+from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
 
 if TYPE_CHECKING:
@@ -116,12 +116,11 @@ class LoopClosureThread(Thread):
         super().__init__(name="loops", daemon=True)
         self._track = track
         self._registrar = Registrar(grid)
-        self._graph = PoseGraph(grid, FrameRegistration(self._registrar), self._view)
+        self._graph = PoseGraph(NodeRegistration(self._registrar), self._view)
         self._kept: dict[int, Keyframe] = {}
         self._prepared = lru_cache(_MAX_PREPARED)(self._prepare)
         self._queue: SimpleQueue[NewNode | Event | int | None] = SimpleQueue()
         self._due_s = 0.0
-        self._changed = False
         self._settled = True
         self._removals = 0
         self._stopped = False
@@ -163,27 +162,26 @@ class LoopClosureThread(Thread):
             try:
                 item = self._queue.get(timeout=RESTING_S)
             except Empty:
-                self._changed |= self._graph.register_deferred(_REGISTRATIONS_AT_REST)
+                self._graph.register_deferred(_REGISTRATIONS_AT_REST)
                 self._correct(DISPLACEMENT_LIMIT_AT_REST_PX)
                 continue
             if isinstance(item, Event):
-                self._changed |= self._graph.register_deferred()
+                self._graph.register_deferred()
                 self._correct(DISPLACEMENT_LIMIT_AT_REST_PX)
                 item.set()
             elif isinstance(item, int):
                 self._graph.remove(item)
                 self._removals += 1
-                self._changed = True
             elif item is not None:
                 self._add(item)
-            if self._changed and time.perf_counter() >= self._due_s:
+            if self._graph.unsolved and time.perf_counter() >= self._due_s:
                 self._correct(DISPLACEMENT_LIMIT_PX)
 
     def _add(self, new: NewNode) -> None:
         """Search for loop closures of a new node."""
         if new.kept is not None:
             self._kept[new.node.frame] = new.kept
-        self._changed |= self._graph.add(new.node, new.motion_model, everywhere=self._queue.qsize() <= QUEUE_LIMIT)
+        self._graph.add(new.node, new.motion_model, everywhere=self._queue.qsize() <= QUEUE_LIMIT)
         self.count = self._graph.closed
         if self._track.crowded:
             self._kept = {one.frame: one for one in self._track.thin(self._graph.corrections)}
@@ -191,12 +189,12 @@ class LoopClosureThread(Thread):
 
     def _correct(self, limit_px: float) -> None:
         """Solve the pose graph, and correct the track."""
-        if self._settled and not self._changed:
+        if self._settled and not self._graph.unsolved:
             return
         begin_s = time.perf_counter()
         self._graph.solve()
         self._track.correct(self._graph.corrections, limit_px, self._removals)
-        self._changed, self._settled = False, limit_px == DISPLACEMENT_LIMIT_AT_REST_PX
+        self._settled = limit_px == DISPLACEMENT_LIMIT_AT_REST_PX
         end_s = time.perf_counter()
         self._due_s = end_s + (end_s - begin_s) * (1 - TIME_SHARE) / TIME_SHARE
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
-from napari_elsplus.processing.tracking.pose_graph.node_registration import FrameRegistration
+from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
 from napari_elsplus.processing.tracking.pose_graph.refinement import refine
-from napari_elsplus.processing.tracking.pose_graph.rotation_review import review_rotation
+from napari_elsplus.processing.tracking.registration.model_selection import selected_model
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.registration.shutter_timing import (
@@ -25,7 +25,7 @@ from napari_elsplus.processing.tracking.registration.shutter_timing import (
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -33,10 +33,15 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.images.sectioning import Mode
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.pose import Pose
-    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame
+    from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame
+    from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
 
 _MAX_PREPARED_FRAMES: Final = 300
 """Prepared frames kept in memory during refinement, frames of some 0.3 MB each; chosen, others are computed again."""
+_MAX_TESTED: Final = 600
+"""Registrations of a finished track that are tested for rotation; chosen: some 0.2 s."""
+_LOOSE: Final = (0.01, 0.01)
+"""Standard deviations of stretch and shear in this test; chosen, above what velocities leave open."""
 
 
 class TrackingMethod(Protocol):
@@ -107,8 +112,8 @@ class TrackingMethod(Protocol):
         return
 
     @property
-    def newest_registration(self) -> tuple[int, int, PairRegistration] | None:
-        """Indices of the earlier and the later frame last registered, and their registration; None if there is none."""
+    def newest_registration(self) -> TrackedPair | None:
+        """The newest registration that was accepted; None if there is none."""
         return None
 
     @property
@@ -181,12 +186,9 @@ class RegistrationTracking(FrontEndImages):
         self._tracker.links.clear()
 
     @property
-    def newest_registration(self) -> tuple[int, int, PairRegistration] | None:
+    def newest_registration(self) -> TrackedPair | None:
         """See :class:`TrackingMethod`."""
-        if not self._tracker.links:
-            return None
-        earlier, later, _, registration = self._tracker.links[-1]
-        return earlier, later, registration
+        return self._tracker.links[-1] if self._tracker.links else None
 
     @property
     def motion_model(self) -> MotionModel:
@@ -196,19 +198,63 @@ class RegistrationTracking(FrontEndImages):
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         """Return the poses of the solved pose graph: loops closed, segments joined; see :class:`TrackingMethod`."""
         registrar, links, model = self._tracker.registrar, self._tracker.links, self._tracker.model
-
-        @lru_cache(_MAX_PREPARED_FRAMES)
-        def frame(index: int) -> PreparedFrame:
-            view = registrar.view()
-            view.image[:] = image(index)
-            return registrar.prepare(view)
-
+        frame = prepared_frames(registrar, image, _MAX_PREPARED_FRAMES)
         if model is MotionModel.TRANSLATION:
-            model = review_rotation(links, registrar, frame)
+            model = reviewed_model(links, registrar, frame)
         if model is not MotionModel.TRANSLATION:  # its angle is known from the first frame on then
             again = Tracker(registrar.grid, registrar, next((e.turn / (b - a) for a, b, _, e in links if e.turn), 0.0))
             links = again.links
             for index in range(len(poses)):
                 again.slot()[:] = image(index)
                 poses[index] = again.add()
-        return refine(poses, links, PoseGraph(registrar.grid, FrameRegistration(registrar), frame), model)
+        return refine(poses, links, PoseGraph(NodeRegistration(registrar), frame), model)
+
+
+def prepared_frames(
+    registrar: Registrar, image: Callable[[int], NDArray[np.float32]], limit: int
+) -> Callable[[int], PreparedFrame]:
+    """Return a function that returns the prepared frame of an index.
+
+    Parameters
+    ----------
+    registrar : Registrar
+        Prepares it.
+    image : callable
+        Returns its image.
+    limit : int
+        Number of frames that are held; others are prepared again.
+    """
+
+    @lru_cache(limit)
+    def frame(index: int) -> PreparedFrame:
+        view = registrar.view()
+        view.image[:] = image(index)
+        return registrar.prepare(view)
+
+    return frame
+
+
+def reviewed_model(
+    links: Sequence[TrackedPair], registrar: Registrar, view: Callable[[int], PreparedFrame]
+) -> MotionModel:
+    """Return the motion model that all registrations of a finished track together select.
+
+    While frames come, rotation is tested for now and then and modelled from when it is found. At the end a rotation can
+    be found that was too slow.
+
+    Parameters
+    ----------
+    links : sequence of TrackedPair
+        The tracker's registrations; at most :data:`_MAX_TESTED` of them are tested, evenly chosen.
+    registrar : Registrar
+        Of the same grid.
+    view : callable
+        Returns the prepared frame of an index.
+    """
+    keys = {link.earlier for link in links}
+    between = [link for link in links if link.later in keys]  # others share a keyframe, and its errors
+    chosen = between[:: -(-len(between) // _MAX_TESTED) or 1]
+    asked = [(registrar.remainder(view(a), view(b), link.warp, _LOOSE), link) for a, b, _, link in chosen]
+    every = [found for found, _ in asked if found is not None]
+    sure = [found for found, link in asked if found is not None and link.tells_turn]
+    return min(selected_model(every), selected_model(sure))

@@ -78,25 +78,29 @@ class PairwiseRegistrar(Registrar):
     """
 
     max_sigma_px = fall_of_correlation = inf
+    registers_warps = False
 
     def __init__(self, grid: Grid, register: PairwiseRegistration) -> None:
         super().__init__(grid)
         self._register = register
 
-    def link(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0
-    ) -> PairRegistration:
-        """Register two frames; without odds where the function returned None.
+    def search(
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, reach_px: float,
+        min_odds_nats: float = -inf, min_correlation: float = 0.0,
+    ) -> PairRegistration | None:  # fmt: skip
+        """Register two frames; None where the function returned None.
 
         Parameters
         ----------
-        earlier, later, motion, min_correlation
-            As of :meth:`~.Registrar.link`; any correlation is enough.
+        earlier, later, motion
+            As of :meth:`~.Registrar.search`.
+        reach_px, min_odds_nats, min_correlation
+            Not used.
         """
         warp = motion.warp
         found = self._register(earlier.image, later.image, (-warp.b, -warp.d))
         if found is None:
-            return PairRegistration(warp, np.zeros((4, 4)), 0.0, 0.0)
+            return None
         covariance = np.asarray(found.covariance, np.float64)
         if covariance.shape != (2, 2) or not np.isfinite([*found.shift, *covariance.ravel()]).all():
             raise InputError(
@@ -109,29 +113,6 @@ class PairwiseRegistrar(Registrar):
         link = PairRegistration(warp, information, found.score, 1.0, inf)
         velocity, variance = motion.later_velocity(warp, link.warp_covariance)
         return link._replace(velocity=velocity, velocity_variance=variance)
-
-    def search(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, reach_px: float,
-        min_odds_nats: float = -inf, min_correlation: float = 0.0,
-    ) -> PairRegistration | None:  # fmt: skip
-        """Register two frames: :meth:`link`, which the function searches by itself."""
-        return self.link(earlier, later, motion)
-
-    def evened(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, link: PairRegistration,
-        jerk_sigma: float,
-    ) -> PairRegistration:  # fmt: skip
-        """Return the registration unchanged.
-
-        Parameters
-        ----------
-        earlier, later, motion, link, jerk_sigma
-            As of :meth:`~.Registrar.evened`.
-        """
-        return link
-
-    def remainder(self, *_: object, **__: object) -> None:
-        """Return None: no rotation is tested for."""
 
 
 class PairwiseTracking(RegistrationTracking):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache, partial
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 from warnings import warn
 
 from napari_elsplus.errors import InputError
@@ -58,14 +58,6 @@ class TrackingFactory(Protocol):
         """
 
 
-def _ours(diameter: float) -> float:
-    return MAX_DISPLACEMENT_DIAMETERS * diameter
-
-
-def _papers(_: float) -> float:
-    return (SIDE_PX - TEMPLATE_PX) / 2
-
-
 @dataclass(frozen=True, slots=True)
 class RegisteredMethod:
     """A tracking method and its properties.
@@ -92,7 +84,7 @@ class RegisteredMethod:
     name: str
     factory: TrackingFactory
     description: str
-    max_displacement: Callable[[float], float] = _ours
+    max_displacement: Callable[[float], float] = lambda diameter: MAX_DISPLACEMENT_DIAMETERS * diameter
     corrects_rolling_shutter: bool = True
     closes_loops: bool = False
     tapers_rim: bool = True
@@ -104,43 +96,23 @@ _METHODS: Final[dict[str, RegisteredMethod]] = {
         closes_loops=True,
     ),
     Method.PAPER.value: RegisteredMethod(
-        Method.PAPER.value, TemplateTracking, "the paper's template matching", _papers,
-        corrects_rolling_shutter=False, tapers_rim=False,
+        Method.PAPER.value, TemplateTracking, "the paper's template matching",
+        lambda _: (SIDE_PX - TEMPLATE_PX) / 2,        corrects_rolling_shutter=False, tapers_rim=False,
     ),
 }  # fmt: skip
 
 
-def register_tracking_method(
-    name: str,
-    factory: TrackingFactory,
-    description: str,
-    *,
-    max_displacement: Callable[[float], float] = _ours,
-    corrects_rolling_shutter: bool = True,
-    closes_loops: bool = False,
-    tapers_rim: bool = True,
-) -> None:
+def register_tracking_method(name: str, factory: TrackingFactory, description: str, **properties: Any) -> None:
     """Add a tracking method, or replace one that was added; parameters are those of :class:`RegisteredMethod`.
 
     Raises
     ------
     InputError
         If the name is that of a built-in method, or no word.
-
-    Examples
-    --------
-    >>> def first_half(calibration, frame_shape, mode):
-    ...     return RegistrationTracking(calibration, frame_shape, mode)
-    >>> register_tracking_method("half", first_half, "an example")
-    >>> tracking_method("half").description
-    'an example'
-    >>> unregister_tracking_method("half")
     """
     if name in list(Method) or not name or not name.replace("-", "").replace("_", "").isalnum():
         raise InputError(f"a tracking method cannot be called {name!r}", "choose a word that is not taken")
-    _METHODS[name] = RegisteredMethod(
-        name, factory, description, max_displacement, corrects_rolling_shutter, closes_loops, tapers_rim
-    )
+    _METHODS[name] = RegisteredMethod(name, factory, description, **properties)
 
 
 def register_pairwise_method(name: str, register: PairwiseRegistration, description: str) -> None:
@@ -157,12 +129,6 @@ def register_pairwise_method(name: str, register: PairwiseRegistration, descript
         One line, for help texts and tooltips.
     """
     register_tracking_method(name, partial(PairwiseTracking, register=register), description)
-
-
-def unregister_tracking_method(name: str) -> None:
-    """Remove the method of this name, if it was added."""
-    if name not in list(Method):
-        _METHODS.pop(name, None)
 
 
 def tracking_methods() -> Mapping[str, RegisteredMethod]:

@@ -24,6 +24,7 @@ from napari_elsplus.processing.tracking.registration.pair_registration import (
     PreparedFrame,
     Registrar,
 )
+from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
 
 if TYPE_CHECKING:
     import numpy as np
@@ -68,7 +69,7 @@ class _Placed:
 class _Start:
     """A registration that begins a segment if the next one agrees with it."""
 
-    found: tuple[int, int, Displacement, PairRegistration]
+    found: TrackedPair
     later: _Placed
     motion: Motion
 
@@ -87,15 +88,15 @@ class Tracker:
 
     Attributes
     ----------
-    links : list of tuple
-        (earlier frame, later frame, displacement in the later one's orientation, link) of every accepted link.
+    links : list of TrackedPair
+        All registrations that were accepted.
     """
 
     def __init__(self, grid: Grid, registrar: Registrar | None = None, turn_rate: float | None = None) -> None:
         self.grid = grid
         self._max_displacement_px = MAX_DISPLACEMENT_DIAMETERS * grid.diameter
         self.registrar = registrar or Registrar(grid)
-        self.links: list[tuple[int, int, Displacement, PairRegistration]] = []
+        self.links: list[TrackedPair] = []
         self._slots = [self.registrar.view() for _ in range(4)]
         self._scratch = self.registrar.view()
         self._selection = ModelSelection(MotionModel.TRANSLATION if turn_rate is None else MotionModel.RIGID)
@@ -158,7 +159,7 @@ class Tracker:
         ahead = self._expected(key, here.index)
         rigid = not self._usual < self.registrar.rigid_correlation
         renew = hypot(*ahead) > (KEY_FRAME_REACH * self.grid.diameter if rigid else 0.0)
-        if self.model is MotionModel.TRANSLATION:
+        if self.registrar.registers_warps and self.model is MotionModel.TRANSLATION:
             self._test_rotation(renew=renew)
         if renew:
             key = self._key = last
@@ -211,7 +212,7 @@ class Tracker:
             return None
         widest = self._unknown_motion().prior(Displacement(0.0, 0.0), 1)
         rise = motion.log_density(link.warp) - widest.log_density(link.warp)
-        if start.found[-1].odds + rise < MIN_ODDS_NATS or not self._place(start.later, here, link, motion):
+        if start.found.registration.odds + rise < MIN_ODDS_NATS or not self._place(start.later, here, link, motion):
             return None
         self.links.insert(-1, start.found)
         return self._begin(here, link)
@@ -291,7 +292,7 @@ class Tracker:
         """Register two frames, first at the expected shift, else over all; None if no shift is accepted."""
         if self.model is not MotionModel.TRANSLATION:
             return self._turned_link(earlier, here, motion)
-        if self._motion.known:
+        if self._motion.known and self.registrar.registers_warps:
             link = self.registrar.link(earlier.view, here.view, motion, self._min_correlation)
             if self._accepted(link):
                 return link
@@ -330,7 +331,7 @@ class Tracker:
         missed_px = hypot(moved.row - expected.row, moved.col - expected.col)
         jerk_sigma = self._motion.jerk_sigma(link.velocity, link.warp, missed_px)
         uneven_px = self._motion.uneven_px(jerk_sigma)
-        if uneven_px > _UNEVEN_PX and self.model is MotionModel.TRANSLATION:
+        if uneven_px > _UNEVEN_PX and self.registrar.registers_warps and self.model is MotionModel.TRANSLATION:
             evened = self.registrar.evened(earlier.view, here.view, motion, link, jerk_sigma)
             if evened is None:
                 return False
@@ -346,7 +347,7 @@ class Tracker:
         here.angle, here.velocity = earlier.angle + link.turn, after
         row, col = moved if self.model is MotionModel.TRANSLATION else turned_by(here.angle) @ moved
         here.row, here.col = earlier.row + float(row), earlier.col + float(col)
-        self.links.append((earlier.index, here.index, moved, link))
+        self.links.append(TrackedPair(earlier.index, here.index, moved, link))
         return True
 
     def _track(self, here: _Placed, link: PairRegistration) -> Pose:

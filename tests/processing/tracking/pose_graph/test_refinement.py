@@ -6,6 +6,7 @@ from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity
 from napari_elsplus.processing.tracking.pose_graph.refinement import with_origins
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
+from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
 
 SHUTTER = RollingShutter(300.0)
 STEADY = Velocity(12.0, -5.0)
@@ -17,7 +18,7 @@ def test_the_origin_of_a_later_segment_lies_its_displacement_before_the_next_fra
     moved = Displacement(*STEADY)
     link = PairRegistration(SHUTTER.warp(STEADY, STEADY, moved), np.eye(4), 0.98, 0.9, 1.0)
     first = Pose(1, 0.0, 0.0, STEADY, 0.98, 0.1, TrackingState.TRACKED)
-    poses = with_origins([LOST, LOST, first], [(1, 2, moved, link)], SHUTTER)
+    poses = with_origins([LOST, LOST, first], [TrackedPair(1, 2, moved, link)], SHUTTER)
     assert poses[1].state is TrackingState.TRACKED
     np.testing.assert_allclose((poses[2].row - poses[1].row, poses[2].col - poses[1].col), moved)
     np.testing.assert_allclose(poses[1].velocity, STEADY, atol=1e-9)
@@ -27,6 +28,6 @@ def test_the_origin_of_a_segment_of_a_probe_that_rotates_has_an_angle() -> None:
     moved = Displacement(*STEADY)
     link = PairRegistration(SHUTTER.warp(STEADY, STEADY, moved), np.eye(4), 0.98, 0.9, turn=0.02, turn_sigma=1e-3)
     first = Pose(0, 0.0, 0.0, STEADY, 0.98, 0.1, TrackingState.TRACKED, angle=np.pi / 2)
-    origin, _ = with_origins([LOST, first], [(0, 1, moved, link)], SHUTTER)
+    origin, _ = with_origins([LOST, first], [TrackedPair(0, 1, moved, link)], SHUTTER)
     assert origin.angle == np.pi / 2 - 0.02
     np.testing.assert_allclose((origin.row, origin.col), (moved.col, -moved.row))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from math import ceil, floor
 from typing import TYPE_CHECKING, Any, Final
@@ -12,8 +12,9 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.uncertainty import robust_sigma
-from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
+from napari_elsplus.processing.tracking.registration.masked_correlation import high_passed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,16 +87,16 @@ class FinishedField:
             raise InputError(f"the images have {rows} x {cols} pixels", "choose a stack of larger ones")
         side = 4 * ceil((diameter + 2) / 4)
         origin = (floor(centre[0] - (side - 1) / 2 + 0.5), floor(centre[1] - (side - 1) / 2 + 0.5))
-        inside = (centre[0] - origin[0], centre[1] - origin[1])
-        grid = Grid(side, 1, origin, inside, (diameter - _RIM_PX) / FIELD, RollingShutter(np.inf))
-        middle = np.concatenate([_window(image, grid)[_disc(grid)][::7] for image in stack])
+        own_centre = (centre[0] - origin[0], centre[1] - origin[1])
+        grid = Grid(side, 1, origin, own_centre, (diameter - _RIM_PX) / FIELD, RollingShutter(np.inf))
+        inside = lit_pixels(*grid.spans())
+        middle = np.concatenate([_window(image, grid)[inside][::7] for image in stack])
         darkest = min(0.0, float(np.percentile(middle, 1)))
         level = max(float(np.median(middle)) - darkest, 0.5 * (float(np.percentile(middle, 99)) - darkest))
         quantum = 0.0 if np.asarray(samples[0]).dtype.kind == "f" else 1.0
-        field = cls((rows, cols), grid, darkest, 0.1 * level + 1e-6, quantum, _coarse(_disc(grid).astype(np.float32)))
-        mask = np.floor(field.mask + 1e-3)
-        static = field.static_pattern(stack, mask)
-        return cls((rows, cols), grid, darkest, field.floor, quantum, mask * ~static)
+        mask = np.floor(_coarse(inside.astype(np.float32)) + 1e-3)
+        field = cls((rows, cols), grid, darkest, 0.1 * level + 1e-6, quantum, mask)
+        return replace(field, mask=mask * ~field._static_pattern(stack))
 
     @property
     def coarse_diameter(self) -> float:
@@ -128,23 +129,15 @@ class FinishedField:
         )
         return logarithm
 
-    def static_pattern(self, stack: Sequence[NDArray[np.float32]], mask: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Return the cells (rows, cols) that show the same in all frames: dead cores, labels.
-
-        Parameters
-        ----------
-        stack : sequence of numpy.ndarray
-            (rows, cols) float32 images.
-        mask : numpy.ndarray
-            (rows, cols) cells, 1 in the field.
-        """
+    def _static_pattern(self, stack: Sequence[NDArray[np.float32]]) -> NDArray[np.bool_]:
+        """Return the cells (rows, cols) that show the same in all of a stack of images: dead cores, labels."""
+        mask = self.mask
         nothing = np.zeros(mask.shape, bool)
         if len(stack) < _MIN_SAMPLES:
             return nothing
         scale = COARSE_DIAMETER / 16
-        weight = np.maximum(cv2.GaussianBlur(mask, (0, 0), scale), 1e-3)
-        logarithms = [self.coarse_logarithm(_window(image, self.grid)) for image in stack]
-        passed = np.array([(a - cv2.GaussianBlur(a * mask, (0, 0), scale) / weight) * mask for a in logarithms])
+        logarithms = (self.coarse_logarithm(_window(image, self.grid)) for image in stack)
+        passed = np.array([high_passed(logarithm, mask, scale) for logarithm in logarithms])
         median = np.median(passed, axis=0)
         scatter = robust_sigma(passed - median, axis=0)
         found = (np.abs(median) > np.maximum(_STATIC_CONTRAST, _STATIC_RATIO * scatter)).astype(np.uint8)
@@ -177,12 +170,6 @@ def _window(image: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:
     top, left = grid.origin
     shift = np.array([[1.0, 0.0, -left], [0.0, 1.0, -top]])
     return np.asarray(cv2.warpAffine(image, shift, (grid.side, grid.side), flags=cv2.INTER_NEAREST), np.float32)
-
-
-def _disc(grid: Grid) -> NDArray[np.bool_]:
-    y, x = (np.arange(grid.side) - c for c in grid.centre)
-    inside: NDArray[np.bool_] = np.hypot(y[:, None], x) < 0.5 * FIELD * grid.diameter
-    return inside
 
 
 def _coarse(image: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -18,6 +18,7 @@ from scipy.special import logsumexp
 from napari_elsplus.processing.tracking.registration.masked_correlation import (
     CoarseImage,
     MaskedCorrelation,
+    high_passed,
     opposite,
 )
 
@@ -98,7 +99,7 @@ class ShiftOdds:
     def __init__(self, mask: NDArray[np.float32], diameter: float) -> None:
         self._mask, self._diameter = mask, diameter
         self._variance_px = max(1.0, _VARIANCE_DIAMETERS * diameter)
-        self._correlation = both = MaskedCorrelation(mask, MIN_OVERLAP, max(1.0, _HIGH_PASS_DIAMETERS * diameter))
+        self._correlation = both = MaskedCorrelation(mask, MIN_OVERLAP)
         distance = np.hypot(both.lags[:, None], both.lags)
         self._near_lags = (distance < _LAGS_DIAMETERS * diameter) & both.searched
         prior = -1.5 * np.log1p((distance / (_REACH_DIAMETERS * diameter)) ** 2)
@@ -108,7 +109,8 @@ class ShiftOdds:
     def spectra(self, image: NDArray[np.float32]) -> SpectraOfImage:
         """Return the spectra of an image (rows, cols), high-passed and smoothed within the mask."""
         mask, both = self._mask, self._correlation
-        inside = cv2.GaussianBlur(both.high_passed(image), (0, 0), _SMOOTHING_CELLS)
+        passed = high_passed(image, mask, max(1.0, _HIGH_PASS_DIAMETERS * self._diameter))
+        inside = cv2.GaussianBlur(passed, (0, 0), _SMOOTHING_CELLS)
         inside = (inside - inside[mask > 0].mean()) * mask
         found = both.prepare(inside)
         smooth, weight = (cv2.GaussianBlur(values, (0, 0), self._variance_px) for values in (inside * inside, mask))

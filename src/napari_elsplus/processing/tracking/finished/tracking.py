@@ -8,15 +8,14 @@ lost: their motion is not predicted.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
 
-from napari_elsplus.processing.tracking.finished.registration import FinishedRegistrar
-from napari_elsplus.processing.tracking.front_end.grid import FIELD
-from napari_elsplus.processing.tracking.methods import TrackingMethod
+from napari_elsplus.processing.tracking.finished.registration import FinishedNodeRegistration, FinishedRegistrar
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, lit_pixels
+from napari_elsplus.processing.tracking.methods import TrackingMethod, prepared_frames
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.refinement import refine
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.finished.field import FinishedField
-    from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame
 
 REPEATED_NOISE: Final = 0.25
 """Difference of a repeated frame from its twin over the noise in either, standard deviations; chosen: two exposures
@@ -55,8 +53,7 @@ class FinishedTracking(TrackingMethod):
         self._field = field
         self._registrar = FinishedRegistrar(field)
         self._tracker = Tracker(self._registrar.grid, self._registrar)
-        y, x = (np.arange(self.grid.side) - c for c in self.grid.centre)
-        self._inside = np.hypot(y[:, None], x) < 0.5 * FIELD * self.grid.diameter - 1
+        self._inside = lit_pixels(*self.grid.spans(FIELD - 2 / self.grid.diameter))
         self._previous = np.zeros((self.grid.side,) * 2, np.float32)
         self._poses: list[Pose] = []
         self._image_of_frame: list[int] = []
@@ -81,13 +78,11 @@ class FinishedTracking(TrackingMethod):
         """See :meth:`~.methods.TrackingMethod.refine`."""
         frames = np.unique(self._image_of_frame, return_index=True)[1].tolist()
 
-        @lru_cache(_MAX_HELD)
-        def frame(index: int) -> PreparedFrame:
-            view = self._registrar.view()
-            view.image[:] = image(frames[index])
-            return self._registrar.prepare(view)
-
-        refined = refine(self._poses, self._tracker.links, PoseGraph(self._registrar.grid, self._registrar, frame))
+        graph = PoseGraph(
+            FinishedNodeRegistration(self._registrar),
+            prepared_frames(self._registrar, lambda index: image(frames[index]), _MAX_HELD),
+        )
+        refined = refine(self._poses, self._tracker.links, graph)
         return [_in_pixels_of(1 / self._registrar.binning, refined[k]) for k in self._image_of_frame]
 
     def discard_registrations(self) -> None:

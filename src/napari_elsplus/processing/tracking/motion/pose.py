@@ -51,6 +51,25 @@ class Pose(NamedTuple):
     angle: float = 0.0
 
     @property
+    def at(self) -> complex:
+        """Position as a complex number, row + i col: a factor exp(i angle) turns it from rows towards columns."""
+        return complex(self.row, self.col)
+
+    def placed(self, at: complex, angle: float, segment: int) -> Pose:
+        """Return the same frame elsewhere.
+
+        Parameters
+        ----------
+        at : complex
+            Position, row + i col, pixels.
+        angle : float
+            Radians.
+        segment : int
+            In which these are.
+        """
+        return self._replace(segment=segment, row=at.real, col=at.imag, angle=angle)
+
+    @property
     def lost(self) -> Pose:
         """The same frame without a position."""
         return self._replace(row=nan, col=nan, velocity=Velocity(nan, nan), state=TrackingState.LOST)

@@ -1,1 +1,1 @@
-"""Keyframes, loop closure, and the pose graph, live and after the end."""
+"""Pose graph, live and at the end of a track; positions and displacements are complex: row + i col, pixels."""

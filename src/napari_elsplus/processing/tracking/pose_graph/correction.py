@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from cmath import rect
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-
-from napari_elsplus.processing.tracking.registration.motion_models import turned_by
 
 if TYPE_CHECKING:
     from collections.abc import Container, Mapping, Sequence
@@ -17,14 +16,14 @@ if TYPE_CHECKING:
 
 
 class Correction(NamedTuple):
-    """From where the tracker has a frame to where it belongs.
+    """From where the tracker has a frame to where it belongs: a rotation and a shift, into another segment.
 
     Parameters
     ----------
     segment : int
         To which it belongs.
-    row, col : float
-        Where the tracker's (0, 0) lies there, pixels of the tracking grid.
+    shift : complex
+        Where the tracker's (0, 0) lies there, row + i col, pixels of the tracking grid.
     angle : float
         By which the tracker's segment is turned there, radians.
 
@@ -33,31 +32,23 @@ class Correction(NamedTuple):
     >>> from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
     >>> from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
     >>> pose = Pose(3, 10.0, 20.0, Velocity(1.0, 0.0), 0.9, 0.1, TrackingState.TRACKED)
-    >>> Correction(0, row=-1.5).of(pose)[:3]
+    >>> Correction(0, shift=-1.5).of(pose)[:3]
     (0, 8.5, 20.0)
     """
 
     segment: int
-    row: float = 0.0
-    col: float = 0.0
+    shift: complex = 0.0
     angle: float = 0.0
 
     def of(self, pose: Pose) -> Pose:
         """Return the pose where it belongs."""
-        row, col = pose.row, pose.col
-        if self.angle != 0:
-            row, col = (turned_by(self.angle) @ (row, col)).tolist()
-        return pose._replace(
-            segment=self.segment, row=row + self.row, col=col + self.col,
-            angle=pose.angle + self.angle,
-        )  # fmt: skip
+        return pose.placed(rect(1, self.angle) * pose.at + self.shift, pose.angle + self.angle, self.segment)
 
     @classmethod
     def between(cls, pose: Pose, place: Pose) -> Correction:
         """Return what takes a pose to its place."""
         angle = place.angle - pose.angle
-        row, col = turned_by(angle) @ (pose.row, pose.col)
-        return cls(place.segment, place.row - float(row), place.col - float(col), angle)
+        return cls(place.segment, place.at - rect(1, angle) * pose.at, angle)
 
 
 class Corrections:
@@ -82,7 +73,7 @@ class Corrections:
     def __init__(self, known: Mapping[int, Sequence[tuple[int, Correction]]] | None = None) -> None:
         self._known = dict(known or {})
         self._tables = {
-            segment: np.array([(frame, one.row, one.col, *turned_by(one.angle)[:, 0]) for frame, one in along])
+            segment: np.array([(frame, one.shift, rect(1, one.angle)) for frame, one in along]).T
             for segment, along in self._known.items()
         }
 
@@ -103,8 +94,8 @@ class Corrections:
     def of(self, frame: int, pose: Pose) -> Pose:
         """Return where a frame belongs that the tracker has at a pose."""
         values = (np.array([value]) for value in (frame, pose.segment, pose.row, pose.col))
-        segment, row, col, turned = (float(value[0]) for value in self.of_frames(*values))
-        return pose._replace(segment=int(segment), row=row, col=col, angle=pose.angle + turned)
+        segment, row, col, turned = (value.item() for value in self.of_frames(*values))
+        return pose.placed(complex(row, col), pose.angle + turned, int(segment))
 
     def of_frames(
         self,
@@ -120,11 +111,10 @@ class Corrections:
         frame, segment, row, col : numpy.ndarray
             (n,) each: which frames, and where the tracker has them.
         """
-        into, down, across, turned = segment.copy(), row.copy(), col.copy(), np.zeros(len(frame))
+        into, at, turned = segment.copy(), row + 1j * col, np.zeros(len(frame))
         for number in self._tables.keys() & set(segment.tolist()):
-            those, (known, *values) = np.flatnonzero(segment == number), self._tables[number].T
-            top, left, cosine, sine = (np.interp(frame[those], known, value) for value in values)
-            into[those], turned[those] = self.newest(number).segment, np.arctan2(sine, cosine)
-            down[those] = cosine * row[those] - sine * col[those] + top
-            across[those] = sine * row[those] + cosine * col[those] + left
-        return into, down, across, turned
+            those, (known, *values) = np.flatnonzero(segment == number), self._tables[number]
+            shift, factor = (np.interp(frame[those], known.real, value) for value in values)
+            into[those], turned[those] = self.newest(number).segment, np.angle(factor)
+            at[those] = factor * at[those] + shift
+        return into, at.real, at.imag, turned

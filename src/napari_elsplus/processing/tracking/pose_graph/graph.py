@@ -9,30 +9,23 @@ without that bound.
 
 from __future__ import annotations
 
-from itertools import islice
+from cmath import rect
+from itertools import compress, islice
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction, Corrections
-from napari_elsplus.processing.tracking.pose_graph.least_squares import UNKNOWN_TURN, Edge, least_squares
-from napari_elsplus.processing.tracking.pose_graph.marginalisation import marginalised_edges, retained_nodes
-from napari_elsplus.processing.tracking.pose_graph.place_recognition import PlaceIndex
-from napari_elsplus.processing.tracking.pose_graph.relative_pose import (
-    AGREEMENT_PX,
-    agree,
-    displacement_between,
-    joining,
-)
-from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
+from napari_elsplus.processing.tracking.pose_graph.edge import UNKNOWN_TURN, Edge, marginalised_edges, retained_nodes
+from napari_elsplus.processing.tracking.pose_graph.least_squares import least_squares
+from napari_elsplus.processing.tracking.pose_graph.place_recognition import PlaceRecognition, Thumbnail
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
     from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
@@ -59,6 +52,13 @@ TURNS_PER_NODE: Final = 2
 """Edges from before the rotation was modelled whose angle is estimated with each new node."""
 _GUESSED_TURN_SIGMA: Final = 0.5
 """Standard deviation of the angle of an edge that could not be registered with one, radians; chosen, large."""
+AGREEMENT_PX: Final = 3.0
+"""Distance of two edges' predictions up to which they agree, and of a loop's edge from the track; chosen, far above the
+scatter of edges in dim light (0.3 px)."""
+_AGREEMENT_RAD: Final = 0.02
+"""The same of angles, radians; derived: 2 px at the rim."""
+_PLACE: Final = np.dtype([("segment", np.int64), ("at", np.complex128), ("angle", np.float64), ("path", np.float64)])
+"""Corrected place of a node: segment, position, angle; and the path along the track up to it, pixels."""
 
 
 class PoseGraph:
@@ -66,8 +66,6 @@ class PoseGraph:
 
     Parameters
     ----------
-    grid : Grid
-        Tracking grid.
     registration : NodeRegistration
         Registers two nodes.
     view : callable
@@ -76,40 +74,40 @@ class PoseGraph:
     Attributes
     ----------
     grid : Grid
-        As given.
+        Tracking grid.
     nodes : list of Node
         In the order in which they were added.
-    places : list of Pose
-        Their corrected poses.
     closed : int
         Edges that closed a loop or joined segments, so far.
+    unsolved : bool
+        True if :meth:`solve` will change poses.
     """
 
-    def __init__(self, grid: Grid, registration: NodeRegistration, view: Callable[[int], PreparedFrame | None]) -> None:
-        self.grid = grid
+    def __init__(self, registration: NodeRegistration, view: Callable[[int], PreparedFrame | None]) -> None:
+        self.grid = registration.grid
         self._registration, self._frame = registration, view
-        self._diameter = grid.diameter
-        self._index = PlaceIndex(grid)
+        self._diameter = self.grid.diameter
+        self._recognition = PlaceRecognition(self.grid)
+        self._thumbnails: dict[int, Thumbnail] = {}
         self.nodes: list[Node] = []
-        self.places: list[Pose] = []
         self.closed = 0
+        self.unsolved = False
         self._model = MotionModel.TRANSLATION
-        self._where = np.zeros((256, 3))
-        """Row and column of each node, and path along the track up to it, pixels."""
-        self._group = np.zeros(256, np.int64)
-        self._landmark = np.zeros(256, bool)
+        self._places = np.zeros(0, _PLACE)
         self._chain: list[Edge] = []
         self._loops: list[Edge] = []
-        self._bridges: dict[tuple[int, int], list[Edge]] = {}
-        self._newest: dict[int, int] = {}
+        self._bridges: dict[frozenset[int], list[Edge]] = {}
         self._deferred: list[int] = []
         self._heading: dict[int, float] = {}
-        self._turns_unknown = False
-        self._unsolved: set[int] = set()
         self._limit = MAX_NODES
 
-    def add(self, node: Node, model: MotionModel = MotionModel.TRANSLATION, *, everywhere: bool = True) -> bool:
-        """Add a node and register it with others; return True if :meth:`solve` will change poses.
+    def place(self, number: int) -> Pose:
+        """Return the corrected pose of a node, given its number."""
+        segment, at, angle, _ = self._places[number].item()
+        return self.nodes[number].pose.placed(at, angle, segment)
+
+    def add(self, node: Node, model: MotionModel = MotionModel.TRANSLATION, *, everywhere: bool = True) -> None:
+        """Add a node and register it with others.
 
         Parameters
         ----------
@@ -120,26 +118,20 @@ class PoseGraph:
         everywhere : bool
             False to defer the search in other segments to :meth:`register_deferred`.
         """
-        number, segment = len(self.nodes), node.pose.segment
-        before = self._newest.get(segment)
-        place = self.correction(segment).of(node.pose)
-        self._model = model
-        self._heading.setdefault(place.segment, self._orientation(number - 1) if number else 0.0)
-        self.nodes.append(node)
-        self.places.append(place)
-        self._newest[segment] = number
-        if number == len(self._where):
-            self._where, self._group, self._landmark = (
-                np.concatenate([values, np.zeros_like(values)]) for values in (self._where, self._group, self._landmark)
-            )
-        gone = AWAY * self._diameter if before is None else node.gone_px
-        path = gone + (self._where[number - 1, 2] if number else 0.0)
-        self._where[number], self._group[number] = (place.row, place.col, path), place.segment
-        if before is not None:
-            self._chain.append(self._along(before, number))
+        number, place, gone, self._model = len(self.nodes), node.pose, AWAY * self._diameter, model
+        before = self.nodes[-1].pose if self.nodes else None
+        follows = before is not None and before.segment == place.segment
+        if before is not None and follows:
+            place, gone = Correction.between(before, self.place(number - 1)).of(node.pose), node.gone_px
+            along = Edge.between(number - 1, number, before, node.pose)
+            self._chain.append(along._replace(covariance=node.covariance, turn_sigma=node.turn_sigma))
         elif number:
             self._mark(number - 1, spacing_px=0.0)
-        found = []
+        self._heading.setdefault(place.segment, self._orientation(number - 1) if number else 0.0)
+        self.nodes.append(node)
+        path = gone + (self._places["path"][-1] if number else 0.0)
+        self._places = np.append(self._places, np.array([(place.segment, place.at, place.angle, path)], _PLACE))
+        self.unsolved |= node.upright is not None
         if self._view(number) is not None:
             self._mark(number, _LANDMARK_SPACING * self._diameter)
             found = self._revisits(number)
@@ -147,54 +139,36 @@ class PoseGraph:
                 found = self._recognised(number)
             elif not found:
                 self._deferred.append(number)
-        self._extend(found)
-        self._turns_unknown |= any(edge.turn_sigma >= UNKNOWN_TURN for edge in (*self._chain[-1:], *found))
-        if node.upright is not None:
-            self._unsolved.add(self.places[number].segment)
-        return self._register_turns(TURNS_PER_NODE) or bool(found) or node.upright is not None
+            self._extend(found)
+        self._register_turns(TURNS_PER_NODE)
 
-    def register_deferred(self, limit: int | None = None) -> bool:
-        """Do what was left for when the probe rests; return True if :meth:`solve` will change poses.
+    def register_deferred(self, limit: int | None = None) -> None:
+        """Do what was left for when the probe rests.
 
         Parameters
         ----------
         limit : int, optional
             Number of registrations of each kind at most; all by default.
         """
-        count = len(self._deferred) if limit is None else limit
-        now, self._deferred = self._deferred[:count], self._deferred[count:]
-        found = [edge for number in now if self._view(number) is not None for edge in self._recognised(number)]
-        self._extend(found)
-        return self._register_turns(limit) or bool(found)
+        for number in self._deferred[:limit]:
+            if self._view(number) is not None:
+                self._extend(self._recognised(number))
+        del self._deferred[:limit]
+        self._register_turns(limit)
 
-    def solve(self) -> bool:
-        """Solve for the poses of all segments with new edges; return True if there were any."""
-        groups, self._unsolved = self._unsolved, set()
-        for group in groups:
-            members = np.flatnonzero(self._group[: len(self.nodes)] == group)
-            edges = [edge for edge in (*self._chain, *self._loops) if self._group[edge.earlier] == group]
-            if not edges:
-                continue
-            first = self.places[int(members[0])]
-            base = Correction(group, first.row, first.col, first.angle)
-            for number, place in least_squares(edges, int(members[0]), self._model).items():
-                self.places[number] = base.of(self.places[number]._replace(**place._asdict()))
-            self._where[members, :2] = [(self.places[k].row, self.places[k].col) for k in members.tolist()]
-        return bool(groups)
-
-    def correction(self, segment: int) -> Correction:
-        """Return the correction of the newest frames of one of the tracker's segments."""
-        newest = self._newest.get(segment)
-        if newest is None:
-            return Correction(segment)
-        return Correction.between(self.nodes[newest].pose, self.places[newest])
+    def solve(self) -> None:
+        """Solve for the poses of all nodes if there are new edges."""
+        if self.unsolved:
+            edges, places = [*self._chain, *self._loops], self._places
+            places["at"], places["angle"] = least_squares(edges, places["at"], places["angle"])
+        self.unsolved = False
 
     @property
     def corrections(self) -> Corrections:
         """Those along the whole track."""
         known: dict[int, list[tuple[int, Correction]]] = {}
-        for node, place in zip(self.nodes, self.places, strict=True):
-            along = known.setdefault(node.pose.segment, [])
+        for number, node in enumerate(self.nodes):
+            place, along = self.place(number), known.setdefault(node.pose.segment, [])
             here = Correction.between(node.pose, place)
             if node.upright is not None:
                 frame, pose, turn = node.upright
@@ -216,8 +190,8 @@ class PoseGraph:
         group : int
             Segment as the graph numbers them: the first of those that were joined.
         """
-        self._retain(self._group[: len(self.nodes)] != group)
-        self._unsolved.discard(group)
+        self._retain(self._places["segment"] != group)
+        self.unsolved = True
 
     def marginalise(self, kept: Callable[[Node], bool]) -> None:
         """Marginalise nodes whose frames are no longer kept where there are many; the others get new numbers.
@@ -227,61 +201,48 @@ class PoseGraph:
         kept : callable
             Returns True if a node's frame is kept.
         """
-        count = len(self.nodes)
-        if count <= self._limit:
+        if len(self.nodes) <= self._limit:
             return
         segment = np.array([node.pose.segment for node in self.nodes])
         free = np.array([not kept(node) and node.upright is None for node in self.nodes])
-        stays = retained_nodes(self._where[:count, 2], segment, free, 2 * MAX_NODES // 3)
+        stays = retained_nodes(self._places["path"], segment, free, 2 * MAX_NODES // 3)
         self._chain, self._loops = marginalised_edges(self._chain, self._loops, stays)
         self._retain(stays)
         self._limit = max(MAX_NODES, int(_GROWTH * len(self.nodes)))
 
     def _retain(self, stays: NDArray[np.bool_]) -> None:
         """Remove all but some nodes (n,), and the edges that end at them; the others get new numbers."""
-        number, left = (np.cumsum(stays) - 1).tolist(), np.flatnonzero(stays).tolist()
+        number = {k: new for new, k in enumerate(np.flatnonzero(stays).tolist())}
 
         def renumbered(edges: Iterable[Edge]) -> list[Edge]:
-            within = (edge for edge in edges if stays[edge.earlier] and stays[edge.later])
+            within = (edge for edge in edges if edge.earlier in number and edge.later in number)
             return [edge._replace(earlier=number[edge.earlier], later=number[edge.later]) for edge in within]
 
         self._chain, self._loops = renumbered(self._chain), renumbered(self._loops)
         self._bridges = {pair: renumbered(edges) for pair, edges in self._bridges.items()}
-        self.nodes, self.places = [self.nodes[k] for k in left], [self.places[k] for k in left]
-        for values in (self._where, self._group, self._landmark):
-            values[: len(left)], values[len(left) :] = values[left], 0
-        self._newest = {segment: number[k] for segment, k in self._newest.items() if stays[k]}
-        self._deferred = [number[k] for k in self._deferred if stays[k]]
-        self._index.retain({node.frame for node in self.nodes})
+        self.nodes, self._places = list(compress(self.nodes, stays)), self._places[stays]
+        self._deferred = [number[k] for k in self._deferred if k in number]
+        self._thumbnails = {number[k]: thumbnail for k, thumbnail in self._thumbnails.items() if k in number}
 
     # edges
 
     def _view(self, number: int) -> PreparedFrame | None:
         return self._frame(self.nodes[number].frame)
 
-    def _along(self, earlier: int, later: int) -> Edge:
-        """Return the edge between two successive nodes of the tracker."""
-        a, node = self.nodes[earlier].pose, self.nodes[later]
-        moved = displacement_between(a, node.pose)
-        turn = node.pose.angle - a.angle
-        return Edge(earlier, later, (moved.row, moved.col), node.covariance, turn, node.turn_sigma)
-
     def _revisits(self, number: int) -> list[Edge]:
         """Return edges to nodes of the same segment that lie beside this one but far back along the path."""
-        row, col, path = self._where[number]
-        where, group = self._where[:number], self._group[:number]
-        distance = np.hypot(where[:, 0] - row, where[:, 1] - col)
-        near = (group == self._group[number]) & (path - where[:, 2] > AWAY * self._diameter)
+        here, places = self._places[number], self._places[:number]
+        distance, gone = abs(places["at"] - here["at"]), here["path"] - places["path"]
+        near = (places["segment"] == here["segment"]) & (gone > AWAY * self._diameter)
         near &= distance <= REACH * self._diameter
         edges: list[Edge] = []
         nearest = np.flatnonzero(near)[np.argsort(distance[near])].tolist()
         kept = (earlier for earlier in nearest if self._view(earlier) is not None)
         for earlier in islice(kept, 2 * EDGES_PER_NODE):
-            a, b = self.places[earlier], self.places[number]
-            expected = displacement_between(a, b)
-            edge = self._register(earlier, number, expected, b.angle - a.angle)
-            drift_px = AGREEMENT_PX + _DRIFT * (path - where[earlier, 2])
-            if edge is not None and np.hypot(*np.subtract(edge.displacement, expected)) < drift_px:
+            expected = Edge.between(earlier, number, self.place(earlier), self.place(number))
+            edge = self._register(expected)
+            away_px = np.inf if edge is None else abs(edge.displacement - expected.displacement)
+            if edge is not None and away_px < AGREEMENT_PX + _DRIFT * gone[earlier]:
                 edges.append(edge)
             if len(edges) == EDGES_PER_NODE:
                 break
@@ -289,31 +250,28 @@ class PoseGraph:
 
     def _recognised(self, number: int) -> list[Edge]:
         """Return edges that join this node's segment with others in which its place is recognised."""
-        groups = self._group[: len(self.nodes)]
-        others = np.flatnonzero((groups != groups[number]) & self._landmark[: len(groups)])
-        if not len(others):
-            return []
-        view, angle = self._view(number), self._orientation(number)
-        assert view is not None
-        thumbnail = self._index.thumbnail(view, self.places[number]._replace(angle=angle))
-        frames = {self.nodes[k].frame: k for k in others.tolist()}
+        groups = self._places["segment"]
+        others = {k: thumbnail for k, thumbnail in self._thumbnails.items() if groups[k] != groups[number]}
         edges: list[Edge] = []
-        for candidate in self._index.candidates(thumbnail, list(frames), MAX_CANDIDATES):
-            other = frames[candidate.frame]
-            if groups[other] == groups[number]:
-                continue
-            row, col = turned_by(-angle) @ candidate.displacement
-            turn = angle - self._orientation(other)
-            edge = self._register(other, number, Displacement(float(row), float(col)), turn, anywhere=True)
-            if edge is not None:
-                edges += self._joined(edge)
+        if others:
+            angle, thumbnail = self._orientation(number), self._thumbnail(number)
+            for other, _, displacement in self._recognition.candidates(thumbnail, others, MAX_CANDIDATES):
+                if groups[other] != groups[number]:
+                    turn = angle - self._orientation(other)
+                    expected = Edge(other, number, rect(1, -angle) * displacement, np.zeros((2, 2)), turn)
+                    edge = self._register(expected, anywhere=True)
+                    edges += [] if edge is None else self._joined(edge)
         return edges
 
     def _joined(self, edge: Edge) -> list[Edge]:
         """Return the edges that join two segments once one is sure or two without a common node agree, else none."""
-        first, second = sorted((int(self._group[edge.earlier]), int(self._group[edge.later])))
-        pairs = self._bridges.setdefault((first, second), [])
-        agreed = [pair for pair in pairs if agree(pair, edge, self.places)]
+        pose = self.place(edge.later)
+        pairs = self._bridges.setdefault(frozenset(self._places["segment"][[edge.earlier, edge.later]].tolist()), [])
+        seen, agreed = self._between_segments(edge, pose.segment).of(pose), []
+        for pair in pairs:
+            expected = self._between_segments(pair, pose.segment).of(pose)
+            if abs(seen.at - expected.at) < AGREEMENT_PX and abs(seen.angle - expected.angle) < _AGREEMENT_RAD:
+                agreed.append(pair)
         pairs.append(edge)
         disjoint = any({pair.earlier, pair.later}.isdisjoint({edge.earlier, edge.later}) for pair in agreed)
         if not disjoint and not edge.sure:
@@ -321,73 +279,77 @@ class PoseGraph:
         self._join(edge)
         return [*agreed, edge]
 
-    def _register(
-        self, earlier: int, later: int, expected: Displacement, turn: float, *, anywhere: bool = False
-    ) -> Edge | None:
-        a, b = self._view(earlier), self._view(later)
+    def _between_segments(self, edge: Edge, segment: int) -> Correction:
+        """Return the correction that takes one of the two segments of an edge, given by its number, into the other."""
+        here = self.place(edge.later)
+        there = edge.from_pose(self.place(edge.earlier), here)
+        return Correction.between(here, there) if here.segment == segment else Correction.between(there, here)
+
+    def _register(self, expected: Edge, *, anywhere: bool = False) -> Edge | None:
+        """Register the nodes of an expected edge; None where one is no longer kept or they cannot be registered."""
+        ends = expected.earlier, expected.later
+        a, b = (self._view(number) for number in ends)
         if a is None or b is None:
             return None
-        pair, poses = (earlier, later), (self.places[earlier], self.places[later])
-        return self._registration.register(pair, poses, (a, b), expected, turn, self._model, anywhere=anywhere)
+        poses = self.place(ends[0]), self.place(ends[1])
+        return self._registration.register(expected, poses, (a, b), self._model, anywhere=anywhere)
 
     def _extend(self, edges: list[Edge]) -> None:
         self._loops += edges
         self.closed += len(edges)
-        self._unsolved |= {self.places[edge.earlier].segment for edge in edges}
+        self.unsolved |= bool(edges)
 
     # segments
 
     def _mark(self, number: int, spacing_px: float) -> None:
-        """Add the thumbnail of a node to the index if its segment has none within a distance."""
-        own = self._landmark[:number] & (self._group[:number] == self._group[number])
-        near = np.hypot(*(self._where[:number, :2][own] - self._where[number, :2]).T) < spacing_px
-        view, place = self._view(number), self.places[number]
-        if view is None or near.any() or self._landmark[number]:
-            return
-        thumbnail = self._index.thumbnail(view, place._replace(angle=self._orientation(number)))
-        self._index.add(self.nodes[number].frame, thumbnail)
-        self._landmark[number] = True
+        """Keep the thumbnail of a node if its segment has none within a distance."""
+        marked, here = self._places[list(self._thumbnails)], self._places[number]
+        near = (marked["segment"] == here["segment"]) & (abs(marked["at"] - here["at"]) < spacing_px)
+        if self._view(number) is not None and number not in self._thumbnails and not near.any():
+            self._thumbnails[number] = self._thumbnail(number)
+
+    def _thumbnail(self, number: int) -> Thumbnail:
+        view = self._view(number)
+        assert view is not None
+        return self._recognition.thumbnail(view, self.nodes[number].pose.velocity, self._orientation(number))
 
     def _orientation(self, number: int) -> float:
         """Return the angle of a node, radians, as if the probe had not turned between segments."""
-        return self.places[number].angle + self._heading.get(self.places[number].segment, 0.0)
+        segment, _, angle, _ = self._places[number].item()
+        return float(angle + self._heading.get(segment, 0.0))
 
     def _join(self, edge: Edge) -> None:
         """Move the later one of two segments into the earlier one."""
-        group = max(int(self._group[edge.earlier]), int(self._group[edge.later]))
-        moved = joining(edge, self.places, group)
-        members = np.flatnonzero(self._group[: len(self.nodes)] == group)
-        self._group[members] = moved.segment
-        for number in members.tolist():
-            self.places[number] = moved.of(self.places[number])
-            self._where[number, :2] = self.places[number].row, self.places[number].col
+        places = self._places
+        into, group = sorted(places["segment"][[edge.earlier, edge.later]].tolist())
+        moved, members = self._between_segments(edge, group), places["segment"] == group
+        places["segment"][members] = into
+        places["at"][members] = rect(1, moved.angle) * places["at"][members] + moved.shift
+        places["angle"][members] += moved.angle
         self._bridges = {pair: edges for pair, edges in self._bridges.items() if group not in pair}
-        self._unsolved = (self._unsolved - {group}) | {moved.segment}
 
     # rotation
 
-    def _register_turns(self, limit: int | None = None) -> bool:
+    def _register_turns(self, limit: int | None = None) -> None:
         """Estimate the angles of edges from before the rotation was modelled, the newest first."""
-        if self._model is MotionModel.TRANSLATION or not self._turns_unknown:
-            return False
-        count = 0
-        for edges in (self._chain, self._loops):
-            for k in reversed(range(len(edges))):
-                if count == limit:
-                    return True
-                if edges[k].turn_sigma >= UNKNOWN_TURN:
-                    edges[k] = self._turned(edges[k])
-                    self._unsolved.add(self.places[edges[k].earlier].segment)
-                    count += 1
-        self._turns_unknown = False
-        return count > 0
+        if self._model is MotionModel.TRANSLATION:
+            return
+        unknown = (
+            (edges, k)
+            for edges in (self._chain, self._loops)
+            for k in reversed(range(len(edges)))
+            if edges[k].turn_sigma >= UNKNOWN_TURN
+        )
+        for edges, k in islice(unknown, limit):
+            edges[k] = self._turned(edges[k])
+            self.unsolved = True
 
     def _turned(self, edge: Edge) -> Edge:
         """Return an edge registered once more with its angle, or with that of its nodes."""
-        turn, there = self.places[edge.later].angle - self.places[edge.earlier].angle, Displacement(*edge.displacement)
-        found = self._register(edge.earlier, edge.later, there, turn)
+        expected = edge._replace(turn=self.place(edge.later).angle - self.place(edge.earlier).angle)
+        found = self._register(expected)
         if found is not None and found.turn_sigma < UNKNOWN_TURN:
-            limit_px = AGREEMENT_PX + abs(found.turn) * np.hypot(*there)
-            if np.hypot(*np.subtract(found.displacement, there)) < limit_px:
+            limit_px = AGREEMENT_PX + abs(found.turn) * abs(edge.displacement)
+            if abs(found.displacement - edge.displacement) < limit_px:
                 return found
-        return edge._replace(turn=turn, turn_sigma=_GUESSED_TURN_SIGMA)
+        return expected._replace(turn_sigma=_GUESSED_TURN_SIGMA)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
+    from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
 
 KEY_SPACING: Final = 0.25
 """Path between two nodes, bundle diameters; chosen: neighbours share 0.7 of the field."""
@@ -64,12 +65,12 @@ class KeyframeSelector:
         self._shutter = grid.shutter
         self._stretch = LINK_STRETCH_PX / grid.shutter.line_periods_per_frame
         self._before: tuple[int, Pose] | None = None
-        self._newest: tuple[int, int, PairRegistration] | None = None
-        self._node: tuple[int, int, PairRegistration] | None = None
+        self._newest: TrackedPair | None = None
+        self._node: TrackedPair | None = None
         self._gone = 0.0
         self._since: list[PairRegistration] = []
 
-    def add(self, frame: int, pose: Pose, link: tuple[int, int, PairRegistration] | None) -> list[Node]:
+    def add(self, frame: int, pose: Pose, link: TrackedPair | None) -> list[Node]:
         """Return the nodes that a tracked frame adds: none, itself, or with it the first frame of its segment.
 
         Parameters
@@ -78,8 +79,8 @@ class KeyframeSelector:
             Its number.
         pose : Pose
             As tracked.
-        link : tuple, optional
-            Earlier and later frame by the tracker's count, and their registration, of which the pose follows.
+        link : TrackedPair, optional
+            Registration of which the pose follows, frames by the tracker's count.
         """
         known, self._before = self._before, (frame, pose)
         if known is None or known[1].segment != pose.segment:
@@ -87,34 +88,33 @@ class KeyframeSelector:
             self._gone, self._since = 0.0, []
             # the velocity of a first frame without a registration follows from the next one
             return [] if isnan(pose.score) else [Node(frame, pose, 0.0, np.eye(2), 1.0)]
-        nodes, before = [], known[1]
-        self._gone += hypot(pose.row - before.row, pose.col - before.col)
+        nodes, before, newest = [], known[1], self._newest
+        self._gone += abs(pose.at - before.at)
         if link is not None and isnan(before.score):
-            velocity, _ = self._shutter.velocities(link[2].warp)
+            velocity, _ = self._shutter.velocities(link.registration.warp)
             nodes.append(Node(known[0], before._replace(velocity=velocity), 0.0, np.eye(2), 1.0))
-        newest, self._newest = self._newest, link
-        if link is not None and newest is not None and link[0] != newest[0]:
-            self._since.append(newest[2])  # frames are registered to a newer one now, which was registered by that
-        begins_to_turn = link is not None and newest is not None and link[2].turn_sigma < newest[2].turn_sigma == inf
+        self._newest, begins_to_turn = link, False
+        if link is not None and newest is not None:
+            if link.earlier != newest.earlier:  # frames are registered to a newer one now, which was registered by that
+                self._since.append(newest.registration)
+            begins_to_turn = link.registration.turn_sigma < newest.registration.turn_sigma == inf
         if self._gone < self._spacing_px and not begins_to_turn:
             return nodes
         node = Node(frame, pose, self._gone, *self._spread())
         if begins_to_turn and link is not None:  # the angle that was added is not what the probe turned by since
-            turn = link[2].turn * (frame - known[0]) / (link[1] - link[0])
+            turn = link.registration.turn * (frame - known[0]) / (link.later - link.earlier)
             node = node._replace(turn_sigma=1.0, upright=(*known, turn))
         self._node, self._gone, self._since = link, 0.0, []
         return [*nodes, node]
 
     def _spread(self) -> tuple[NDArray[np.float64], float]:
         """Return the covariance of the newest frame's displacement from the node before, and its angle's deviation."""
-        links = [] if self._newest is None else [*self._since, self._newest[2]]
-        if self._node is not None and links:
-            if links[0] is not self._node[2]:  # both are registered to the same frame
-                links.append(self._node[2])
-            elif len(links) > 1:
-                links = links[1:]
+        links = [] if self._newest is None else [*self._since, self._newest.registration]
         if not links:
             return np.eye(2), 1.0
+        if self._node is not None:  # both are registered to the same frame, or the later one to the node
+            node = self._node.registration
+            links = [*links, node] if links[0] is not node else links[1:] or links
         covariance = np.sum([edge_covariance(link, self._stretch) for link in links], axis=0)
         covariance += (_DRIFT * self._gone) ** 2 * np.eye(2)
         return covariance, min(1.0, hypot(*(link.turn_sigma for link in links)))

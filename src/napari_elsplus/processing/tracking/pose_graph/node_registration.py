@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from math import hypot, isfinite
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
-from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.motion.pose import Pose
-    from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
-    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
+    from napari_elsplus.processing.tracking.pose_graph.edge import Edge
+    from napari_elsplus.processing.tracking.registration.pair_registration import (
+        PairRegistration,
+        PreparedFrame,
+        Registrar,
+    )
 
 LINK_STRETCH_PX: Final = 0.2
 """Standard deviation of the velocity of a later frame that a tracker's registration leaves, pixels per frame period."""
@@ -36,74 +40,77 @@ _FLOOR_PX: Final = 0.01
 """Standard deviation of a displacement that no registration undercuts, grid pixels: what the core pattern leaves."""
 
 
-class NodeRegistration(Protocol):
-    """Registers two nodes of the pose graph."""
+class NodeRegistration:
+    """Registers two nodes of the pose graph.
+
+    Parameters
+    ----------
+    registrar : Registrar
+        Registers two frames; of this thread's own.
+
+    Attributes
+    ----------
+    sure_odds_nats : float
+        Odds from which one edge joins segments; below it two edges without a common node must agree.
+    """
+
+    sure_odds_nats = SURE_ODDS_NATS
+
+    def __init__(self, registrar: Registrar) -> None:
+        self.grid, self._registrar = registrar.grid, registrar
+        self._scratch = registrar.view()
 
     def register(
-        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: tuple[Any, Any], expected: Displacement,
-        turn: float, model: MotionModel, *, anywhere: bool,
+        self, expected: Edge, poses: tuple[Pose, Pose], views: tuple[PreparedFrame, PreparedFrame], model: MotionModel,
+        *, anywhere: bool,
     ) -> Edge | None:  # fmt: skip
         """Register two nodes; None where the frames do not determine their displacement.
 
         Parameters
         ----------
-        numbers : tuple of int
-            Earlier and later node.
+        expected : Edge
+            Between the two, of which displacement and turn are used.
         poses : tuple of Pose
             Theirs, of which velocities and scores are used.
         views : tuple of PreparedFrame
             Their frames.
-        expected : Displacement
-            Of the later node from the earlier one, in the later one's orientation.
-        turn : float
-            Expected angle of the later one less that of the earlier one, radians.
         model : MotionModel
             Model beside translations.
         anywhere : bool
             True to search over all shifts, for nodes of different segments.
         """
-
-
-class FrameRegistration:
-    """Registers nodes that are frames of the probe; implements :class:`NodeRegistration`.
-
-    Parameters
-    ----------
-    registrar : Registrar
-        Registers two views; of this thread's own.
-    """
-
-    def __init__(self, registrar: Registrar) -> None:
-        self._registrar = registrar
-        self._shutter = registrar.grid.shutter
-        self._scratch = registrar.view()
-
-    def register(
-        self, numbers: tuple[int, int], poses: tuple[Pose, Pose], views: tuple[Any, Any], expected: Displacement,
-        turn: float, model: MotionModel, *, anywhere: bool,
-    ) -> Edge | None:  # fmt: skip
-        """Register two nodes about an expected displacement or over all shifts: :meth:`NodeRegistration.register`."""
+        registrar, shutter = self._registrar, self.grid.shutter
+        there = Displacement(expected.displacement.real, expected.displacement.imag)
         velocities, reach_px = (poses[0].velocity, poses[1].velocity), _SEARCHED_PX if anywhere else None
-        motion = MotionPrior.between(velocities, expected, _VELOCITY_SIGMA, _SEARCHED_PX, self._shutter)
+        motion = MotionPrior.between(velocities, there, _VELOCITY_SIGMA, _SEARCHED_PX, shutter)
         link: PairRegistration | None
         if model is not MotionModel.TRANSLATION:
-            link = self._registrar.turned_link(*views, motion, turn, self._scratch, reach_px)
-        elif reach_px is None:
-            link = self._registrar.link(*views, motion)
+            link = registrar.turned_link(*views, motion, expected.turn, self._scratch, reach_px)
+        elif anywhere or not registrar.registers_warps:
+            link = registrar.search(*views, motion, _SEARCHED_PX)
         else:
-            link = self._registrar.search(*views, motion, reach_px)
-        if link is None or not link.observed or (anywhere and not _joins(link, poses)):
+            link = registrar.link(*views, motion)
+        if link is None or not link.observed or (anywhere and not self.joins(link, poses, expected)):
             return None
-        moved = self._shutter.displacement(link.warp, poses[1].velocity)
-        covariance = edge_covariance(link, _VELOCITY_SIGMA / self._shutter.line_periods_per_frame)
-        sure = link.odds > SURE_ODDS_NATS
-        return Edge(*numbers, (moved.row, moved.col), covariance, link.turn, link.turn_sigma, sure)
+        moved = shutter.displacement(link.warp, poses[1].velocity)
+        return expected._replace(
+            displacement=complex(*moved), turn=link.turn, turn_sigma=link.turn_sigma,
+            covariance=edge_covariance(link, _VELOCITY_SIGMA / shutter.line_periods_per_frame),
+            sure=link.odds > self.sure_odds_nats,
+        )  # fmt: skip
 
+    def joins(self, link: PairRegistration, poses: tuple[Pose, Pose], expected: Edge) -> bool:
+        """Return True if frames of two segments overlap enough, and correlate about as well as successive ones.
 
-def _joins(link: PairRegistration, poses: tuple[Pose, Pose]) -> bool:
-    """Return True if frames of two segments overlap enough, and correlate about as well as successive ones."""
-    lowest = min((pose.score for pose in poses if isfinite(pose.score)), default=0.0)
-    return link.overlap >= MIN_JOIN_OVERLAP and not link.correlation < lowest - FALL_OF_CORRELATION
+        Parameters
+        ----------
+        link : PairRegistration
+            Of the two.
+        poses, expected
+            As of :meth:`register`.
+        """
+        lowest = min((pose.score for pose in poses if isfinite(pose.score)), default=0.0)
+        return link.overlap >= MIN_JOIN_OVERLAP and not link.correlation < lowest - FALL_OF_CORRELATION
 
 
 def edge_covariance(link: PairRegistration, stretch_sigma: float) -> NDArray[np.float64]:

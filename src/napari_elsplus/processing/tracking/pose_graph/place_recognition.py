@@ -15,16 +15,16 @@ import numpy as np
 from scipy import fft
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
+from napari_elsplus.processing.tracking.registration.masked_correlation import high_passed
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared, upright
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
-    from napari_elsplus.processing.tracking.motion.pose import Pose
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
     from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame
 
 CELL_PX: Final = 8
@@ -64,25 +64,25 @@ class Thumbnail(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A frame that probably shows the same place.
+    """A node that probably shows the same place.
 
     Parameters
     ----------
-    frame : int
+    node : int
         Its number.
     odds : float
         Log odds of the best shift against unrelated frames at all shifts, nats.
-    displacement : Displacement
-        Of the other frame from this one, upright, grid pixels; known to about one cell.
+    displacement : complex
+        Of the other node from this one, upright, row + i col, grid pixels; known to about one cell.
     """
 
-    frame: int
+    node: int
     odds: float
-    displacement: Displacement
+    displacement: complex
 
 
-class PlaceIndex:
-    """Thumbnails by the numbers of their frames; used by one thread.
+class PlaceRecognition:
+    """Makes thumbnails and compares them over all shifts.
 
     Parameters
     ----------
@@ -100,83 +100,61 @@ class PlaceIndex:
         self._shifts = np.arange(-reach, reach + 1)
         self._mask_spectrum = self._transform(self._mask)
         overlap = np.maximum(self._at_shifts(np.conj(self._mask_spectrum) * self._mask_spectrum), 1.0)
-        self._values = np.where(overlap > MIN_OVERLAP * self._mask.sum(), overlap / _CELLS_PER_VALUE, 0).astype(
-            np.float32
-        )
-        self._weight = np.maximum(cv2.GaussianBlur(self._mask, (0, 0), _HIGH_PASS_CELLS), 1e-3)
+        searched = overlap > MIN_OVERLAP * self._mask.sum()
+        self._values = np.where(searched, overlap / _CELLS_PER_VALUE, 0).astype(np.float32)
         self._upright = np.zeros((grid.side >> _LEVEL,) * 2, np.float32)
-        self._rows: dict[int, int] = {}
-        self._spectra = np.zeros((0, self._size, self._size // 2 + 1), np.complex64)
-        self._norms = np.zeros((0, len(self._shifts), len(self._shifts)), np.float32)
 
-    def thumbnail(self, view: PreparedFrame, pose: Pose) -> Thumbnail:
+    def thumbnail(self, view: PreparedFrame, velocity: Velocity, angle: float) -> Thumbnail:
         """Return the thumbnail of a frame.
 
         Parameters
         ----------
         view : PreparedFrame
             The frame.
-        pose : Pose
-            Its velocity and angle.
+        velocity : Velocity
+            Of the probe while it was read.
+        angle : float
+            Of the probe, radians.
         """
-        matrix = turned_by(pose.angle) @ unsheared(pose.velocity, self._grid.shutter.line_periods_per_frame)
+        matrix = turned_by(angle) @ unsheared(velocity, self._grid.shutter.line_periods_per_frame)
         px = 2**_LEVEL
         row, col = ((c - (px - 1) / 2) / px for c in self._grid.centre)
         image = upright(view.levels[_LEVEL], self._upright, (row, col), matrix)
         used = self._cells * (CELL_PX >> _LEVEL)
         cells = cv2.resize(image[:used, :used], (self._cells, self._cells), interpolation=cv2.INTER_AREA)
-        smooth = cv2.GaussianBlur(cells * self._mask, (0, 0), _HIGH_PASS_CELLS) / self._weight
-        cells = (cells - smooth) * self._mask
+        cells = high_passed(cells, self._mask, _HIGH_PASS_CELLS)
         square, mask = self._transform(cells * cells), self._mask_spectrum
         energy = self._at_shifts(np.stack([np.conj(square) * mask, np.conj(mask) * square]))
         floor = _MIN_ENERGY * max(float((cells * cells).sum()), _MIN_ENERGY)
         return Thumbnail(self._transform(cells), *(1 / np.sqrt(np.maximum(energy, floor))))
 
-    def add(self, frame: int, thumbnail: Thumbnail) -> None:
-        """Add the thumbnail of a frame."""
-        count = len(self._rows)
-        if count == len(self._spectra):
-            more = max(_BATCH, count)
-            self._spectra = np.concatenate([self._spectra, np.zeros((more, *thumbnail.spectrum.shape), np.complex64)])
-            self._norms = np.concatenate([self._norms, np.zeros((more, *thumbnail.as_earlier.shape), np.float32)])
-        self._rows[frame] = count
-        self._spectra[count], self._norms[count] = thumbnail.spectrum, thumbnail.as_earlier
-
-    def retain(self, frames: Container[int]) -> None:
-        """Remove the thumbnails of all but some frames."""
-        left = [(frame, row) for frame, row in self._rows.items() if frame in frames]
-        rows = [row for _, row in left]
-        self._spectra, self._norms = self._spectra[rows], self._norms[rows]
-        self._rows = {frame: row for row, (frame, _) in enumerate(left)}
-
-    def candidates(self, thumbnail: Thumbnail, frames: Sequence[int], limit: int) -> list[Candidate]:
-        """Return the frames that probably show the place of a thumbnail, the most probable first.
+    def candidates(self, thumbnail: Thumbnail, others: Mapping[int, Thumbnail], limit: int) -> list[Candidate]:
+        """Return the nodes that probably show the place of a thumbnail, the most probable first.
 
         Parameters
         ----------
         thumbnail : Thumbnail
-            Of the later frame.
-        frames : sequence of int
-            Numbers of the frames in the index to compare it with.
+            Of the later node.
+        others : mapping of int to Thumbnail
+            Those of the nodes to compare it with.
         limit : int
             Largest number of candidates.
         """
-        rows = np.array([self._rows[frame] for frame in frames], np.int64)
-        best, at = np.empty(len(rows), np.float32), np.empty(len(rows), np.int64)
-        for begin in range(0, len(rows), _BATCH):
-            some = slice(begin, begin + _BATCH)
-            alike = self._at_shifts(np.conj(self._spectra[rows[some]]) * thumbnail.spectrum)
-            alike *= self._norms[rows[some]] * thumbnail.as_later
+        nodes = list(others)
+        found: list[tuple[float, int]] = []
+        for begin in range(0, len(nodes), _BATCH):
+            some = [others[node] for node in nodes[begin : begin + _BATCH]]
+            alike = self._at_shifts(np.conj([other.spectrum for other in some]) * thumbnail.spectrum)
+            alike *= np.array([other.as_earlier for other in some]) * thumbnail.as_later
             np.clip(alike, 0.0, _MAX_CORRELATION, out=alike)
-            likelihood = (-0.5 * self._values * np.log1p(-alike * alike)).reshape(len(alike), -1)
-            best[some], at[some] = likelihood.max(axis=1), likelihood.argmax(axis=1)
-        odds = best - np.log(np.count_nonzero(self._values)) - np.log(max(len(rows), 1))
-        found = []
-        for k in np.argsort(-odds)[:limit].tolist():
-            if odds[k] > 0:
-                down, across = (int(self._shifts[v]) for v in divmod(int(at[k]), len(self._shifts)))
-                found.append(Candidate(frames[k], float(odds[k]), Displacement(-CELL_PX * down, -CELL_PX * across)))
-        return found
+            likelihood = (-0.5 * self._values * np.log1p(-alike * alike)).reshape(len(some), -1)
+            found += zip(likelihood.max(axis=1).tolist(), likelihood.argmax(axis=1).tolist(), strict=True)
+        tried = np.log(np.count_nonzero(self._values)) + np.log(max(len(nodes), 1))
+        best = []
+        for k in sorted(range(len(nodes)), key=lambda k: -found[k][0])[:limit]:
+            down, across = (self._shifts[v].item() for v in divmod(found[k][1], len(self._shifts)))
+            best.append(Candidate(nodes[k], found[k][0] - tried, -CELL_PX * complex(down, across)))
+        return [candidate for candidate in best if candidate.odds > 0]
 
     def _transform(self, cells: NDArray[np.float32]) -> NDArray[np.complex64]:
         spectrum: NDArray[np.complex64] = fft.rfft2(cells, (self._size, self._size))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cmath import rect
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -9,27 +10,25 @@ import numpy as np
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction
+from napari_elsplus.processing.tracking.pose_graph.edge import Edge
 from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector
-from napari_elsplus.processing.tracking.pose_graph.least_squares import Edge, least_squares_positions, upright_edges
+from napari_elsplus.processing.tracking.pose_graph.least_squares import least_squares_positions
 from napari_elsplus.processing.tracking.pose_graph.node_registration import LINK_STRETCH_PX, edge_covariance
-from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
     from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
-    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
-
-    Links = Sequence[tuple[int, int, Displacement, PairRegistration]]
-    """Earlier and later frame, displacement in the later one's orientation, and registration."""
+    from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
 
 _SOLVED_AT: Final = 1.1
 """Factor by which the number of nodes grows between two solutions; chosen, so that their cost stays linear."""
 
 
 def refine(
-    poses: Sequence[Pose], links: Links, graph: PoseGraph, model: MotionModel = MotionModel.TRANSLATION
+    poses: Sequence[Pose], links: Sequence[TrackedPair], graph: PoseGraph, model: MotionModel = MotionModel.TRANSLATION
 ) -> list[Pose]:
     """Return the poses that the pose graph corrects once all nodes are in it: loops closed, segments joined.
 
@@ -37,7 +36,7 @@ def refine(
     ----------
     poses : sequence of Pose
         As tracked, one for every frame.
-    links : sequence of tuple
+    links : sequence of TrackedPair
         The tracker's registrations.
     graph : PoseGraph
         Empty.
@@ -51,13 +50,10 @@ def refine(
         frames are interpolated between tracked ones, and those after the last of a segment are lost.
     """
     settled = with_origins(settle(poses, links), links, graph.grid.shutter)
-    selector = KeyframeSelector(graph.grid)
-    registered = {later: (earlier, later, link) for earlier, later, _, link in links}
-    solved = 0
-    for k, pose in enumerate(settled):
-        if pose.state is not TrackingState.TRACKED:
-            continue
-        for node in selector.add(k, pose, registered.get(k)):
+    tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is TrackingState.TRACKED}
+    selector, registered, solved = KeyframeSelector(graph.grid), {link.later: link for link in links}, 0
+    for k in tracked:
+        for node in selector.add(k, settled[k], registered.get(k)):
             graph.add(node, model)
         if len(graph.nodes) > _SOLVED_AT * solved:
             graph.solve()
@@ -67,32 +63,14 @@ def refine(
     corrections = graph.corrections
     placed = from_origins([corrections.of(k, pose) for k, pose in enumerate(settled)])
     stretch = LINK_STRETCH_PX / graph.grid.shutter.line_periods_per_frame
-    tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is TrackingState.TRACKED}
     edges = [
-        Edge(a, b, (moved.row, moved.col), edge_covariance(link, stretch))
+        Edge(a, b, complex(*moved), edge_covariance(link, stretch))
         for a, b, moved, link in links
         if tracked.get(a, -1) == tracked.get(b, -2)
     ]
-    return interpolate(positioned(placed, [*edges, *graph.loops]))
-
-
-def positioned(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
-    """Return the poses at the positions that agree best with the displacements between frames.
-
-    Parameters
-    ----------
-    poses : sequence of Pose
-        From :func:`from_origins`; their angles stay.
-    edges : sequence of Edge
-        Between tracked frames of the same segment.
-    """
-    upright = upright_edges(edges, {k: pose.angle for k, pose in enumerate(poses)})
-    result = list(poses)
-    for first in {poses[edge.earlier].segment: edge.earlier for edge in reversed(edges)}.values():
-        own = [edge for edge in upright if poses[edge.earlier].segment == poses[first].segment]
-        for k, (row, col) in least_squares_positions(own, first).items():
-            result[k] = poses[k]._replace(row=row, col=col)
-    return result
+    at, angle = np.array([pose.at for pose in placed]), np.array([pose.angle for pose in placed])
+    at = least_squares_positions([*edges, *graph.loops], at, angle)
+    return interpolate([pose._replace(row=z.real, col=z.imag) for pose, z in zip(placed, at.tolist(), strict=True)])
 
 
 def from_origins(poses: Sequence[Pose]) -> list[Pose]:
@@ -103,12 +81,9 @@ def from_origins(poses: Sequence[Pose]) -> list[Pose]:
     poses : sequence of Pose
         One for every frame.
     """
-    firsts: dict[int, Pose] = {}
-    for pose in poses:
-        if pose.state is TrackingState.TRACKED:
-            firsts.setdefault(pose.segment, pose)
+    firsts = {pose.segment: pose for pose in reversed(poses) if pose.state is TrackingState.TRACKED}
     moves = {
-        segment: Correction.between(first, first._replace(segment=number, row=0.0, col=0.0, angle=0.0))
+        segment: Correction.between(first, first.placed(0.0, 0.0, number))
         for number, (segment, first) in enumerate(sorted(firsts.items()))
     }
     result, move = [], Correction(0)
@@ -118,7 +93,7 @@ def from_origins(poses: Sequence[Pose]) -> list[Pose]:
     return result
 
 
-def settle(poses: Sequence[Pose], links: Links) -> list[Pose]:
+def settle(poses: Sequence[Pose], links: Sequence[TrackedPair]) -> list[Pose]:
     """Return the poses with frames lost that no registration locates.
 
     These are predicted frames after the last tracked one of their segment, and a first frame to which none is
@@ -128,11 +103,11 @@ def settle(poses: Sequence[Pose], links: Links) -> list[Pose]:
     ----------
     poses : sequence of Pose
         One for every frame.
-    links : sequence of tuple
+    links : sequence of TrackedPair
         The tracker's registrations.
     """
     last = {pose.segment: k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED}
-    linked = {frame for earlier, later, *_ in links for frame in (earlier, later)}
+    linked = {frame for link in links for frame in (link.earlier, link.later)}
     return [
         pose.lost
         if (pose.state is TrackingState.PREDICTED and k > last.get(pose.segment, -1))
@@ -142,7 +117,7 @@ def settle(poses: Sequence[Pose], links: Links) -> list[Pose]:
     ]
 
 
-def with_origins(poses: Sequence[Pose], links: Links, shutter: RollingShutter) -> list[Pose]:
+def with_origins(poses: Sequence[Pose], links: Sequence[TrackedPair], shutter: RollingShutter) -> list[Pose]:
     """Return the poses with those of the frames from which segments started, derived from their first registration.
 
     While frames came their velocity and position were not known. One that is lost becomes the segment's first frame if
@@ -152,7 +127,7 @@ def with_origins(poses: Sequence[Pose], links: Links, shutter: RollingShutter) -
     ----------
     poses : sequence of Pose
         One for every frame.
-    links : sequence of tuple
+    links : sequence of TrackedPair
         The tracker's registrations.
     shutter : RollingShutter
         Timing of the rows.
@@ -165,10 +140,10 @@ def with_origins(poses: Sequence[Pose], links: Links, shutter: RollingShutter) -
         if later != earlier + 1 or after.state is not TrackingState.TRACKED:
             continue
         if begins or (first.state is TrackingState.LOST and alone):
-            before, _ = shutter.velocities(link.warp)
-            row, col = (after.row, after.col) - turned_by(after.angle) @ moved
-            angle, place = after.angle - link.turn, (after.segment, float(row), float(col))
-            result[earlier] = Pose(*place, before, np.nan, np.nan, TrackingState.TRACKED, angle)
+            at, angle = after.at - rect(1, after.angle) * complex(*moved), after.angle - link.turn
+            velocity, _ = shutter.velocities(link.warp)
+            first = first._replace(velocity=velocity, score=np.nan, sigma=np.nan, state=TrackingState.TRACKED)
+            result[earlier] = first.placed(at, angle, after.segment)
     return result
 
 
@@ -181,16 +156,13 @@ def interpolate(poses: Sequence[Pose]) -> list[Pose]:
         One for every frame; no predicted one is the first or the last of its segment.
     """
     result = list(poses)
-    known = np.array([k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED])
+    known = np.array([k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED], int)
+    at, angle = np.array([poses[k].at for k in known]), np.array([poses[k].angle for k in known])
+    velocity = np.diff(at) / np.diff(known)
     for k, pose in enumerate(poses):
-        if pose.state is not TrackingState.PREDICTED:
-            continue
-        n = int(np.searchsorted(known, k))
-        a, b = int(known[n - 1]), int(known[n])
-        part = (k - a) / (b - a)
-        row = poses[a].row + part * (poses[b].row - poses[a].row)
-        col = poses[a].col + part * (poses[b].col - poses[a].col)
-        velocity = Velocity((poses[b].row - poses[a].row) / (b - a), (poses[b].col - poses[a].col) / (b - a))
-        angle = poses[a].angle + part * (poses[b].angle - poses[a].angle)
-        result[k] = pose._replace(row=row, col=col, velocity=velocity, angle=angle)
+        if pose.state is TrackingState.PREDICTED:
+            v = velocity[np.searchsorted(known, k) - 1].item()
+            moving = pose._replace(velocity=Velocity(v.real, v.imag))
+            there, turned = np.interp(k, known, at), np.interp(k, known, angle)
+            result[k] = moving.placed(complex(there), float(turned), pose.segment)
     return result

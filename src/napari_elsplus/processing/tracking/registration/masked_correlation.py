@@ -1,5 +1,7 @@
 """Zero-mean normalised correlation of two images under a mask, at every shift at once, by Fourier transform.
 
+Of raw frames it finds the most likely shifts, which are then registered; of finished images it gives the odds of one.
+
 References
 ----------
 Padfield, IEEE Trans. Image Process. 21, 2706 (2012), doi:10.1109/TIP.2011.2181402.
@@ -7,13 +9,29 @@ Padfield, IEEE Trans. Image Process. 21, 2706 (2012), doi:10.1109/TIP.2011.21814
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
 import numpy as np
 
+from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
+
 if TYPE_CHECKING:
+    from typing import Any, TypeVar
+
     from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+
+    Distance = TypeVar("Distance", float, NDArray[np.floating[Any]])
+
+CANDIDATES: Final = 6
+"""Shifts that are registered after a search, the most likely ones; chosen."""
+_HIGH_PASS_CELLS: Final = 4.0
+"""Standard deviation of the high-pass of raw frames before a search, cells of quarter resolution; chosen."""
+_NATS_PER_CELL: Final = 0.05
+"""Weight of a cell of quarter resolution: its part of an independent value, over two."""
+_MAX_CORRELATION: Final = 0.999
 
 
 class CoarseImage(NamedTuple):
@@ -44,8 +62,6 @@ class MaskedCorrelation:
         (n, n) float32, 1 where images are compared, 0 elsewhere.
     min_overlap : float
         Smallest overlap that is searched, as a fraction of the mask.
-    high_pass_px : float
-        Standard deviation of the Gaussian of :meth:`high_passed`, pixels.
 
     Attributes
     ----------
@@ -57,21 +73,14 @@ class MaskedCorrelation:
         (size,) shift at each index, pixels.
     """
 
-    def __init__(self, mask: NDArray[np.float32], min_overlap: float, high_pass_px: float) -> None:
-        self._mask, self._high_pass_px = mask, high_pass_px
-        self._weight = np.maximum(cv2.GaussianBlur(mask, (0, 0), high_pass_px), np.float32(1e-3))
+    def __init__(self, mask: NDArray[np.float32], min_overlap: float = 0.0) -> None:
+        self._mask = mask
         self._size = cv2.getOptimalDFTSize(2 * len(mask))
         self.mask_spectrum = self.spectrum(mask)
         self.overlap = np.maximum(self.correlate(self.mask_spectrum, self.mask_spectrum), np.float32(1e-3))
         self.searched = self.overlap > min_overlap * self.overlap[0, 0]
         self.lags = np.fft.fftfreq(self._size, 1 / self._size)
         self._root_cells: NDArray[np.float32] = np.sqrt(np.maximum(self.overlap, 1.0))
-
-    def high_passed(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return an image (n, n) within the mask, less its mean about each pixel, weighted by a Gaussian."""
-        inside = image * self._mask
-        inside -= self._mask * cv2.GaussianBlur(inside, (0, 0), self._high_pass_px) / self._weight
-        return inside
 
     def prepare(self, inside: NDArray[np.float32]) -> CoarseImage:
         """Return what :meth:`coefficients` needs of an image (n, n) that is zero outside of the mask."""
@@ -112,6 +121,76 @@ class MaskedCorrelation:
         return np.asarray(cv2.idft(product, dst=product, flags=cv2.DFT_REAL_OUTPUT | cv2.DFT_SCALE), np.float32)
 
 
+def high_passed(image: NDArray[np.float32], mask: NDArray[np.float32], px: float) -> NDArray[np.float32]:
+    """Return an image within a mask, less its mean about each pixel, weighted by a Gaussian.
+
+    Parameters
+    ----------
+    image, mask : numpy.ndarray
+        (n, n) float32; the mask is 0 or 1.
+    px : float
+        Standard deviation of the Gaussian, pixels.
+    """
+    inside, share = image * mask, np.maximum(cv2.GaussianBlur(mask, (0, 0), px), np.float32(1e-3))
+    result: NDArray[np.float32] = inside - mask * cv2.GaussianBlur(inside, (0, 0), px) / share
+    return result
+
+
 def opposite(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return values at the opposite shifts: the earlier image is shifted by these against the later one."""
     return np.roll(values[::-1, ::-1], 1, axis=(0, 1))
+
+
+class ShiftSearch(MaskedCorrelation):
+    """Finds the few most likely shifts between two discs by their correlation and a heavy-tailed prior.
+
+    Parameters
+    ----------
+    first, last : numpy.ndarray
+        (n,) int32: lit columns of each row of the coarse images.
+    scale : float
+        Pixels of full resolution per coarse one.
+    """
+
+    def __init__(self, first: NDArray[np.int32], last: NDArray[np.int32], scale: float) -> None:
+        super().__init__(lit_pixels(first, last).astype(np.float32))
+        self._shifts = (self.lags * scale).astype(np.float32)
+
+    def of_frame(self, image: NDArray[np.float32]) -> CoarseImage:
+        """Return what the search needs of a coarse image (n, n)."""
+        return self.prepare(high_passed(image, self._mask, _HIGH_PASS_CELLS))
+
+    def peaks(self, earlier: CoarseImage, later: CoarseImage, expected: Warp, reach_px: float) -> NDArray[np.float32]:
+        """Return the most likely shifts (b, d), in pixels of full resolution, best first.
+
+        Parameters
+        ----------
+        earlier, later : CoarseImage
+            Both frames, prepared.
+        expected : Warp
+            Centre of a heavy-tailed prior.
+        reach_px : float
+            Scale of that prior in pixels of full resolution.
+        """
+        alike = np.clip(self.coefficients(earlier, later), 0.0, _MAX_CORRELATION)
+        before = prior(self._shifts[:, None] - expected.b, self._shifts - expected.d, reach_px)
+        score = before - _NATS_PER_CELL * self.overlap * np.log(1 - alike * alike)
+        np.copyto(score, -np.inf, where=alike == 0)
+        around = cv2.dilate(cv2.copyMakeBorder(score, 1, 1, 1, 1, cv2.BORDER_WRAP), None)[1:-1, 1:-1]
+        highest = np.flatnonzero((score == around) & (alike > 0))
+        best = highest[np.argsort(-score.ravel()[highest])[:CANDIDATES]]
+        return self._shifts[np.stack(np.unravel_index(best, score.shape), axis=1)]
+
+
+def prior(rows: Distance, cols: Distance, reach_px: float) -> Distance:
+    """Return the log-probability of a shift that misses what was expected by so much, nats; hands jerk: heavy tails.
+
+    Parameters
+    ----------
+    rows, cols : float or numpy.ndarray
+        Distance of the shift from the predicted one, pixels.
+    reach_px : float
+        Scale of the prior, pixels.
+    """
+    log_probability: Distance = -1.5 * np.log(1 + (rows * rows + cols * cols) / (reach_px * reach_px))
+    return log_probability

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, hypot, inf, log, nan
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from napari_elsplus.processing.tracking.front_end.grid import FIELD, overlap_of_
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
+from napari_elsplus.processing.tracking.registration.masked_correlation import ShiftSearch, prior
 from napari_elsplus.processing.tracking.registration.odds import (
     COMPETITORS_PX,
     CORRELATED_PX,
@@ -25,7 +26,6 @@ from napari_elsplus.processing.tracking.registration.odds import (
 )
 from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, fill_levels
 from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, descend, register
-from napari_elsplus.processing.tracking.registration.shift_search import ShiftSearch, prior
 from napari_elsplus.processing.tracking.registration.uneven_motion import EXACT_PX, align_unevenly
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
-    from napari_elsplus.processing.tracking.registration.masked_correlation import CoarseImage
 
 MIN_ODDS_NATS: Final = 10.0
 """Log posterior odds from which a registration is accepted; chosen on 14 recordings a row of
@@ -58,13 +57,13 @@ _SMALL_TURN: Final = 0.004
 
 @dataclass(slots=True)
 class PreparedFrame:
-    """A tracking image with its pyramid, and its spectra once needed.
+    """A tracking image with its pyramid, and, once needed, what a search over all shifts needs of it.
 
     The arrays belong to the frame and are filled again and again, by :meth:`Registrar.prepare` or when first needed.
     """
 
     arrays: Levels
-    coarse: CoarseImage | None = None
+    coarse: Any = None
 
     @property
     def image(self) -> NDArray[np.float32]:
@@ -164,9 +163,12 @@ class Registrar:
         Correlation below the recent mean from which it does not.
     rigid_correlation : float
         Recent mean of the correlation below which each frame is registered to the one before, not to a keyframe.
+    registers_warps : bool
+        True if the whole warp is registered, from the expected one by :meth:`link` where possible, with rotation and
+        uneven motion within the frames; False if the shift alone is, by :meth:`search`.
     """
 
-    max_sigma_px, fall_of_correlation, rigid_correlation = MAX_SIGMA_PX, FALL_OF_CORRELATION, 0.0
+    max_sigma_px, fall_of_correlation, rigid_correlation, registers_warps = MAX_SIGMA_PX, FALL_OF_CORRELATION, 0.0, True
 
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
@@ -239,10 +241,12 @@ class Registrar:
         """
         for view in (earlier, later):
             fill_levels(view.arrays, self._tools.pyramid)
+            if view.coarse is None:
+                view.coarse = self._everywhere.of_frame(view.levels[-1])
         found: list[tuple[float, Warp]] = []
         expected, terms, tools, scratch = motion.warp, motion.terms, self._tools, np.empty((4, 4))
         half = np.empty(4)
-        for b, d in self._everywhere.peaks(self._coarse(earlier), self._coarse(later), expected, reach_px).tolist():
+        for b, d in self._everywhere.peaks(earlier.coarse, later.coarse, expected, reach_px).tolist():
             warp = np.array(motion.at(b, d))
             correlation, _, _ = descend(
                 earlier.levels, later.levels, 1, 1, np.array(expected), terms, warp, scratch, tools
@@ -393,8 +397,3 @@ class Registrar:
         return FramePair(
             earlier.levels[1], later.levels[1], *(self._lit if rim else self._turning), self.grid.middle(1)
         )
-
-    def _coarse(self, view: PreparedFrame) -> CoarseImage:
-        if view.coarse is None:
-            view.coarse = self._everywhere.prepare(view.levels[-1])
-        return view.coarse

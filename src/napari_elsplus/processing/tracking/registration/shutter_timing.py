@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
-    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
+    from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
 
 _ROUNDS: Final = 6
 _TRUSTED: Final = 0.03
@@ -35,15 +34,14 @@ class LinePeriodsPerFrame(NamedTuple):
 
 
 def estimate_line_periods_per_frame(
-    links: Sequence[tuple[int, int, Displacement, PairRegistration]], assumed: RollingShutter
+    links: Sequence[TrackedPair], assumed: RollingShutter
 ) -> LinePeriodsPerFrame | None:
     """Estimate the rows per frame from the links of a track.
 
     Parameters
     ----------
-    links : sequence of tuple
-        (earlier frame, later frame, displacement, link); only those between successive frames are used, and of these
-        only runs of three.
+    links : sequence of TrackedPair
+        Only those between successive frames are used, and of these only runs of three.
     assumed : RollingShutter
         Timing with which the links were found; where to start.
 
