@@ -257,11 +257,12 @@ def _fit(
     # volts at row zero = middle - half * level / per_half, and its derivatives
     to_zero = np.array([-half / per_half, half * level / per_half**2])
     # The residuals of a few lines may be small by chance: the lines' own uncertainties count as some lines more.
-    alone = each_rows**2 * np.linalg.inv(jacobian.T @ jacobian)
+    unit = np.linalg.inv(jacobian.T @ jacobian)  # covariance by lines of unit variance
+    alone = each_rows**2 * unit
     covariance = (influence.T @ influence * (len(v) - 2) + alone * PRIOR_LINES) / (len(v) - 2 + PRIOR_LINES)
     by_bow = bow.uncertainty_rows * np.linalg.lstsq(jacobian, bow.share[used], rcond=None)[0]
     # Few runs may scatter little by chance; independent lines, of which there are hundreds, do not.
-    single = np.linalg.inv(jacobian.T @ jacobian) * np.square(scatter).sum() / (len(v) - 2)
+    single = unit * np.square(scatter).sum() / (len(v) - 2)
 
     def sigma(by: Floats) -> float:
         largest = max(by @ covariance @ by, by @ single @ by)

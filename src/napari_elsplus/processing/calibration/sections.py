@@ -48,10 +48,9 @@ def apply_offset(draft: Draft, offset: SlitOffset) -> Calibration:
     Where the cores of the pair contradict it, it is uncertain by the difference: a ripple of the laser's power that has
     one phase in all frames, at a multiple of the frame rate, moves the line in all of them alike.
     """
-    seen, uncertainty_rows = offset, offset.uncertainty_rows
+    seen = offset if draft.pair is None else offset_at(offset, draft.pair)
+    uncertainty_rows = seen.uncertainty_rows
     if draft.pair is not None:
-        seen = offset_at(offset, draft.pair)
-        uncertainty_rows = seen.uncertainty_rows
         off, off_uncertainty = map(abs, _disagreement_with_cores(seen, draft.pair))
         if CONTRADICTED_SIGMAS * np.hypot(uncertainty_rows, off_uncertainty) < off < MAX_OFFSET_CHANGE_ROWS:
             uncertainty_rows = off  # of more, the mirror was turned since: the pair is out of date
