@@ -153,7 +153,7 @@ class LiveInsertion:
         moved = self._displaced(frames, inserted, corrections, limit_px)
         if not moved:
             return False
-        places = [corrections.of(one.frame, one.pose) for one in frames]
+        places = corrections.of_poses([one.frame for one in frames], [one.pose for one in frames])
         tiles: set[TileKey] = set()
         for k in moved:
             for place in (inserted[k], places[k]):

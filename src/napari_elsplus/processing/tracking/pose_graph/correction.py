@@ -93,9 +93,14 @@ class Corrections:
 
     def of(self, frame: int, pose: Pose) -> Pose:
         """Return where a frame belongs that the tracker has at a pose."""
-        values = (np.array([value]) for value in (frame, pose.segment, pose.row, pose.col))
-        segment, row, col, turned = (value.item() for value in self.of_frames(*values))
-        return pose.placed(complex(row, col), pose.angle + turned, int(segment))
+        return self.of_poses([frame], [pose])[0]
+
+    def of_poses(self, frames: Sequence[int], poses: Sequence[Pose]) -> list[Pose]:
+        """Return where frames belong that the tracker has at some poses, one for each."""
+        segment, row, col = np.reshape([(pose.segment, pose.row, pose.col) for pose in poses], (-1, 3)).T
+        there = self.of_frames(np.asarray(frames), segment.astype(np.int64), row, col)
+        places = zip(poses, *(values.tolist() for values in there), strict=True)
+        return [pose.placed(complex(y, x), pose.angle + turned, into) for pose, into, y, x, turned in places]
 
     def of_frames(
         self,

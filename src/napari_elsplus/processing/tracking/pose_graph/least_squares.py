@@ -107,17 +107,18 @@ def _solved(edges: Sequence[Edge], measured: Real, covariance: Real, start: Real
     ends = np.array([(edge.later, edge.earlier) for edge in edges])
     signs = np.tile((1.0, -1.0), len(edges))
     of_nodes = sparse.csr_matrix((signs, (number.repeat(2), ends.ravel())), (len(edges), count))
-    incidence = sparse.kron(of_nodes, np.eye(axes), "csr")
     root = np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
-    missed, change = measured - start[ends[:, 0]] + start[ends[:, 1]], np.zeros((count, axes))
-    weight = np.where(closing, _FIRST_WEIGHT, 1.0)
+    whitening = sparse.bsr_matrix((root, number, np.arange(len(edges) + 1)))
+    design = (whitening @ sparse.kron(of_nodes, np.eye(axes))).tocsc()[:, free]
+    missed = whitening @ (measured - start[ends[:, 0]] + start[ends[:, 1]]).ravel()
+    change, weight = np.zeros((count, axes)), np.where(closing, _FIRST_WEIGHT, 1.0)
+    weighted = design.copy()
     for _ in range(_ROUNDS):
-        scaled = root * np.sqrt(weight)[:, None, None]
-        blocks = sparse.bsr_matrix((scaled, number, np.arange(len(edges) + 1)))
-        design = (blocks @ incidence).tocsc()[:, free]
-        right = np.einsum("eij,ej->ei", scaled, missed).ravel()
-        change.ravel()[free] = spsolve((design.T @ design).tocsc(), design.T @ right)
-        residual = np.einsum("eij,ej->ei", root, (incidence @ change.ravel()).reshape(-1, axes) - missed)
-        tails = np.linalg.norm(residual, axis=1) / _TAIL
-        weight = np.where(closing, 1 / (1 + tails**2), 1 / np.maximum(tails, 1.0))
+        weighted.data = design.data * weight.repeat(axes)[design.indices]
+        solution = spsolve((weighted.T @ design).tocsc(), weighted.T @ missed)
+        tails = np.linalg.norm((design @ solution - missed).reshape(-1, axes), axis=1) / _TAIL
+        weight, before = np.where(closing, 1 / (1 + tails**2), 1 / np.maximum(tails, 1.0)), weight
+        if np.array_equal(weight, before):  # as of a track without loops
+            break
+    change.ravel()[free] = solution
     return start + change

@@ -60,8 +60,7 @@ def refine(
             solved = len(graph.nodes)
     graph.register_deferred()
     graph.solve()
-    corrections = graph.corrections
-    placed = from_origins([corrections.of(k, pose) for k, pose in enumerate(settled)])
+    placed = from_origins(graph.corrections.of_poses(range(len(settled)), settled))
     stretch = LINK_STRETCH_PX / graph.grid.shutter.line_periods_per_frame
     edges = [
         Edge(a, b, complex(*moved), edge_covariance(link, stretch))

@@ -141,7 +141,7 @@ class PairRegistration(NamedTuple):
     @property
     def covariance(self) -> NDArray[np.float64]:
         """(2, 2) covariance of the shift (rows, cols), px squared."""
-        return np.ascontiguousarray(self.warp_covariance[np.ix_((1, 3), (1, 3))])
+        return np.ascontiguousarray(self.warp_covariance[1::2, 1::2])
 
 
 class Registrar:
