@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from napari_elsplus.acquisition.calibrating.simulated import open_live, use_simulated_calibration
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.hardware.priority import settle_memory
 from napari_elsplus.hardware.rig import SIMULATED
 
 if TYPE_CHECKING:
@@ -47,6 +49,8 @@ def live_engine(rig_name: str, settings: Settings) -> Iterator[tuple[Rig, Engine
         held.callback(rig.close)
         engine = held.enter_context(Engine(rig))
         engine.configure(settings)
+        settle_memory()  # while it is collected, calls to the card seem to be stuck
+        held.callback(gc.unfreeze)
         yield rig, engine
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from nidaqmx import GrpcSessionOptions, Task
     from nidaqmx.system import System
 
@@ -55,16 +58,30 @@ def open_session(address: str) -> Session:
     import grpc
     from nidaqmx import GrpcSessionOptions
 
-    class TimeLimit(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc has no types
-        """Gives every call a time limit; nidaqmx gives none."""
+    return Session(GrpcSessionOptions(TimeLimitedChannel(grpc.insecure_channel(address)), ""))
 
-        def intercept_unary_unary(self, continuation: Any, details: Any, request: Any) -> Any:
-            limited = _Details(details.method, CALL_TIMEOUT_S, details.metadata, details.credentials)
-            return continuation(limited, request)
 
-    class _Details(grpc.ClientCallDetails):  # type: ignore[misc] # grpc has no types
-        def __init__(self, method: Any, timeout: float, metadata: Any, credentials: Any) -> None:
-            self.method, self.timeout, self.metadata, self.credentials = method, timeout, metadata, credentials
+class TimeLimitedChannel:
+    """Channel to a card elsewhere whose calls have a time limit; nidaqmx gives none.
 
-    channel = grpc.intercept_channel(grpc.insecure_channel(address), TimeLimit())
-    return Session(GrpcSessionOptions(channel, ""))
+    Each method is made once: nidaqmx asks for all of them, some nine hundred, with every task.
+
+    Parameters
+    ----------
+    channel : grpc.Channel
+        To the gRPC device server.
+    """
+
+    def __init__(self, channel: Any) -> None:
+        self._channel = channel
+        self._methods: dict[str, Callable[..., Any]] = {}
+
+    def unary_unary(self, method: str, *args: Any, **kwargs: Any) -> Callable[..., Any]:
+        """Return a method of the server by its name; see `grpc.Channel`."""
+        if method not in self._methods:
+            unlimited = self._channel.unary_unary(method, *args, **kwargs)
+            self._methods[method] = partial(unlimited, timeout=CALL_TIMEOUT_S)
+        return self._methods[method]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._channel, name)
