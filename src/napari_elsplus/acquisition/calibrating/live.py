@@ -18,6 +18,7 @@ from napari_elsplus.acquisition.calibrating.capture import (
 )
 from napari_elsplus.acquisition.calibrating.trial_scans import TrialScans
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.hardware.priority import ordinary_priority
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.live_offset import OffsetFollower
@@ -190,6 +191,7 @@ def _held_text(left_s: float, limit_s: float) -> str:
     return f"line held; parks in {left_s:.0f} s for {REST_S:g} s (hold limit {limit_s:g} s)"
 
 
+@ordinary_priority()
 def calibrate_rig(
     engine: Engine,
     prepare: Callable[[Target], None],
@@ -199,6 +201,8 @@ def calibrate_rig(
     progress: StepProgress = lambda _: iter,
 ) -> Draft:
     """Calibrate a rig from nothing, with every step that is not optional, and activate the result.
+
+    This thread computes at ordinary priority meanwhile, so that calls to the card return in time.
 
     Parameters
     ----------

@@ -129,10 +129,12 @@ def _live(rig_name: str, preset: str, bundle_um: float | None) -> tuple[Draft, S
     from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.acquisition.session import live_engine
+    from napari_elsplus.hardware.priority import keep_pace
 
     def confirm(target: Target) -> None:
         click.confirm(f"Please {target.value}. Is it so?", abort=True, err=True, default=True)
 
+    keep_pace()
     with live_engine(rig_name, Settings(preset)) as (rig, engine):
         more: dict[str, Any] = {"progress": calibration_progress, "voltages": SWEEP_VOLTAGES}
         if rig.bench is not None:
