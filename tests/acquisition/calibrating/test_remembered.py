@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from napari_elsplus.acquisition.calibrating import remembered, simulated
+from napari_elsplus.acquisition.calibrating import live, remembered, simulated
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.hardware.rigs import open_rig
@@ -38,7 +38,7 @@ def measured(rig: Rig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[
         engine.use(optics.calibration(preset(name)).model_copy(update={"background": background}))
         return SimpleNamespace(calibration=engine.calibration)
 
-    monkeypatch.setattr(simulated, "calibrate_rig", calibrate)
+    monkeypatch.setattr(live, "calibrate_rig", calibrate)
     monkeypatch.setenv("ELSPLUS_CACHE", str(tmp_path))
     return presets
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.acquisition.calibrating.live import calibrate_rig
 from napari_elsplus.acquisition.calibrating.remembered import (
     recall_calibration,
     remember_calibration,
@@ -89,6 +88,8 @@ def calibrate_simulated(
     InputError
         If the rig is a real one.
     """
+    from napari_elsplus.acquisition.calibrating.live import calibrate_rig  # not where a calibration is remembered
+
     _require_bench(rig)
     draft = calibrate_rig(
         engine, lambda target: place_target(rig, target), voltages=voltages, bundle_um=BUNDLE_UM, progress=progress

@@ -60,7 +60,6 @@ def command(
     from napari_elsplus.acquisition.calibrating.simulated import use_simulated_calibration
     from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.engine.status import Settings
-    from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
     from napari_elsplus.acquisition.session import live_engine
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.io import beside, read_calibration, replacing
@@ -81,6 +80,8 @@ def command(
         assert engine.calibration is not None
         tracker = None
         if mosaic is not None or track is not None:
+            from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
+
             tracker = LiveTrack(engine.calibration, engine.setup.frame_shape)
             held.callback(tracker.close)
             engine.track(tracker)

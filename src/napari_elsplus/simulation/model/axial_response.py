@@ -12,7 +12,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 from scipy.special import erf
 
 from napari_elsplus.errors import InputError
@@ -222,7 +222,8 @@ def drop_offs(*, offset_um: float | None, slit_um: float = 2.9, line: LineModel 
         return float(response.ls if offset_um is None else response.els)
 
     contact = signal(0.0)
-    return DropOffs(*(float(brentq(lambda z, f=f: signal(z) / contact - f, 0.0, FAR_UM)) for f in (0.5, 0.1)))
+    root = scipy.optimize.brentq
+    return DropOffs(*(float(root(lambda z, f=f: signal(z) / contact - f, 0.0, FAR_UM)) for f in (0.5, 0.1)))
 
 
 def signal_kept(*, offset_um: float, slit_um: float = 2.9, line: LineModel = LINE_MODELS["a"]) -> float:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
-from scipy import optimize
+import scipy
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import clustered_influence, estimator_influence, robust_sigma
@@ -143,7 +143,7 @@ def circle_through(points: Floats, start: Floats, scale_px: float) -> Floats:
         away: Floats = np.hypot(points[:, 0] - circle[0], points[:, 1] - circle[1]) - circle[2]
         return away
 
-    circle: Floats = optimize.least_squares(misses, start, loss="cauchy", f_scale=scale_px).x
+    circle: Floats = scipy.optimize.least_squares(misses, start, loss="cauchy", f_scale=scale_px).x
     return circle
 
 
