@@ -89,6 +89,7 @@ def measure_line_parts(
     peak, level = float(mean.max()), float(np.percentile(mean, 5))
     start = np.array([0.7 * (peak - level), np.log(core_rows), 0.3 * (peak - level), np.log(5 * core_rows), 0.0, level])
     best = _fit(start, u.mean(axis=1), mean, weights)
+    _must_have_halo(*_parts(best))  # where both are one, no step away from there is determined
     # The groups differ from their mean by the tilt alone, so that few steps lead from its fit to theirs.
     for _ in range(MAX_STEPS):
         misfit = (_model(best, u) - profiles) * weights[:, None]
@@ -98,13 +99,17 @@ def measure_line_parts(
     core, halo, share = _parts(best)
     sigma = _jackknife_sigma(best, without)
     significant = min(share, 1 - share) > _MIN_SIGMAS * sigma[2]
-    if not (share > _MIN_HALO_SHARE and significant and halo > 2 * core):
+    _must_have_halo(core, halo, share if share > _MIN_HALO_SHARE and significant else 0.0)
+    return LineParts(core, halo, share, float(sigma[0]), float(sigma[1]), float(sigma[2]))
+
+
+def _must_have_halo(core: float, halo: float, share: float) -> None:
+    """Raise a MeasurementError unless a halo has a share of the light, and twice the width of the core."""
+    if not (share > 0 and halo > 2 * core):
         raise MeasurementError(
-            f"the line's profile has no halo (share {share:.2f} +- {sigma[2]:.2f}, {halo:.1f} rows beside a core of "
-            f"{core:.1f})",
+            f"the line's profile has no halo that is certain ({halo:.1f} rows beside a core of {core:.1f})",
             "let the line stand near the middle of the bundle",
         )
-    return LineParts(core, halo, share, float(sigma[0]), float(sigma[1]), float(sigma[2]))
 
 
 def _fit(start: Floats, u: Floats, light: Floats, weights: Floats) -> Floats:
