@@ -13,7 +13,7 @@ import numpy as np
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma
 from napari_elsplus.processing.calibration.bundle import location as bundles
-from napari_elsplus.processing.calibration.bundle.laser_gain import LightCollector
+from napari_elsplus.processing.calibration.bundle.laser_gain import MAX_OFFSET_CHANGE_ROWS, LightCollector
 from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
 from napari_elsplus.processing.calibration.frame_regions import (
     MAX_SATURATED,
@@ -29,6 +29,7 @@ from napari_elsplus.processing.calibration.line.location import Line, LineParts,
 from napari_elsplus.processing.calibration.line.scatter import common_scatter_rows, relative_shifts
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
+from napari_elsplus.processing.images.warping import polynomial_terms
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -240,8 +241,7 @@ def measure_offset(
             lines.append(locate_line(frame[:, part], dark, before))
         except MeasurementError as error:
             raise MeasurementError(f"{name} view: {error.problem}", error.remedy) from None
-    found = _offset_at((lines[0].column, lines[1].column), lines[0], lines[1], split)
-    found = found if pair is None else offset_at(found, pair)
+    found = _of_lines(lines[0], lines[1], split, pair)
     if alone:
         return found
     of_tube = 0.0 if background is None else background[:, :split]
@@ -257,22 +257,39 @@ def measure_offset(
 
 
 def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
-    """Return a slit offset at the centres of a bundle pair that was located later.
+    """Return a slit offset at the centres of a bundle pair, by the line and by the pair's cores.
+
+    Both views show the same cores, so that where the residual view shows those under the confocal line, its own must
+    be: unlike the line, they do not depend on the laser's power, of which a ripple at a multiple of the frame rate has
+    one phase in all frames and moves the line in all of them alike. The line is therefore at least as uncertain as it
+    differs from the cores, and both are weighted by their variances. Where they differ by more than a row, the tilt
+    mirror was turned since: the pair is out of date, and the line counts alone.
 
     Parameters
     ----------
     offset : SlitOffset
-        At the middle of the lit part of the line.
+        Of the line, measured with or without the pair.
     pair : BundlePair
-        The bundle images.
+        The bundle images; by their centres alone they do not show where the line is.
     """
-    columns = pair.confocal.centre[1], pair.residual.centre[1] - offset.split
-    return _offset_at(columns, offset.confocal, offset.residual, offset.split, offset.unsteady_rows)
+    line = _of_lines(offset.confocal, offset.residual, offset.split, pair, offset.unsteady_rows)
+    line = replace(line, parts=offset.parts)
+    rows, sigma_rows = _offset_of_cores(line, pair)
+    away_rows = line.rows - rows
+    if pair.alignment.refusal or abs(away_rows) > MAX_OFFSET_CHANGE_ROWS:
+        return line
+    variances = np.array((max(line.uncertainty_rows**2, away_rows**2 - sigma_rows**2), sigma_rows**2))
+    mean_rows = float(np.average((line.rows, rows), weights=1 / variances))
+    return replace(line, rows=mean_rows, uncertainty_rows=float(np.sqrt(1 / (1 / variances).sum())))
 
 
-def _offset_at(
-    columns: tuple[float, float], confocal: Line, residual: Line, split: int, unsteady_rows: float = 0.0
+def _of_lines(
+    confocal: Line, residual: Line, split: int, pair: BundlePair | None = None, unsteady_rows: float = 0.0
 ) -> SlitOffset:
+    """Return the offset of the lines alone, at the centres of a pair, or else at the middle of their lit parts."""
+    columns = confocal.column, residual.column
+    if pair is not None:
+        columns = pair.confocal.centre[1], pair.residual.centre[1] - split
     influence = residual.influence_at(columns[1]) - confocal.influence_at(columns[0])
     rows = residual.row_at(columns[1]) - confocal.row_at(columns[0])
     # Where the views differ in light along a bowed line, the straight ones through it lie at different heights.
@@ -280,6 +297,19 @@ def _offset_at(
     rows += residual.bowed_rows(columns[1], bend) - confocal.bowed_rows(columns[0], bend)
     sigma = float(np.linalg.norm((newey_west_sigma(influence, _NEIGHBOURS), SAMPLING_ROWS, unsteady_rows)))
     return SlitOffset(rows, sigma, confocal, residual, split, unsteady_rows)
+
+
+def _offset_of_cores(line: SlitOffset, pair: BundlePair) -> tuple[float, float]:
+    """Return the slit offset, rows, of the cores under the confocal line, and one standard deviation."""
+    centre, alignment, confocal = pair.confocal.centre, pair.alignment, line.confocal
+    row = confocal.row_at(centre[1]) + confocal.bowed_rows(centre[1], confocal.bend)
+    affine = alignment.residual_to_confocal
+    at = np.linalg.solve(affine[:, :2], np.array((row, centre[1])) - affine[:, 2])
+    if alignment.distortion is not None:
+        place = (row - centre[0]) / (pair.confocal.diameter_px / 2)
+        at = at + alignment.distortion @ polynomial_terms(np.array(place), np.zeros(()))
+    rows = at[0] + line.residual.slope * (pair.residual.centre[1] - at[1]) - row
+    return float(rows), alignment.centre_uncertainty_px
 
 
 def map_galvo(

@@ -19,10 +19,9 @@ from napari_elsplus.instrument.optics import BUNDLE_UM, PARK_CLEARANCE_UM
 from napari_elsplus.processing.calibration.bundle.cancellation import measure_alignment_errors
 from napari_elsplus.processing.calibration.bundle.gain import darkness
 from napari_elsplus.processing.calibration.bundle.gain_map import measure_gain_map
-from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN, MAX_OFFSET_CHANGE_ROWS, laser_gain
+from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN, laser_gain
 from napari_elsplus.processing.calibration.measurements import measure_flat_field, offset_at
 from napari_elsplus.processing.images.hot_pixels import HotPixels
-from napari_elsplus.processing.images.warping import polynomial_terms
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,54 +35,20 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
 
 
-CONTRADICTED_SIGMAS: Final = 3.0
-"""Standard deviations beyond which the cores contradict a slit offset; chosen: one in 400 is off by more by chance."""
 STRETCHES: Final = (0.5, 2.0)
 """Smallest and largest change of areas from the residual to the confocal view; those that a bundle section accepts."""
 
 
 def apply_offset(draft: Draft, offset: SlitOffset) -> Calibration:
-    """Return the draft's calibration with a slit offset, taken at the centres of the bundle pair where it is known.
-
-    Where the cores of the pair contradict it, it is uncertain by the difference: a ripple of the laser's power that has
-    one phase in all frames, at a multiple of the frame rate, moves the line in all of them alike.
-    """
+    """Return the draft's calibration with a slit offset, taken at the bundle pair where it is known."""
     seen = offset if draft.pair is None else offset_at(offset, draft.pair)
-    uncertainty_rows = seen.uncertainty_rows
-    if draft.pair is not None:
-        off, off_uncertainty = map(abs, _disagreement_with_cores(seen, draft.pair))
-        if CONTRADICTED_SIGMAS * np.hypot(uncertainty_rows, off_uncertainty) < off < MAX_OFFSET_CHANGE_ROWS:
-            uncertainty_rows = off  # of more, the mirror was turned since: the pair is out of date
     section = OffsetSection(
         rows=seen.rows,
-        uncertainty_rows=uncertainty_rows,
+        uncertainty_rows=seen.uncertainty_rows,
         tilt_deg=seen.confocal.tilt_deg,
-        **({} if offset.parts is None else asdict(offset.parts)),
+        **({} if seen.parts is None else asdict(seen.parts)),
     )
     return draft.calibration.model_copy(update={"offset": section})
-
-
-def _disagreement_with_cores(offset: SlitOffset, pair: BundlePair) -> tuple[float, float]:
-    """Return the slit offset less that of the cores under the line, rows, and the standard deviation of the latter.
-
-    Both views show the same cores, so that where the residual view shows those of the confocal line, its own must be:
-    unlike the line, they do not depend on the laser's power.
-
-    Parameters
-    ----------
-    offset : SlitOffset
-        At the centres of the pair.
-    pair : BundlePair
-        The bundle images.
-    """
-    row, column = offset.confocal.row_at(pair.confocal.centre[1]), pair.confocal.centre[1]
-    affine = pair.alignment.residual_to_confocal
-    at = np.linalg.solve(affine[:, :2], np.array((row, column)) - affine[:, 2])
-    if pair.alignment.distortion is not None:
-        place = (row - pair.confocal.centre[0]) / (pair.confocal.diameter_px / 2)
-        at = at + pair.alignment.distortion @ polynomial_terms(np.array(place), np.zeros(()))
-    residual_row = float(at[0] + offset.residual.slope * (pair.residual.centre[1] - at[1]))
-    return offset.rows - (residual_row - row), pair.alignment.uncertainty_px
 
 
 def apply_galvo(draft: Draft, galvo: GalvoMap) -> Calibration:

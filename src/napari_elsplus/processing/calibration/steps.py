@@ -15,6 +15,7 @@ from napari_elsplus.processing.calibration.measurements import (
     measure_flat_field,
     measure_offset,
     measure_pair,
+    offset_at,
 )
 from napari_elsplus.processing.calibration.scan.measure import measure_scan
 from napari_elsplus.processing.calibration.step import REGISTERED, CalibrationStep, Capture, Target, register
@@ -82,7 +83,8 @@ def steps_table() -> str:
 
 
 def _estimate_offset(inputs: StepInputs, draft: Draft) -> SlitOffset:
-    return measure_offset(inputs.frames, draft.calibration.background, draft.pair)
+    found = measure_offset(inputs.frames, draft.calibration.background, draft.pair)
+    return found if draft.pair is None else offset_at(found, draft.pair)
 
 
 def _outdated_by_offset(draft: Draft, offset: SlitOffset) -> Mapping[str, str]:

@@ -188,6 +188,16 @@ class DistortionMatcher:
         errors = np.tensordot(fit.influence, np.tensordot(fit.basis, self._rim, 1), 1)
         return float(np.sqrt(np.square(errors).sum(axis=0).mean()))
 
+    def centre_uncertainty_px(self, fit: DistortedFit) -> float:
+        """Return one standard deviation of a fitted map along a row or column, in the disc's centre.
+
+        Parameters
+        ----------
+        fit : DistortedFit
+            With the influence of the disc's tiles.
+        """
+        return float(np.linalg.norm(np.tensordot(fit.influence, fit.basis[..., 0], 1)) / np.sqrt(2))
+
     def left_over_px(self, full: DistortedFit, coefficients: Floats) -> float:
         """Return how far a map departs from the fullest one along a row or column, at the rim, beyond chance.
 
