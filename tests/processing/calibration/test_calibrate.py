@@ -75,7 +75,7 @@ def test_offset_of_a_bowed_line_is_not_biased_by_a_vignette(vignette: int) -> No
 
 @pytest.mark.parametrize("imperfections", ["power-ripple=4,ripple-frequency=3600", "power-noise=5", "row-noise=2"])
 def test_an_offset_is_taken_from_the_cores_where_noise_of_the_rows_moves_the_line(imperfections: str) -> None:
-    """A ripple in step with the frames moved the line by 0.2 rows in all of them, power noise by 0.04, and the value."""
+    """A ripple in step with the frames moved line and offset by 0.2 rows, in all of them; power noise by 0.04."""
     instrument = Instrument.of("240hz", imperfections=Imperfections.parse(imperfections))
     volts = np.full(10, line_volts(instrument)[0])
     lines, bundle = list(standing_line(instrument, volts)), list(transmission(instrument))[:2]

@@ -14,7 +14,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.analysis.uncertainty import clustered_influence, overlapping_influence, robust_sigma
+from napari_elsplus.processing.analysis.uncertainty import (
+    clustered_influence,
+    overlapping_influence,
+    robust_sigma,
+    small_sample_factor,
+)
 from napari_elsplus.processing.calibration.line.location import Line, locate_line
 
 if TYPE_CHECKING:
@@ -42,6 +47,10 @@ PRIOR_LINES: Final = 4
 """Number of lines as which each line's own uncertainty is weighted against the residuals; chosen."""
 _NEIGHBOURS: Final = 4
 """Runs of voltages whose errors are correlated; chosen: rows of cores bias the line over many voltages."""
+RUNS_FREEDOM: Final = 1.5 * RUNS / _NEIGHBOURS
+"""Degrees of freedom of a variance by overlapping sums of runs; derived: those of Bartlett's window at frequency 0.
+So few may agree by chance, hundreds of single lines do not: a variance by these, as if they were independent, counts
+as much as that by runs, as a prior of as many degrees of freedom."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,14 +268,13 @@ def _fit(
     # The residuals of a few lines may be small by chance: the lines' own uncertainties count as some lines more.
     unit = np.linalg.inv(jacobian.T @ jacobian)  # covariance by lines of unit variance
     alone = each_rows**2 * unit
-    covariance = (influence.T @ influence * (len(v) - 2) + alone * PRIOR_LINES) / (len(v) - 2 + PRIOR_LINES)
-    by_bow = bow.uncertainty_rows * np.linalg.lstsq(jacobian, bow.share[used], rcond=None)[0]
-    # Few runs may scatter little by chance; independent lines, of which there are hundreds, do not.
     single = unit * np.square(scatter).sum() / (len(v) - 2)
+    of_runs = small_sample_factor(round(2 * RUNS_FREEDOM)) ** 2 * (influence.T @ influence + single) / 2
+    covariance = (of_runs * (len(v) - 2) + alone * PRIOR_LINES) / (len(v) - 2 + PRIOR_LINES)
+    by_bow = bow.uncertainty_rows * np.linalg.lstsq(jacobian, bow.share[used], rcond=None)[0]
 
     def sigma(by: Floats) -> float:
-        largest = max(by @ covariance @ by, by @ single @ by)
-        return float(np.sqrt(largest + np.square(by @ by_bow)))
+        return float(np.sqrt(by @ covariance @ by + np.square(by @ by_bow)))
 
     return GalvoMap(
         volts_per_row=float(volts_per_row),
