@@ -13,7 +13,8 @@ import tifffile
 from benchmarks.rigs.row_rig import ROUGH, RowRecording, RowRig
 from napari_elsplus.cli.files.process import command as process
 from napari_elsplus.cli.rig.calibrate import command as calibrate
-from napari_elsplus.processing.calibration.measurements import measure_offset, measure_pair
+from napari_elsplus.processing.calibration.measurements import measure_pair
+from napari_elsplus.processing.calibration.slit_offset import measure_offset
 from tests.commands import runner
 
 SMALL = RowRig(shape=(120, 240), left=(60.0, 59.0), right=(53.0, 180.5), diameter=106.0, seed=31)

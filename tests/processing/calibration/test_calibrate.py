@@ -20,8 +20,8 @@ from napari_elsplus.processing.calibration.measurements import (
     mean_frame,
     measure_background,
     measure_flat_field,
-    measure_offset,
 )
+from napari_elsplus.processing.calibration.slit_offset import measure_offset
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 from napari_elsplus.simulation.calibration_scenes import line_volts, standing_line, transmission
 from napari_elsplus.simulation.model.imperfections import Imperfections

@@ -10,7 +10,8 @@ import pytest
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.galvo import fit_galvo
 from napari_elsplus.processing.calibration.line.location import locate_line
-from napari_elsplus.processing.calibration.measurements import map_galvo, measure_offset, measure_pair
+from napari_elsplus.processing.calibration.measurements import map_galvo, measure_pair
+from napari_elsplus.processing.calibration.slit_offset import measure_offset
 from napari_elsplus.processing.images.row_reference import RowReference, dark_columns, dark_pixels
 from napari_elsplus.simulation.calibration_scenes import standing_line, transmission
 from napari_elsplus.simulation.model.imperfections import Imperfections

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from napari_elsplus.acquisition.engine.engine import Engine
-    from napari_elsplus.processing.calibration.measurements import SlitOffset
+    from napari_elsplus.processing.calibration.slit_offset import SlitOffset
     from napari_elsplus.processing.calibration.step import CalibrationStep, ProgressWrapper, Target
 
     StepProgress = Callable[[str], ProgressWrapper]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from napari_elsplus.errors import MeasurementError
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Draft, Setup
-    from napari_elsplus.processing.calibration.measurements import SlitOffset
+    from napari_elsplus.processing.calibration.slit_offset import SlitOffset
     from napari_elsplus.processing.calibration.step import CalibrationStep
     from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 

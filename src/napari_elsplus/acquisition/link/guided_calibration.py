@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.link.client import EngineClient
     from napari_elsplus.errors import MeasurementError
     from napari_elsplus.processing.calibration.draft import Draft, Setup
-    from napari_elsplus.processing.calibration.measurements import SlitOffset
+    from napari_elsplus.processing.calibration.slit_offset import SlitOffset
 
 
 class GuidedCalibration:

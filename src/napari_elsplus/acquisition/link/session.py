@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.streaming.ring import Layout, Ring
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.calibration.measurements import SlitOffset
+    from napari_elsplus.processing.calibration.slit_offset import SlitOffset
     from napari_elsplus.processing.calibration.step import ProgressWrapper
 
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from napari_elsplus.instrument.calibration import AcquiredWith, Calibration, FrameSection, OpticsSection
 from napari_elsplus.processing.calibration.galvo import GalvoMap
-from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
+from napari_elsplus.processing.calibration.measurements import Background, BundlePair
 from napari_elsplus.processing.calibration.scan.lag import ScanLag
+from napari_elsplus.processing.calibration.slit_offset import SlitOffset
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

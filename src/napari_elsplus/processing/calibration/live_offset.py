@@ -6,13 +6,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.measurements import measure_offset
+from napari_elsplus.processing.calibration.slit_offset import measure_offset
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.calibration.measurements import BundlePair, SlitOffset
+    from napari_elsplus.processing.calibration.measurements import BundlePair
+    from napari_elsplus.processing.calibration.slit_offset import SlitOffset
 
 SEARCH_INTERVAL_FRAMES: Final = 60
 """Frames between searches of the whole view, as the followed line may be a reflection; chosen: half a second."""

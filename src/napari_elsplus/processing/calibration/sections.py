@@ -20,7 +20,8 @@ from napari_elsplus.processing.calibration.bundle.cancellation import measure_al
 from napari_elsplus.processing.calibration.bundle.gain import darkness
 from napari_elsplus.processing.calibration.bundle.gain_map import measure_gain_map
 from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN, laser_gain
-from napari_elsplus.processing.calibration.measurements import measure_flat_field, offset_at
+from napari_elsplus.processing.calibration.measurements import measure_flat_field
+from napari_elsplus.processing.calibration.slit_offset import offset_at
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 
 if TYPE_CHECKING:
@@ -29,8 +30,9 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.calibration.galvo import GalvoMap
-    from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
+    from napari_elsplus.processing.calibration.measurements import Background, BundlePair
     from napari_elsplus.processing.calibration.scan.lag import ScanLag
+    from napari_elsplus.processing.calibration.slit_offset import SlitOffset
 
     Image = NDArray[np.float32]
 

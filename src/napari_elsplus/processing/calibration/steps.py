@@ -13,11 +13,10 @@ from napari_elsplus.processing.calibration.measurements import (
     map_galvo,
     measure_background,
     measure_flat_field,
-    measure_offset,
     measure_pair,
-    offset_at,
 )
 from napari_elsplus.processing.calibration.scan.measure import measure_scan
+from napari_elsplus.processing.calibration.slit_offset import measure_offset, offset_at
 from napari_elsplus.processing.calibration.step import REGISTERED, CalibrationStep, Capture, Target, register
 
 if TYPE_CHECKING:
@@ -28,8 +27,9 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.calibration.galvo import GalvoMap
-    from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
+    from napari_elsplus.processing.calibration.measurements import Background, BundlePair
     from napari_elsplus.processing.calibration.scan.lag import ScanLag
+    from napari_elsplus.processing.calibration.slit_offset import SlitOffset
     from napari_elsplus.processing.calibration.step import StepInputs
 
 register_step = register

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.galvo import GalvoMap
-    from napari_elsplus.processing.calibration.measurements import Background, BundlePair, SlitOffset
+    from napari_elsplus.processing.calibration.measurements import Background, BundlePair
     from napari_elsplus.processing.calibration.scan.lag import ScanLag
     from napari_elsplus.processing.calibration.scan.learned_ramp import LearnedRamp
+    from napari_elsplus.processing.calibration.slit_offset import SlitOffset
 
 MAX_GAIN_SPREAD: Final = 0.125
 """Standard deviation of the gain map, relative to its mean, above which a warning is given; measured: 0.09 with 10 %

@@ -16,7 +16,7 @@ from napari_elsplus.workflows.sectioning_performance import line_as_seen, predic
 if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.line.location import Line
-    from napari_elsplus.processing.calibration.measurements import SlitOffset
+    from napari_elsplus.processing.calibration.slit_offset import SlitOffset
     from napari_elsplus.processing.calibration.step import StepSummary
     from napari_elsplus.simulation.model.axial_response import LineModel
 
