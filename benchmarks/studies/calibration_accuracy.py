@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from benchmarks.rigs.random_rigs import Rig
+    from napari_elsplus.processing.calibration.bundle.pair import BundlePair
     from napari_elsplus.processing.calibration.draft import Draft
-    from napari_elsplus.processing.calibration.measurements import BundlePair
 
     Floats = NDArray[np.float64]
 

@@ -10,9 +10,8 @@ import pytest
 
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.calibration.draft import Draft, setup_of
-from napari_elsplus.processing.calibration.live_offset import OffsetFollower
 from napari_elsplus.processing.calibration.sections import apply_offset
-from napari_elsplus.processing.calibration.slit_offset import SlitOffset
+from napari_elsplus.processing.calibration.slit_offset import OffsetFollower, SlitOffset
 from napari_elsplus.processing.calibration.step import StepInputs
 from napari_elsplus.processing.calibration.steps import find_step
 from napari_elsplus.simulation.calibration_scenes import line_volts, standing_line

@@ -21,7 +21,7 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.hardware.priority import ordinary_priority
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.calibration.draft import Draft, Setup
-from napari_elsplus.processing.calibration.live_offset import OffsetFollower
+from napari_elsplus.processing.calibration.slit_offset import OffsetFollower
 from napari_elsplus.processing.calibration.step import Capture, StepInputs
 from napari_elsplus.processing.calibration.steps import calibration_steps
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from napari_elsplus.instrument.calibration import AcquiredWith, Calibration, FrameSection, OpticsSection
+from napari_elsplus.processing.calibration.bundle.pair import BundlePair
 from napari_elsplus.processing.calibration.galvo import GalvoMap
-from napari_elsplus.processing.calibration.measurements import Background, BundlePair
+from napari_elsplus.processing.calibration.measurements import Background
 from napari_elsplus.processing.calibration.scan.lag import ScanLag
 from napari_elsplus.processing.calibration.slit_offset import SlitOffset
 

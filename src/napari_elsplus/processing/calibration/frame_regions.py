@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED
 from napari_elsplus.processing.images.row_reference import dark_columns, dark_pixels
 
 if TYPE_CHECKING:
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 
     Image = NDArray[np.float32]
 
-MAX_SATURATED: Final = 0.01
-"""Largest saturated share of a frame; chosen, well above the share of hot pixels and below that of a core's image."""
 EXACT_FLOAT32: Final = 2**24
 """Up to which float32 holds every integer; derived from its 24 bits of mantissa."""
 LINE_MARGIN_PX: Final = 40

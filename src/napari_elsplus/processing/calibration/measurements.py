@@ -13,9 +13,9 @@ import numpy as np
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.calibration.bundle import location as bundles
 from napari_elsplus.processing.calibration.bundle.laser_gain import LightCollector
-from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
+from napari_elsplus.processing.calibration.bundle.pair import BundlePair
+from napari_elsplus.processing.calibration.bundle.view_alignment import align_views
 from napari_elsplus.processing.calibration.frame_regions import (
-    MAX_SATURATED,
     brightest,
     column_between_views,
     largest_level,
@@ -49,60 +49,6 @@ MAX_CHORD: Final = 1.1
 LIT_FRAMES: Final = 400
 """Frames of a sweep from which the light of the line is collected; chosen: all of the paper's sweep, since power noise
 gives each line a gain of its own."""
-
-
-@dataclass(frozen=True, slots=True)
-class BundlePair:
-    """Both bundle images and their alignment.
-
-    Parameters
-    ----------
-    confocal, residual : Disc
-        The bundle's image in each view.
-    alignment : Alignment
-        Map from the residual to the confocal image, and the gain.
-    image : numpy.ndarray
-        Mean frame (rows, cols) in which they were located, float32.
-    saturated : float
-        Share of the frame that is saturated.
-    """
-
-    confocal: bundles.Disc
-    residual: bundles.Disc
-    alignment: Alignment
-    image: Image
-    saturated: float = 0.0
-
-    @property
-    def shows_flat_field(self) -> bool:
-        """True if the frame may serve as a flat field."""
-        return self.saturated <= MAX_SATURATED
-
-    @property
-    def discs(self) -> list[tuple[tuple[float, float], float]]:
-        """Centre and diameter in pixels of both views."""
-        return [(disc.centre, disc.diameter_px) for disc in (self.confocal, self.residual)]
-
-    @property
-    def split(self) -> int:
-        """Column of the frame between the views."""
-        return round((self.confocal.centre[1] + self.residual.centre[1]) / 2)
-
-    @property
-    def view_offset(self) -> tuple[float, float, float]:
-        """Rows and columns from the confocal to the residual image's centre; slope there of a level line."""
-        down, across = np.linalg.solve(self.alignment.residual_to_confocal[:, :2], (0.0, 1.0))
-        return self.offset_rows, self.residual.centre[1] - self.confocal.centre[1], float(down / across)
-
-    @property
-    def offset_rows(self) -> float:
-        """Row of the residual bundle image minus that of the confocal: the slit offset, independent of the line."""
-        return self.residual.centre[0] - self.confocal.centre[0]
-
-    @property
-    def offset_uncertainty_rows(self) -> float:
-        """One standard deviation of :attr:`offset_rows`."""
-        return float(np.hypot(self.residual.centre_uncertainty_px, self.confocal.centre_uncertainty_px))
 
 
 @dataclass(frozen=True, slots=True)

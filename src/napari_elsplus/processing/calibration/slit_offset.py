@@ -27,7 +27,7 @@ from napari_elsplus.processing.images.warping import polynomial_terms
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.calibration.measurements import BundlePair
+    from napari_elsplus.processing.calibration.bundle.pair import BundlePair
     from napari_elsplus.processing.images.sectioning import Frames
 
     Image = NDArray[np.float32]
@@ -39,6 +39,8 @@ RMS, of which residuals show 0.0042 and 0.0034; with it 72 % of 90 random rigs (
 of the truth."""
 MIN_SCATTER_FRAMES: Final = 3
 """Frames of a standing line below which their scatter is not estimated; chosen."""
+SEARCH_INTERVAL_FRAMES: Final = 60
+"""Frames between searches of the whole view, as the followed line may be a reflection; chosen: half a second."""
 _NEIGHBOURS: Final = 4
 """Runs of columns whose errors are correlated; chosen: the cores of the two views differ by fewer columns."""
 
@@ -106,9 +108,8 @@ def measure_offset(
     alone = near is not None and len(frames) == 1
     raw: NDArray[Any] = np.asarray(frames[0]) if alone else mean_frame(frames)
     saturated_share(frames[0], "image of the line")
-    reference = RowReference(
-        unlit_pixels(raw, background, [] if pair is None else pair.discs, near.lit_columns if near else []), background
-    )
+    discs, lit_columns = [] if pair is None else pair.discs, [] if near is None else near.lit_columns
+    reference = RowReference(unlit_pixels(raw, background, discs, lit_columns), background)
     noisy = reference.some_show_noise(frames)
     frame = reference.without_row_noise(raw) if noisy else raw
     place = near or pair
@@ -193,3 +194,40 @@ def _offset_of_cores(line: SlitOffset, pair: BundlePair) -> tuple[float, float]:
         at = at + alignment.distortion @ polynomial_terms(np.array(place), np.zeros(()))
     rows = at[0] + line.residual.slope * (pair.residual.centre[1] - at[1]) - row
     return float(rows), alignment.centre_uncertainty_px
+
+
+class OffsetFollower:
+    """Measures the slit offset in one frame after the other, each line searched near its last position.
+
+    Core and halo of the line, which do not depend on the tilt mirror, are fitted whenever the whole view is searched.
+
+    Parameters
+    ----------
+    background : numpy.ndarray, optional
+        Mean frame of the dark tube.
+    pair : BundlePair, optional
+        The bundle images.
+    """
+
+    def __init__(self, background: NDArray[np.float32] | None = None, pair: BundlePair | None = None) -> None:
+        self._background, self._pair = background, pair
+        self._last: SlitOffset | None = None
+        self._followed = 0
+
+    def measure(self, frame: NDArray[np.generic]) -> SlitOffset:
+        """Measure the offset in a raw frame (rows, cols).
+
+        Raises
+        ------
+        MeasurementError
+            If there is no line in one of the views.
+        """
+        last = self._last if self._followed < SEARCH_INTERVAL_FRAMES else None
+        self._followed = 0 if last is None else self._followed + 1
+        try:
+            found = measure_offset([frame], self._background, self._pair, near=last)
+        except MeasurementError:
+            self._last = None
+            raise
+        self._last = found if last is None else replace(found, parts=last.parts)
+        return self._last

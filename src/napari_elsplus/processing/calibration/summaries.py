@@ -20,10 +20,11 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import BundleSection
     from napari_elsplus.processing.calibration.bundle.location import Disc
+    from napari_elsplus.processing.calibration.bundle.pair import BundlePair
     from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.galvo import GalvoMap
-    from napari_elsplus.processing.calibration.measurements import Background, BundlePair
+    from napari_elsplus.processing.calibration.measurements import Background
     from napari_elsplus.processing.calibration.scan.lag import ScanLag
     from napari_elsplus.processing.calibration.scan.learned_ramp import LearnedRamp
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from napari_elsplus.processing.calibration.measurements import BundlePair
+from napari_elsplus.processing.calibration.bundle.pair import BundlePair
 from napari_elsplus.processing.calibration.steps import PAIR
 from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.outlines import outline_layer

@@ -12,8 +12,9 @@ from scipy.optimize import fsolve
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.calibration.bundle.distortion import DistortionModel
+from napari_elsplus.processing.calibration.bundle.pair import BundlePair
 from napari_elsplus.processing.calibration.draft import Draft
-from napari_elsplus.processing.calibration.measurements import BundlePair, measure_pair
+from napari_elsplus.processing.calibration.measurements import measure_pair
 from napari_elsplus.processing.calibration.sections import apply_pair
 from napari_elsplus.processing.images.warping import polynomial_terms
 

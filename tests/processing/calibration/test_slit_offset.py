@@ -9,8 +9,7 @@ import pytest
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.live_offset import SEARCH_INTERVAL_FRAMES, OffsetFollower
-from napari_elsplus.processing.calibration.slit_offset import measure_offset
+from napari_elsplus.processing.calibration.slit_offset import SEARCH_INTERVAL_FRAMES, OffsetFollower, measure_offset
 
 RIG = Rig(left=(100.0, 98.0), right=(91.0, 302.5), diameter_px=180.0, line_rows=2.2, tilt_deg=1.0)
 
