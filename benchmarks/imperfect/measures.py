@@ -193,8 +193,14 @@ def true_gain(rig: ImperfectRig) -> float:
     judged = np.hypot(known.rows_um, known.cols_um) < JUDGED * rig.instrument.bundle.radius_um
     places_um = known.rows_um[judged], known.cols_um[judged]
     areas = _areas_px(left, *places_um, judged) / _areas_px(right, *places_um, judged)
-    per_core = right.spots.scale / left.spots.scale * np.broadcast_to(right.gain, judged.shape)[judged]
-    return float(np.average(per_core * areas, weights=known.transmission[judged]))
+    light, other = ((known.transmission * view.gain * _drawn(view, len(judged)))[judged] for view in (left, right))
+    return float((other * areas).sum() / light.sum())
+
+
+def _drawn(view: BundleView, cores: int) -> Rows:
+    """Return the light that the pixels of a view take from each core: where cores are dense, less of what it gives."""
+    weights = np.bincount(view.spots.cores.ravel(), weights=view.spots.weights.ravel(), minlength=cores)
+    return np.asarray(view.spots.scale * weights, np.float64)
 
 
 def _areas_px(view: BundleView, rows_um: Rows, cols_um: Rows, judged: np.ndarray) -> Rows:

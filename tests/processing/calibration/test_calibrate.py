@@ -89,11 +89,14 @@ def test_an_offset_is_taken_from_the_cores_where_noise_of_the_rows_moves_the_lin
     assert abs(section.rows - instrument.offset_rows) < 3 * section.uncertainty_rows
 
 
-def test_an_offset_is_taken_from_the_line_where_the_mirror_was_turned_since_the_pair() -> None:
+@pytest.mark.parametrize("rows", [0.7, 4.0])
+def test_an_offset_is_taken_from_the_line_where_the_mirror_was_turned_since_the_pair(rows: float) -> None:
     instrument = Instrument.of("240hz")
-    turned = replace(instrument, offset_rows=instrument.offset_rows + 4)
+    turned = replace(instrument, offset_rows=instrument.offset_rows + rows)
     lines, bundle = list(standing_line(turned, line_volts(turned)[:3])), list(transmission(instrument))[:2]
-    after = measure(line=lines, bundle=bundle).calibration.offset
+    draft = measure(line=lines, bundle=bundle)
+    after = draft.calibration.offset
+    assert "the offset has moved" in draft.outdated["pair"]
     assert after is not None
     assert after.rows == pytest.approx(turned.offset_rows, abs=0.02)
     assert after.uncertainty_rows < 0.1

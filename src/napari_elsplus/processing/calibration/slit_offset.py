@@ -12,7 +12,6 @@ import numpy as np
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma
-from napari_elsplus.processing.calibration.bundle.laser_gain import MAX_OFFSET_CHANGE_ROWS
 from napari_elsplus.processing.calibration.frame_regions import (
     column_between_views,
     mean_frame,
@@ -37,6 +36,9 @@ SAMPLING_ROWS: Final = 0.003
 Measured: bright lines on the presets' bundles are off by 0.0062 rows at 240 Hz (16 bundles) and 0.0020 at 120 Hz (5),
 RMS, of which residuals show 0.0042 and 0.0034; with it 72 % of 90 random rigs (seeds 1000 to 1089) are within a sigma
 of the truth."""
+MAX_OFFSET_DIFFERENCE_ROWS: Final = 0.5
+"""Between the slit offset and that of the bundle images, above which one is out of date; chosen, five times the
+uncertainty of a bundle's centre, and twice what a ripple of the laser's power moves a line by."""
 MIN_SCATTER_FRAMES: Final = 3
 """Frames of a standing line below which their scatter is not estimated; chosen."""
 SEARCH_INTERVAL_FRAMES: Final = 60
@@ -146,8 +148,8 @@ def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
     Both views show the same cores, so that where the residual view shows those under the confocal line, its own must
     be: unlike the line, they do not depend on the laser's power, of which a ripple at a multiple of the frame rate has
     one phase in all frames and moves the line in all of them alike. The line is therefore at least as uncertain as it
-    differs from the cores, and both are weighted by their variances. Where they differ by more than a row, the tilt
-    mirror was turned since: the pair is out of date, and the line counts alone.
+    differs from the cores, and both are weighted by their variances. Where they differ by more than half a row, the
+    tilt mirror was turned since: the pair is out of date, and the line counts alone.
 
     Parameters
     ----------
@@ -160,7 +162,7 @@ def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
     line = replace(line, parts=offset.parts)
     rows, sigma_rows = _offset_of_cores(line, pair)
     away_rows = line.rows - rows
-    if pair.alignment.refusal or abs(away_rows) > MAX_OFFSET_CHANGE_ROWS:
+    if pair.alignment.refusal or abs(away_rows) > MAX_OFFSET_DIFFERENCE_ROWS:
         return line
     variances = np.array((max(line.uncertainty_rows**2, away_rows**2 - sigma_rows**2), sigma_rows**2))
     mean_rows = float(np.average((line.rows, rows), weights=1 / variances))

@@ -16,7 +16,11 @@ from napari_elsplus.processing.calibration.measurements import (
     measure_pair,
 )
 from napari_elsplus.processing.calibration.scan.measure import measure_scan
-from napari_elsplus.processing.calibration.slit_offset import measure_offset, offset_at
+from napari_elsplus.processing.calibration.slit_offset import (
+    MAX_OFFSET_DIFFERENCE_ROWS,
+    measure_offset,
+    offset_at,
+)
 from napari_elsplus.processing.calibration.step import REGISTERED, CalibrationStep, Capture, Target, register
 
 if TYPE_CHECKING:
@@ -94,7 +98,7 @@ def _outdated_by_offset(draft: Draft, offset: SlitOffset) -> Mapping[str, str]:
     if bundle is None:
         return {}
     moved = offset.rows - (bundle.residual_centre[0] - bundle.confocal_centre[0])
-    if abs(moved) <= summaries.MAX_OFFSET_DIFFERENCE_ROWS:
+    if abs(moved) <= MAX_OFFSET_DIFFERENCE_ROWS:
         return {}
     return dict.fromkeys(("pair", "background"), f"the offset has moved by {moved:.1f} rows since")
 

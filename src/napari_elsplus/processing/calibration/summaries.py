@@ -13,6 +13,7 @@ from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_ED
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
 from napari_elsplus.processing.calibration.scan.measure import DEFAULT_SLIT_ROWS
 from napari_elsplus.processing.calibration.sections import in_lamp_light
+from napari_elsplus.processing.calibration.slit_offset import MAX_OFFSET_DIFFERENCE_ROWS
 from napari_elsplus.processing.calibration.step import StepSummary
 
 if TYPE_CHECKING:
@@ -32,9 +33,6 @@ if TYPE_CHECKING:
 MAX_GAIN_SPREAD: Final = 0.125
 """Standard deviation of the gain map, relative to its mean, above which a warning is given; measured: 0.09 with 10 %
 from core to core and 10 % of vignette, 0.17 where a laser scanned fibres."""
-MAX_OFFSET_DIFFERENCE_ROWS: Final = 0.5
-"""Between the slit offset and that of the bundle images, above which one is out of date; chosen, five times the
-uncertainty of a bundle's centre."""
 
 
 def with_uncertainty(value: float, uncertainty: float) -> str:
@@ -140,8 +138,8 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
         warnings.append("micrometres unknown: enter the diameter of the bundle")
     if known.offset is not None:
         lines.append(
-            f"offset: {with_uncertainty(known.offset.rows, known.offset.uncertainty_rows)} rows from the laser line, "
-            f"{with_uncertainty(pair.offset_rows, pair.offset_uncertainty_rows)} from the fibre cores"
+            f"offset: {with_uncertainty(known.offset.rows, known.offset.uncertainty_rows)} rows from line and cores, "
+            f"{with_uncertainty(pair.offset_rows, pair.offset_uncertainty_rows)} from the bundle images"
         )
         difference = known.offset.rows - pair.offset_rows
         if abs(difference) > MAX_OFFSET_DIFFERENCE_ROWS:
