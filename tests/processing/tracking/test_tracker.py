@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
-from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity, Warp
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
+from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.specimen.trajectories import Recorded
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import Pipeline
@@ -81,6 +84,36 @@ def test_a_start_of_low_odds_is_kept_once_the_next_registration_agrees() -> None
     assert sum(tracked) >= 10
     assert any(tracked[:9])
     assert errors(pipeline, truth)[0].max() < 2.0
+
+
+class Scripted(Registrar):
+    """Returns registrations of frames at rest whose odds and correlations are given, those of each search in turn."""
+
+    registers_warps = False
+
+    def __init__(self, grid: Grid, found: list[tuple[float, float] | None]) -> None:
+        super().__init__(grid)
+        self._script = iter(found)
+
+    def search(self, *_: Any) -> PairRegistration | None:
+        found = next(self._script)
+        if found is None:
+            return None
+        odds, correlation = found
+        return PairRegistration(Warp(1.0, 0.0, 0.0, 0.0), 1e4 * np.eye(4), correlation, 1.0, odds, Velocity(0, 0), 0.01)
+
+
+@pytest.mark.parametrize(
+    ("correlation", "state"), [(0.98, TrackingState.TRACKED), (0.34, TrackingState.LOST)], ids=["alike", "unlike"]
+)
+def test_a_start_is_confirmed_by_frames_that_correlate_as_its_own(correlation: float, state: TrackingState) -> None:
+    """What follows a first registration correlates about as well, as what follows any other does."""
+    grid = Grid(116, 1, (0, 0), (57.5, 57.5), 112.0, RollingShutter(150.0))
+    low, high = (7.0, 0.99), (40.0, correlation)
+    tracker = Tracker(grid, Scripted(grid, [low, low, None, high, None]))
+    poses = [tracker.add() for _ in range(3)]
+    assert poses[2].state is state
+    assert len(tracker.links) == (2 if state is TrackingState.TRACKED else 0)
 
 
 def blinded(truth: Truth, first: int, last: int, level: int = 4) -> Truth:

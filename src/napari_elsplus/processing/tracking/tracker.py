@@ -190,7 +190,7 @@ class Tracker:
         """Begin a segment under the widest prior; where the odds do not suffice the registration waits for the next."""
         self._motion = self._unknown_motion()
         origin = _Placed(previous.view, previous.index)
-        motion = self._prior(origin, here, Displacement(0.0, 0.0))
+        motion = self._widest
         link = self._link(origin, here, motion, _WAITING_ODDS_NATS)
         if link is None or not self._place(origin, here, link, motion):
             return None
@@ -203,24 +203,28 @@ class Tracker:
     def _confirm(self, start: _Start, here: _Placed) -> Pose | None:
         """Begin a segment with a registration that waited, if this frame's, by its motion, raises its odds enough.
 
-        They rise by how much more probable the shift is by that motion than under the widest prior.
+        They rise by how much more probable the shift is by that motion than under the widest prior; the frames of both
+        correlate alike.
         """
         self._motion, self._key, self._last = start.motion, start.later, start.later
         motion = self._prior(start.later, here, self._expected(start.later, here.index))
-        link = self._link(start.later, here, motion)
-        if link is None:
+        link, waited = self._link(start.later, here, motion), start.found.registration
+        if link is None or abs(link.correlation - waited.correlation) > self.registrar.fall_of_correlation:
             return None
-        widest = self._unknown_motion().prior(Displacement(0.0, 0.0), 1)
-        rise = motion.log_density(link.warp) - widest.log_density(link.warp)
-        if start.found.registration.odds + rise < MIN_ODDS_NATS or not self._place(start.later, here, link, motion):
+        rise = motion.log_density(link.warp) - self._widest.log_density(link.warp)
+        if waited.odds + rise < MIN_ODDS_NATS or not self._place(start.later, here, link, motion):
             return None
         self.links.insert(-1, start.found)
         return self._begin(here, link)
 
     def _unknown_motion(self) -> Motion:
         """Return the motion of a probe of which only is known how unpredictable it has been so far."""
-        surprise = self._motion.surprise if self._motion.known else None
-        return Motion(self.grid.shutter, FIELD * self.grid.diameter, surprise)
+        return Motion(self.grid.shutter, FIELD * self.grid.diameter, self._motion.surprise)
+
+    @property
+    def _widest(self) -> MotionPrior:
+        """Prior of the motion between successive frames where no velocity is known."""
+        return self._unknown_motion().prior(Displacement(0.0, 0.0), 1)
 
     def _begin(self, here: _Placed, link: PairRegistration) -> Pose:
         """Begin a segment with a frame."""
@@ -268,8 +272,6 @@ class Tracker:
     def _expected(self, earlier: _Placed, index: int) -> Displacement:
         """Displacement from a placed frame that the motion so far suggests, in the orientation of the last one."""
         last = self._last
-        if not self._motion.known:
-            return Displacement(0.0, 0.0)
         ahead = self._motion.ahead(index - last.index)
         gone = last.row - earlier.row, last.col - earlier.col
         if self.model is not MotionModel.TRANSLATION:
@@ -280,8 +282,6 @@ class Tracker:
     def _prior(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> MotionPrior:
         """Return the prior of the motion from a placed frame."""
         last = self._last
-        if not self._motion.known:
-            return self._motion.prior(ahead, here.index - earlier.index, min_share=0.0)
         before = None if earlier is last else (earlier.velocity, earlier.velocity_variance)
         share = MIN_SHARE if self.model is MotionModel.TRANSLATION else MIN_SHARE_TURNING
         return self._motion.prior(ahead, here.index - last.index, before, share)
