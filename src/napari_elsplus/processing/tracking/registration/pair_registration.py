@@ -245,7 +245,6 @@ class Registrar:
                 view.coarse = self._everywhere.of_frame(view.levels[-1])
         found: list[tuple[float, Warp]] = []
         expected, terms, tools, scratch = motion.warp, motion.terms, self._tools, np.empty((4, 4))
-        half = np.empty(4)
         for b, d in self._everywhere.peaks(earlier.coarse, later.coarse, expected, reach_px).tolist():
             warp = np.array(motion.at(b, d))
             correlation, _, _ = descend(
@@ -253,7 +252,7 @@ class Registrar:
             )
             if correlation > 0:
                 peak = Warp(*warp.tolist())
-                half[:] = peak.a, peak.b / 2, peak.s, peak.d / 2
+                half = np.array((peak.a, peak.b / 2, peak.s, peak.d / 2))
                 nats = log_likelihood(self._halves(earlier, later), half, tools.sums)
                 found.append((nats + prior(peak.b - expected.b, peak.d - expected.d, reach_px), peak))
         if not found:
@@ -338,13 +337,11 @@ class Registrar:
             Its warp is the one that frames of the same orientation would have had. None where nothing was found.
         """
         shutter, before, own = self.grid.shutter, motion.before, motion
-        turn = expected_turn
-        rows = shutter.line_periods_per_frame
+        turn, sigma, rows = expected_turn, inf, shutter.line_periods_per_frame
         unsheared = motion_models.unsheared(before, rows)
         motion = motion._replace(before=_AT_REST)
         start = motion.warp
         link: PairRegistration | None = None
-        sigma = inf
         for _ in range(_TURNS):
             while_read = motion_models.turned_while_read(turn / frames_apart / rows, start)
             matrix = motion_models.turned_by(-turn) @ unsheared + while_read[:, :2]
