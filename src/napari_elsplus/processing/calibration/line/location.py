@@ -338,9 +338,9 @@ def _gauss_newton(
         model, jacobian, taper = _model(parameters, u, x)
         weighted = jacobian * taper[:, None]
         curvature = weighted.T @ jacobian
-        if not np.trace(curvature) > 0:
+        if not (ridge := RIDGE * np.trace(curvature)) > np.finfo(float).tiny:  # nearly no column has weight
             raise MeasurementError("no laser line: the fit diverged from the brightest streak", "is the laser on?")
-        curvature.flat[:: len(curvature) + 1] += RIDGE * np.trace(curvature)
+        curvature.flat[:: len(curvature) + 1] += ridge
         step = np.linalg.solve(curvature, weighted.T @ (data - model))
         step[2] = np.clip(step[2], -0.4, 0.4)
         step[_ROW] = np.clip(step[_ROW], -width, width)
