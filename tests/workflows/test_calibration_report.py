@@ -41,7 +41,7 @@ def test_it_states_numbers_uncertainties_and_the_date(draft: Draft) -> None:
         assert value in first
     assert "missing" in first
     found = draft.found["offset"]
-    assert f"{found.rows:.2f}" in offset
+    assert f"{found.rows:.3f} ± {found.uncertainty_rows:.3f} rows" in offset
     assert "confocal" in offset
     assert "alignment error" in pair
 
