@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.acquisition.engine.engine import Engine
@@ -23,6 +24,7 @@ from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration
+from napari_elsplus.processing.calibration.slit_offset import measure_offset
 from napari_elsplus.processing.calibration.step import REGISTERED, StepState, Target
 from napari_elsplus.processing.calibration.steps import calibration_steps, find_step
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
@@ -235,13 +237,12 @@ def test_an_offset_that_moved_makes_the_pair_stale(panel, qtbot, open_recording)
     assert state(panel, "pair") is StepState.DONE
     panel.choose("offset")
     turned = replace(found, rows=found.rows + 3, residual=replace(found.residual, row=found.residual.row + 3))
-    before = panel.draft.calibration.offset.rows
-    panel.session.candidate = shown._replace(found=turned)
+    by_line = measure_offset(tifffile.imread(open_recording / "line.tif"), pair=panel.draft.pair).rows
+    panel.session.candidate = shown._replace(found=turned)  # the pair's cores count no more
     panel.accept()
     assert state(panel, "pair") is StepState.STALE
     assert "the offset has moved by" in panel.form.steps["pair"].toolTip()
-    now = panel.draft.calibration.offset  # by the line alone: the pair's cores count no more
-    assert now.rows == pytest.approx(before + 3, abs=now.uncertainty_rows)
+    assert panel.draft.calibration.offset.rows == pytest.approx(by_line + 3)
 
 
 def test_themes_and_loading(viewer, panel, qtbot, open_recording, tmp_path):

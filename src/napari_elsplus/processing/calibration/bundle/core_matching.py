@@ -143,8 +143,8 @@ class CoreFit:
         Contribution of each tile of the disc to the errors of the model's parameters, shape (tiles, parameters).
     correlation : float
         Between the aligned contrasts.
-    uncertainty_px, centre_uncertainty_px : float
-        One standard deviation of the motion along a row or column, at the rim and in the disc's centre.
+    uncertainty_px : float
+        One standard deviation of the motion along a row or column, at the rim.
     left_over : TileShifts
         Of each tile of the disc that is compared.
     """
@@ -153,8 +153,12 @@ class CoreFit:
     influence: Floats
     correlation: float
     uncertainty_px: float
-    centre_uncertainty_px: float
     left_over: TileShifts
+
+    @property
+    def centre_uncertainty_px(self) -> float:
+        """One standard deviation of the motion along a row or column, in the disc's centre."""
+        return float(np.linalg.norm(self.influence[:, :2]) / np.sqrt(2))
 
     @property
     def parameters(self) -> Floats:
@@ -310,7 +314,6 @@ class CoreMatcher:
             influence=influence,
             correlation=float(np.corrcoef(target, found)[0, 1]),
             uncertainty_px=self._at_rim(influence, model),
-            centre_uncertainty_px=float(np.linalg.norm(influence[:, :2]) / np.sqrt(2)),
             left_over=self._left_over(of_target[:, :2], of_found[:, :2], scores[:, :2], tile, count),
         )
 
