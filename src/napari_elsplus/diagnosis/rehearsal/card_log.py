@@ -26,6 +26,8 @@ POLL_S: Final = 0.02
 """Seconds between two reads of the card's log; chosen: the card keeps 64 programs, those of 64 ms of slow motion."""
 GRID_S: Final = 1e-4
 """Seconds between the times at which the output is evaluated first; chosen: a fortieth of a frame."""
+CLEAR_FOR_S: Final = 0.1
+"""Least time clear of the bundle in the end that counts as parked; chosen: ten frames, as each has a flyback."""
 CLEARANCE_UM: Final = HALO_UM
 """Distance of the line from the rim at which it counts as clear; of the promises."""
 
@@ -73,7 +75,7 @@ class CardLog(ClosedOnExit):
         Returns
         -------
         float or None
-            0 if it was clear throughout; None if it was not clear in the end.
+            0 if it was clear throughout; None if it was not clear for the last `CLEAR_FOR_S`.
         """
         programs = self.programs
         times = np.arange(fault_s, until_s, GRID_S)
@@ -81,7 +83,7 @@ class CardLog(ClosedOnExit):
         if not len(exposed):
             return 0.0
         last = exposed[-1]
-        if last == len(times) - 1:
+        if times[-1] - times[last] < CLEAR_FOR_S:
             return None
         model = GalvoModel()
         begins = np.arange(times[last] - model.settled_after_s, times[last] + 2 * model.settled_after_s, STEP_S)
