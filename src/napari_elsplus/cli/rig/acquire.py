@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import time
 from contextlib import ExitStack
@@ -13,7 +14,7 @@ from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, r
 from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.parking import ParkStage
-from napari_elsplus.hardware.priority import keep_pace, settle_memory
+from napari_elsplus.hardware.priority import keep_pace
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.optics import PRESETS
 
@@ -86,7 +87,7 @@ def command(
             held.callback(tracker.close)
             engine.track(tracker)
             engine.show(LiveView(modes=frozenset()))  # nobody looks at other images than the mosaic
-        settle_memory()
+        gc.freeze()  # also what the calibration and the track have allocated
         try:
             _stream(
                 engine, seconds, None if record is None else RecordingPlan(record, earlier_s=ALL_OF_IT_S, force=force)
