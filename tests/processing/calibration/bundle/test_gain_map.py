@@ -78,6 +78,19 @@ def test_single_gain_and_map_together_are_the_gain(vignette: float) -> None:
     assert residual / ls == pytest.approx(1, abs=0.003)
 
 
+@pytest.mark.parametrize("vignette", [0.03, 0.05, -0.05])
+def test_a_vignette_is_mapped_as_exactly_in_the_middle_as_at_the_rim(vignette: float) -> None:
+    """A map smoothed over a sixteenth of the diameter was a twentieth of the vignette too weak."""
+    found = calibrated(0.0, vignette)
+    assert found.gain_map is not None
+    frame = uneven_gain(0.0, vignette)
+    sectioner = Sectioner(found.model_copy(update={"background": None}), frame.shape)
+    ls, residual = sectioner.ls(frame), sectioner.residual(frame)
+    middle, whole = (disc(sectioner.side, share * RIG.diameter_px) & np.isfinite(residual) for share in (0.4, 0.9))
+    gains = [float(residual[part].sum() / ls[part].sum()) for part in (middle, whole)]
+    assert gains[0] == pytest.approx(gains[1], rel=1e-3)
+
+
 def test_a_single_gain_is_kept_where_it_is_sufficient() -> None:
     found = calibrated(0.0, 0.0)
     assert found.gain_map is None

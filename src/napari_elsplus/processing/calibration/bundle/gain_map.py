@@ -18,26 +18,26 @@ from napari_elsplus.processing.images.cores import core_pitch_px
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
 
     Image = NDArray[np.float32]
 
-SMOOTH_DIAMETERS: Final = 1 / 16
-"""Standard deviation of the smooth map's Gaussian, diameters; chosen: a vignette is wider."""
+DEGREE: Final = 4
+"""Of the smooth map's polynomial; chosen: a vignette of cos^4, and the cubic distortion of either view."""
 CORE_PITCHES: Final = (0.2, 0.3)
 """Those of maps of single cores, core pitches; derived: of the light at a core 80 and 60 % is then its own."""
 MAX_MISFIT: Final = 0.9
 """Of the predicted pixels over that of a single gain, with which a map is used; measured on the
 clean views of twelve random rigs (seeds 500 to 511): it is larger in all of them."""
-MIN_VARIATION: Final = 0.005
+MIN_VARIATION: Final = 0.004
 """Standard deviation of the smooth map over the field, with which it is used even where the cores' sampling hides it
-from the misfit; measured: at most 0.0035 on the clean views of 24 random rigs (seeds 500 to 523)."""
+from the misfit; measured: at most 0.0034 on the clean views of 36 random rigs (seeds 500 to 523, 600 to 611)."""
 GAIN_LIMITS: Final = (0.5, 2.0)
 """Of the map; as of the gain."""
-MIN_BOXES_PX: Final = 6.0
-"""Standard deviation from which on three boxes are a Gaussian; chosen."""
 _LIT: Final = 0.05
 """Share of the mean light below which a pixel has no gain of its own; chosen."""
 
@@ -69,21 +69,18 @@ def measure_gain_map(frame: NDArray[np.floating], calibration: Calibration) -> I
     every_other = (np.indices(confocal.shape).sum(axis=0) % 2).astype(bool)
     halves = inside & every_other, inside & ~every_other
     single = sum(_misfit(confocal, residual, half) for half in halves)
-    misfits, smooth_px = {}, SMOOTH_DIAMETERS * sectioner.diameter_px
-    for sigma_px in (smooth_px, *_core_scales(confocal, inside)):
+    smooth = [_polynomial_ratio(confocal * half, residual * half) for half in halves]
+    misfits = {0.0: _cross_misfit(smooth, halves, confocal, residual)}
+    for sigma_px in _core_scales(confocal, inside):
         maps = [_smoothed_ratio(confocal * half, residual * half, sigma_px) for half in halves]
-        if sigma_px == smooth_px:
-            varies = _common_variation(maps[0], maps[1], weights) > MIN_VARIATION
-        misfits[sigma_px] = sum(
-            _misfit(confocal * predicted, residual, half)
-            for predicted, half in zip(maps, reversed(halves), strict=True)
-        )
+        misfits[sigma_px] = _cross_misfit(maps, halves, confocal, residual)
     best = min(misfits, key=lambda sigma_px: misfits[sigma_px])
     if not misfits[best] < MAX_MISFIT * single:
-        if not varies:
+        if not _common_variation(smooth[0], smooth[1], weights) > MIN_VARIATION:
             return None
-        best = smooth_px
-    found = np.where(inside, np.clip(_smoothed_ratio(confocal, residual, best), *GAIN_LIMITS), 1)
+        best = 0.0
+    ratio = _smoothed_ratio(confocal, residual, best) if best else _polynomial_ratio(confocal, residual)
+    found = np.where(inside, np.clip(ratio, *GAIN_LIMITS), 1)
     # Its mean would not do: light divided by a map that varies from core to core is more than light over the mean.
     light = residual * disc(sectioner.side, COMPARED_DISC * sectioner.diameter_px)
     scale = float(light.sum(dtype=np.float64) / (light / found).sum(dtype=np.float64))
@@ -107,19 +104,35 @@ def _common_variation(one: Image, other: Image, weights: Image) -> float:
 
 
 def _smoothed_ratio(confocal: Image, residual: Image, sigma_px: float) -> Image:
-    light, other = (_blurred(image, sigma_px) for image in (confocal, residual))
+    light, other = (cv2.GaussianBlur(image, (0, 0), sigma_px) for image in (confocal, residual))
     dim = light < _LIT * float(light.max())
     return np.where(dim, 1, other / np.where(dim, 1, light)).astype(np.float32)
 
 
-def _blurred(image: Image, sigma_px: float) -> Image:
-    """Return an image smoothed by a Gaussian; a wide one is made of three boxes, whose time does not grow with it."""
-    if sigma_px < MIN_BOXES_PX:
-        return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.float32)
-    width = 2 * round(sigma_px) + 1
-    for _ in range(3):
-        image = np.asarray(cv2.blur(image, (width, width), borderType=cv2.BORDER_CONSTANT), np.float32)
-    return image
+def _polynomial_ratio(confocal: Image, residual: Image) -> Image:
+    """Return the polynomial of the place that takes the confocal light to as much residual light, in all its moments.
+
+    Unlike a fit of one image to the other it is not weakened by what noise and sampling change in single pixels; unlike
+    a smoothed ratio it is as exact at the rim.
+    """
+    powers = np.vander(np.linspace(-1, 1, len(confocal)), 2 * DEGREE + 1, increasing=True)
+    lit, other = (powers.T @ image @ powers for image in (confocal, residual))
+    down, across = np.nonzero(np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1)) <= DEGREE)
+    factors = np.zeros((DEGREE + 1, DEGREE + 1))
+    factors[down, across] = np.linalg.solve(
+        lit[np.add.outer(down, down), np.add.outer(across, across)], other[down, across]
+    )
+    terms = powers[:, : DEGREE + 1]
+    return np.asarray(terms @ factors @ terms.T, np.float32)
+
+
+def _cross_misfit(
+    maps: Sequence[Image], halves: Sequence[NDArray[np.bool_]], confocal: Image, residual: Image
+) -> float:
+    """Return how badly the map of each half of the pixels predicts those of the other half."""
+    return sum(
+        _misfit(confocal * predicted, residual, half) for predicted, half in zip(maps, reversed(halves), strict=True)
+    )
 
 
 def _misfit(predicted: Image, residual: Image, where: NDArray[np.bool_]) -> float:
