@@ -7,6 +7,7 @@ other pixels does, which noise and the cores' sampling by the camera do not.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import cv2
@@ -18,7 +19,7 @@ from napari_elsplus.processing.images.cores import core_pitch_px
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
@@ -69,18 +70,19 @@ def measure_gain_map(frame: NDArray[np.floating], calibration: Calibration) -> I
     every_other = (np.indices(confocal.shape).sum(axis=0) % 2).astype(bool)
     halves = inside & every_other, inside & ~every_other
     single = sum(_misfit(confocal, residual, half) for half in halves)
-    smooth = [_polynomial_ratio(confocal * half, residual * half) for half in halves]
-    misfits = {0.0: _cross_misfit(smooth, halves, confocal, residual)}
-    for sigma_px in _core_scales(confocal, inside):
-        maps = [_smoothed_ratio(confocal * half, residual * half, sigma_px) for half in halves]
-        misfits[sigma_px] = _cross_misfit(maps, halves, confocal, residual)
-    best = min(misfits, key=lambda sigma_px: misfits[sigma_px])
+    ratios: list[Callable[[Image, Image], Image]] = [_polynomial_ratio]
+    ratios += [partial(_smoothed_ratio, sigma_px=sigma_px) for sigma_px in _core_scales(confocal, inside)]
+    maps = [[ratio(confocal * half, residual * half) for half in halves] for ratio in ratios]
+    misfits = [
+        sum(_misfit(confocal * made, residual, half) for made, half in zip(pair, reversed(halves), strict=True))
+        for pair in maps
+    ]
+    best = int(np.argmin(misfits))
     if not misfits[best] < MAX_MISFIT * single:
-        if not _common_variation(smooth[0], smooth[1], weights) > MIN_VARIATION:
+        best = 0
+        if not _common_variation(maps[0][0], maps[0][1], weights) > MIN_VARIATION:
             return None
-        best = 0.0
-    ratio = _smoothed_ratio(confocal, residual, best) if best else _polynomial_ratio(confocal, residual)
-    found = np.where(inside, np.clip(ratio, *GAIN_LIMITS), 1)
+    found = np.where(inside, np.clip(ratios[best](confocal, residual), *GAIN_LIMITS), 1)
     # Its mean would not do: light divided by a map that varies from core to core is more than light over the mean.
     light = residual * disc(sectioner.side, COMPARED_DISC * sectioner.diameter_px)
     scale = float(light.sum(dtype=np.float64) / (light / found).sum(dtype=np.float64))
@@ -124,15 +126,6 @@ def _polynomial_ratio(confocal: Image, residual: Image) -> Image:
     )
     terms = powers[:, : DEGREE + 1]
     return np.asarray(terms @ factors @ terms.T, np.float32)
-
-
-def _cross_misfit(
-    maps: Sequence[Image], halves: Sequence[NDArray[np.bool_]], confocal: Image, residual: Image
-) -> float:
-    """Return how badly the map of each half of the pixels predicts those of the other half."""
-    return sum(
-        _misfit(confocal * predicted, residual, half) for predicted, half in zip(maps, reversed(halves), strict=True)
-    )
 
 
 def _misfit(predicted: Image, residual: Image, where: NDArray[np.bool_]) -> float:
