@@ -185,6 +185,9 @@ def changes() -> list[Change]:
         ),
         *constant("pixels per independent value", odds, "CORRELATED_PX"),
         *constant("side of the blocks, px", odds, "BLOCK_PX"),
+        *left_out(
+            "static variance is no evidence", odds, ("            more -= min(max(more, -static), static)\n", "")
+        ),
         *constant("static variance, squared grey levels", odds, "_FLOOR_DN2", without="0.0"),
         *constant("static variance, of the brightest", odds, "_FLOOR_SHARE", without="0.0"),
         *constant("sharp without competitors, px", "registration/pyramid_descent", "SHARP_PX"),
@@ -202,6 +205,7 @@ def changes() -> list[Change]:
         *constant("uneven motion estimated from, px", "tracker", "_UNEVEN_PX", without='float("inf")'),
         *constant("jolts count as uneven", prediction, "_JOLT", without="0.0"),
         *constant("starts wait from, nats", "tracker", "_WAITING_ODDS_NATS", without="MIN_ODDS_NATS", factors=()),
+        *constant("stands without a later one from, nats", "pose_graph/refinement", "SURE_ODDS_NATS", without="0.0"),
         *constant("reach of a keyframe, diameters", "tracker", "KEY_FRAME_REACH", without="0.0"),
         *constant("frames predicted", "tracker", "PATIENCE_FRAMES", without="0"),
         *constant("largest displacement, diameters", "tracker", "MAX_DISPLACEMENT_DIAMETERS", without="10.0"),

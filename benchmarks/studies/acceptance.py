@@ -18,6 +18,7 @@ from benchmarks.rigs.simulated import simulated_rig
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, settle
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.accuracy import WRONG_PX
 from napari_elsplus.simulation.specimen.scenes import fibres, picture
@@ -295,9 +296,11 @@ def tracked(recording: TruePath, grid: Grid) -> Counts:
     for image in recording.images:
         tracker.slot()[:] = image
         poses.append(tracker.add())
+    links = borne_out(poses, tracker.links)
+    poses = settle(poses, links)
     true, errors, normalised = recording.positions, [], []
     right, avoidable = set(), 0
-    for earlier, later, moved, _link in tracker.links:
+    for earlier, later, moved, _link in links:
         miss = np.array(moved) - (true[later] - true[earlier])
         errors.append(float(np.hypot(*miss)) * grid.binning)
         if poses[later].state is TrackingState.TRACKED:  # one that waited for the next has no standard deviation

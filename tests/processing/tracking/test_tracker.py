@@ -10,6 +10,7 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity, Warp
+from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, settle
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.specimen.trajectories import Recorded
@@ -78,7 +79,7 @@ def test_sparse_fibres_are_tracked_where_they_can_be_and_nowhere_else() -> None:
 
 def test_a_start_of_low_odds_is_kept_once_the_next_registration_agrees() -> None:
     """One fibre or two in view: by the odds of single pairs 7 frames are tracked, none of the first nine."""
-    truth = record(fibres(700, 8, 6), smooth_path(16, 20, 700, 6))
+    truth = record(fibres(700, 8, 14), smooth_path(16, 20, 700, 14))
     pipeline = track(truth)
     tracked = [pose.state is TrackingState.TRACKED for pose in pipeline.poses]
     assert sum(tracked) >= 10
@@ -114,6 +115,37 @@ def test_a_start_is_confirmed_by_frames_that_correlate_as_its_own(correlation: f
     poses = [tracker.add() for _ in range(3)]
     assert poses[2].state is state
     assert len(tracker.links) == (2 if state is TrackingState.TRACKED else 0)
+
+
+def standing(found: list[tuple[float, float] | None], frames: int) -> tuple[list[int], list[int]]:
+    """Frames whose registration stands, and those that are tracked in the end, of a tracker with scripted searches."""
+    grid = Grid(116, 1, (0, 0), (57.5, 57.5), 112.0, RollingShutter(150.0))
+    tracker = Tracker(grid, Scripted(grid, found))
+    poses = [tracker.add() for _ in range(frames)]
+    links = borne_out(poses, tracker.links)
+    tracked = [k for k, pose in enumerate(settle(poses, links)) if pose.state is TrackingState.TRACKED]
+    return [link.later for link in links], tracked
+
+
+LINKED, SURE, LOW = (40.0, 0.99), (400.0, 0.99), (7.0, 0.99)
+
+
+@pytest.mark.parametrize(
+    ("found", "frames", "stand", "tracked"),
+    [
+        ([LINKED, LINKED, LINKED], 4, [1, 2, 3], [0, 1, 2, 3]),
+        ([LINKED, LINKED, None], 4, [1], [0, 1]),
+        ([LINKED, SURE, None], 4, [1, 2], [0, 1, 2]),
+        ([LINKED, LINKED, None, LINKED], 5, [1, 4], [0, 1, 4]),
+        ([LOW, LOW, None, LINKED], 3, [1, 2], [0, 2]),
+        ([LOW, LOW, None, LINKED, None], 4, [], [0]),
+    ],
+    ids=["followed", "not followed", "sure", "not followed, then found", "start", "start that is not followed"],
+)
+def test_a_link_stands_if_it_is_sure_or_a_later_frame_is_linked(
+    found: list[tuple[float, float] | None], frames: int, stand: list[int], tracked: list[int]
+) -> None:
+    assert standing(found, frames) == (stand, tracked)
 
 
 def blinded(truth: Truth, first: int, last: int, level: int = 4) -> Truth:

@@ -14,7 +14,7 @@ import numpy as np
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
-from napari_elsplus.processing.tracking.pose_graph.refinement import refine
+from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, refine
 from napari_elsplus.processing.tracking.registration.model_selection import selected_model
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
@@ -207,7 +207,7 @@ class RegistrationTracking(FrontEndImages):
             for index in range(len(poses)):
                 again.slot()[:] = image(index)
                 poses[index] = again.add()
-        return refine(poses, links, PoseGraph(NodeRegistration(registrar), frame), model)
+        return refine(poses, borne_out(poses, links), PoseGraph(NodeRegistration(registrar), frame), model)
 
 
 def prepared_frames(

@@ -46,9 +46,8 @@ less than usual, as all do of a probe that turns."""
 _UNEVEN_PX: Final = 0.2
 """Standard deviation of a displacement by uneven motion, pixels, from which that is estimated; chosen: a third of the
 largest that is accepted."""
-_WAITING_ODDS_NATS: Final = 5.0
-"""Odds from which a first registration waits for the next one; chosen: from 0 the slide of a fibre along itself was
-accepted, since a second registration, which starts from the motion of the first, repeats it."""
+_WAITING_ODDS_NATS: Final = 0.0
+"""Odds from which a first registration waits for the next one: it is more probable than not."""
 
 
 @dataclass(slots=True)

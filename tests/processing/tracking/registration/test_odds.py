@@ -13,10 +13,14 @@ GRID = Grid(236, 1, (0, 0), (117.5, 117.5), 232.0, RollingShutter(280.0))
 MOVED = (3.0, -2.0)
 
 
-def seen(registrar: Registrar, scene: np.ndarray, shift: tuple[float, float], seed: int) -> PreparedFrame:
+def seen(
+    registrar: Registrar, scene: np.ndarray, shift: tuple[float, float], seed: int, cores: np.ndarray | None = None
+) -> PreparedFrame:
     view = registrar.view()
     centre = (scene.shape[1] / 2 + shift[1], scene.shape[0] / 2 + shift[0])
     view.image[:] = cv2.getRectSubPix(scene, view.image.shape, centre)
+    if cores is not None:
+        view.image[:] *= cores
     noise = np.random.default_rng(seed).normal(0, 2.0, view.image.shape).astype(np.float32)
     view.image[:] += cv2.GaussianBlur(noise, (0, 0), 1.0)
     return registrar.prepare(view)
@@ -39,6 +43,18 @@ def test_the_end_of_one_fibre_is_enough_and_a_fibre_without_ends_is_not(seed: in
     assert ended.observed
     assert np.hypot(ended.warp.b + MOVED[0], ended.warp.d + MOVED[1]) < 0.5
     assert not endless.observed
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_cores_of_unlike_gain_along_a_fibre_are_no_evidence_that_it_rests(seed: int) -> None:
+    registrar, scene = Registrar(GRID), one_fibre(ends=False)
+    along = 3.0 * np.array([613.0, 600.0]) / np.hypot(613.0, 600.0)
+    gains = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(236, 236)).astype(np.float32), (0, 0), 1.5)
+    cores = 1 + 0.06 * gains / gains.std()
+    frames = [seen(registrar, scene, tuple(k * along), 2 * seed + k, cores) for k in range(2)]
+    link = registrar.link(*frames, about(GRID.shutter, Warp(), 1e-3))
+    assert np.hypot(link.warp.b, link.warp.d) < 1.5, "the cores pull the shift to zero"
+    assert not link.observed
 
 
 def test_frames_that_share_only_noise_are_rejected() -> None:

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
     from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
 
+SURE_ODDS_NATS: Final = 200.0
+"""Log posterior odds from which a registration stands even if no later one does; chosen on seeds 1000 to 1059 of
+``benchmarks.studies.acceptance``: at 50, 20 registrations of sparse and jerky scenes are wrong where 15 are, and
+without a bound right ones of rich tissue are withdrawn before each jolt."""
 _SOLVED_AT: Final = 1.1
 """Factor by which the number of nodes grows between two solutions; chosen, so that their cost stays linear."""
 
@@ -92,11 +96,32 @@ def from_origins(poses: Sequence[Pose]) -> list[Pose]:
     return result
 
 
+def borne_out(poses: Sequence[Pose], links: Sequence[TrackedPair]) -> list[TrackedPair]:
+    """Return the registrations that are sure or that a later one bears out; the others are withdrawn.
+
+    Along a fibre, or after a jolt within a frame, a shift can be probable and wrong. The frame after it then mostly
+    cannot be registered.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        As tracked, one for every frame.
+    links : sequence of TrackedPair
+        The tracker's registrations.
+    """
+    followed = {frame for link in links for frame in (link.earlier, link.later - 1)} | {len(poses) - 1}
+    standing = [link for link in links if link.registration.odds >= SURE_ODDS_NATS or link.later in followed]
+    begun = {
+        link.earlier for link in standing
+    }  # a first registration that waited stands with the one that confirmed it
+    return [link for link in standing if poses[link.later].state is TrackingState.TRACKED or link.later in begun]
+
+
 def settle(poses: Sequence[Pose], links: Sequence[TrackedPair]) -> list[Pose]:
     """Return the poses with frames lost that no registration locates.
 
-    These are predicted frames after the last tracked one of their segment, and a first frame to which none is
-    registered where others are: the probe was lifted then, or elsewhere.
+    These are predicted frames after the last tracked one of their segment, a frame whose registration was withdrawn,
+    and a first frame to which none is registered where others are: the probe was lifted then, or elsewhere.
 
     Parameters
     ----------
@@ -105,13 +130,13 @@ def settle(poses: Sequence[Pose], links: Sequence[TrackedPair]) -> list[Pose]:
     links : sequence of TrackedPair
         The tracker's registrations.
     """
-    last = {pose.segment: k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED}
     linked = {frame for link in links for frame in (link.earlier, link.later)}
+    tracked = [
+        pose.state is TrackingState.TRACKED and (k in linked or (k == 0 and not linked)) for k, pose in enumerate(poses)
+    ]
+    last = {pose.segment: k for k, pose in enumerate(poses) if tracked[k]}
     return [
-        pose.lost
-        if (pose.state is TrackingState.PREDICTED and k > last.get(pose.segment, -1))
-        or (pose.state is TrackingState.TRACKED and linked and k not in linked)
-        else pose
+        pose if tracked[k] or (pose.state is TrackingState.PREDICTED and k <= last.get(pose.segment, -1)) else pose.lost
         for k, pose in enumerate(poses)
     ]
 

@@ -4,8 +4,9 @@ Along a straight fibre or in an empty view a correlation can be high and its shi
 with competing shifts along the direction in which the shift is constrained least, everything else fitted under the
 motion prior. Each block of pixels has contrast and noise of its own, so that a bright, even fibre does not drown its
 end, which alone constrains the shift along it: above a competing warp a block contributes half the residual that this
-leaves more, over the noise. Peaks of a search are ranked against unrelated frames, to which a block with n independent
-values and the normalised correlation r contributes n / 2 ln(1 / (1 - r^2)).
+leaves more, over the noise. A fibre that slides along itself is seen through the same cores, which differ after
+flat-fielding: what they may leave more is no evidence. Peaks of a search are ranked against unrelated frames, to which
+a block with n independent values and the normalised correlation r contributes n / 2 ln(1 / (1 - r^2)).
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ CORRELATED_PX: Final = 20.0
 BLOCK_PX: Final = 8
 """Side of the blocks, pixels of half resolution."""
 _FLOOR_DN2: Final = 0.3
-_FLOOR_SHARE: Final = 0.03
+_FLOOR_SHARE: Final = 0.008
 """Variance of the static pattern that flat-fielding leaves, which is no evidence: squared grey levels, and as a share
-of the brightest block's variance."""
+of the brightest block's variance; chosen: what a fibre leaves that was registered rightly."""
 COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0, 12.0, -12.0, 16.0, -16.0)
 """Distances of competing shifts, pixels of full resolution: a fibre slides along itself by up to 14, and by what lies
 between two competitors that are farther apart than 4."""
@@ -163,7 +164,9 @@ def log_ratio(pair: FramePair, warp: Array, other: Array, sums: Array) -> float:
             shared = ti * ti / ((tt + n * floor) * (ii + n * floor))
             left = ii + gain * (gain * tt - 2 * ti)
             other_left = sums[4, block] + other_gain * (other_gain * tt - 2 * sums[5, block])
-            nats += 0.5 * shared * n / (CORRELATED_PX / 4) * (other_left - left) / (left + n * floor)
+            more, static = other_left - left, n * floor
+            more -= min(max(more, -static), static)
+            nats += 0.5 * shared * n / (CORRELATED_PX / 4) * more / (left + static)
     return float(nats)
 
 
