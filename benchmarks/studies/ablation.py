@@ -165,10 +165,9 @@ def changes() -> list[Change]:
         ),
         *(
             change
-            for px in ("4.0, -4.0", near, "8.0, -8.0, 16.0, -16.0", f"{near}, 16.0, -16.0")
+            for px in ("4.0, -4.0", "8.0, -8.0", f"{near}, 12.0, -12.0, 16.0, -16.0")
             for change in left_out(
-                "distances of competing shifts, px", odds, (f"({near}, 12.0, -12.0, 16.0, -16.0)", f"({px})"),
-                change=f"{px} only",
+                "distances of competing shifts, px", odds, (f"({near})", f"({px})"), change=px,
             )
         ),
         *left_out(

@@ -34,12 +34,12 @@ CORRELATED_PX: Final = 20.0
 BLOCK_PX: Final = 8
 """Side of the blocks, pixels of half resolution."""
 _FLOOR_DN2: Final = 0.3
-_FLOOR_SHARE: Final = 0.008
+_FLOOR_SHARE: Final = 0.01
 """Variance of the static pattern that flat-fielding leaves, which is no evidence: squared grey levels, and as a share
 of the brightest block's variance; chosen: what a fibre leaves that was registered rightly."""
-COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0, 12.0, -12.0, 16.0, -16.0)
-"""Distances of competing shifts, pixels of full resolution: a fibre slides along itself by up to 14, and by what lies
-between two competitors that are farther apart than 4."""
+COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0)
+"""Distances of competing shifts, pixels of full resolution: just wrong, and by a few pitches of the cores; chosen: with
+12 and 16 as well as many registrations are wrong, and fewer right ones kept."""
 _HELD: Final = 1e8
 """Information that holds a competing shift where it is, 1 / px^2."""
 _FIT: Final = Iteration(2, 2, 0.02, False, 8)
