@@ -111,9 +111,8 @@ def borne_out(poses: Sequence[Pose], links: Sequence[TrackedPair]) -> list[Track
     """
     followed = {frame for link in links for frame in (link.earlier, link.later - 1)} | {len(poses) - 1}
     standing = [link for link in links if link.registration.odds >= SURE_ODDS_NATS or link.later in followed]
-    begun = {
-        link.earlier for link in standing
-    }  # a first registration that waited stands with the one that confirmed it
+    # a first registration that waited stands with the one that confirmed it
+    begun = {link.earlier for link in standing}
     return [link for link in standing if poses[link.later].state is TrackingState.TRACKED or link.later in begun]
 
 
@@ -130,10 +129,8 @@ def settle(poses: Sequence[Pose], links: Sequence[TrackedPair]) -> list[Pose]:
     links : sequence of TrackedPair
         The tracker's registrations.
     """
-    linked = {frame for link in links for frame in (link.earlier, link.later)}
-    tracked = [
-        pose.state is TrackingState.TRACKED and (k in linked or (k == 0 and not linked)) for k, pose in enumerate(poses)
-    ]
+    located = {frame for link in links for frame in (link.earlier, link.later)} or {0}
+    tracked = [pose.state is TrackingState.TRACKED and k in located for k, pose in enumerate(poses)]
     last = {pose.segment: k for k, pose in enumerate(poses) if tracked[k]}
     return [
         pose if tracked[k] or (pose.state is TrackingState.PREDICTED and k <= last.get(pose.segment, -1)) else pose.lost
