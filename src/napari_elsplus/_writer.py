@@ -8,7 +8,7 @@ import numpy as np
 import pint
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import beside, write_calibration, write_images, write_mosaic
+from napari_elsplus.io import ImageMetadata, beside, write_calibration, write_images, write_mosaic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -45,13 +45,11 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     calibration: Calibration | None = provenance.get("calibration")
     notes = _notes(provenance, attributes)
     step_s, um_per_px = _steps(attributes, image.ndim)
+    metadata = ImageMetadata(um_per_px=um_per_px, frame_period_s=step_s, settings=notes, calibration=calibration)
     if image.ndim == 2:
-        write_mosaic(path, np.asarray(image), um_per_px, metadata=notes, calibration=calibration, force=True)
+        write_mosaic(path, np.asarray(image), metadata, force=True)
     else:
-        write_images(
-            path, _Planes(image), um_per_px=um_per_px, frame_period_s=step_s, metadata=notes, calibration=calibration,
-            force=True,
-        )  # fmt: skip
+        write_images(path, _Planes(image), metadata, force=True)
     return [path, *_calibration_of_raw(path, provenance)]
 
 

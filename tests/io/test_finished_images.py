@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import allocate_images, fill_images, open_recording, write_images
+from napari_elsplus.io import ImageMetadata, allocate_images, fill_images, open_recording, write_images
 from pairs import calibration
 
 IMAGES = np.random.default_rng(3).normal(size=(7, 20, 30)).astype(np.float32)
-WRITTEN_WITH = {"calibration": calibration(), "metadata": {"mode": "els"}}
+METADATA = ImageMetadata(calibration=calibration(), settings={"mode": "els"})
 
 
 @pytest.mark.parametrize("suffix", [".ome.tif", ".ome.zarr"])
 def test_parts_make_the_file_of_all_images(tmp_path: Path, suffix: str) -> None:
     parts, whole = (tmp_path / f"{name}{suffix}" for name in ("parts", "whole"))
-    allocate_images(parts, IMAGES.shape, np.float32, **WRITTEN_WITH)  # type: ignore[arg-type]
+    allocate_images(parts, IMAGES.shape, np.float32, METADATA)  # type: ignore[arg-type]
     for part in (slice(5, 7), slice(0, 2), slice(2, 5)):
         assert fill_images(parts, part.start, iter(IMAGES[part])) == part.stop - part.start
-    write_images(whole, IMAGES, **WRITTEN_WITH)  # type: ignore[arg-type]
+    write_images(whole, IMAGES, METADATA)  # type: ignore[arg-type]
     with open_recording(parts) as filled, open_recording(whole) as written:
         np.testing.assert_array_equal(filled[:], IMAGES)
         assert filled.metadata == written.metadata

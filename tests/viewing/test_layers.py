@@ -7,7 +7,7 @@ import pytest
 import tifffile
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.io import open_recording, write_calibration, write_mosaic, write_stack
+from napari_elsplus.io import ImageMetadata, open_recording, write_calibration, write_mosaic, write_stack
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers, summary
 from napari_elsplus.viewing.stack import Stack
@@ -89,7 +89,7 @@ def test_a_calibration_that_does_not_do_leaves_the_raw_layer_and_a_note(tmp_path
 
 def test_finished_images_are_not_taken_for_raw_frames(tmp_path):
     els = section(frames(), calibration(), "els")[:]
-    write_stack(tmp_path / "out.tif", els, calibration=calibration(), metadata={"mode": "els"})
+    write_stack(tmp_path / "out.tif", els, ImageMetadata(calibration=calibration(), settings={"mode": "els"}))
     ((data, attributes, _),) = open_layers(tmp_path / "out.tif").layers
     np.testing.assert_array_equal(data, els)
     assert attributes["name"] == "out ELS+"
@@ -98,7 +98,7 @@ def test_finished_images_are_not_taken_for_raw_frames(tmp_path):
 
 def test_a_single_finished_image_has_two_axes(tmp_path):
     mosaic = np.random.default_rng(0).random((50, 70)).astype(np.float32)
-    write_mosaic(tmp_path / "m.ome.tif", mosaic, 2.5)
+    write_mosaic(tmp_path / "m.ome.tif", mosaic, ImageMetadata(um_per_px=2.5))
     ((data, attributes, _),) = open_layers(tmp_path / "m.ome.tif").layers
     np.testing.assert_array_equal(data, mosaic)
     assert attributes["scale"] == (2.5, 2.5)

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from napari_elsplus.io.finished_images import write_mosaic as write_mosaic
     from napari_elsplus.io.formats.ome_tiff import write_stack as write_stack
     from napari_elsplus.io.formats.registry import FileFormat as FileFormat
+    from napari_elsplus.io.formats.registry import ImageMetadata as ImageMetadata
     from napari_elsplus.io.formats.registry import register_format as register_format
     from napari_elsplus.io.formats.source import FrameSource as FrameSource
     from napari_elsplus.io.recorder import RecordingWriter as RecordingWriter
@@ -47,7 +48,7 @@ _MODULES = {
     "columns": ("read_depths_um", "read_volts", "volts_beside", "write_column", "write_table"),
     "finished_images": ("allocate_images", "fill_images", "write_images", "write_mosaic"),
     "formats.ome_tiff": ("write_stack",),
-    "formats.registry": ("FileFormat", "register_format"),
+    "formats.registry": ("FileFormat", "ImageMetadata", "register_format"),
     "formats.source": ("FrameSource",),
     "recorder": ("RecordingWriter",),
     "recordings": ("Recording", "open_recording"),

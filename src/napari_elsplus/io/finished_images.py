@@ -6,25 +6,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from napari_elsplus.io.atomic import flush
-from napari_elsplus.io.formats.registry import format_to_write
+from napari_elsplus.io.formats.registry import ImageMetadata, format_to_write
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
     from numpy.typing import DTypeLike, NDArray
-
-    from napari_elsplus.instrument.calibration import Calibration
 
 
 def write_images(
     path: str | os.PathLike[str],
     images: Iterable[NDArray[Any]],
+    metadata: ImageMetadata = ImageMetadata(),  # noqa: B008 - immutable
     *,
-    um_per_px: float | None = None,
-    frame_period_s: float | None = None,
-    metadata: Mapping[str, Any] | None = None,
-    calibration: Calibration | None = None,
     force: bool = False,
 ) -> int:
     """Write images of one shape and type, one at a time in memory, in the format that the suffix names.
@@ -35,14 +30,8 @@ def write_images(
         ``NAME.ome.tif`` for OME-TIFF, ``NAME.ome.zarr`` for OME-Zarr, or a suffix of another registered format.
     images : iterable of numpy.ndarray, (rows, cols)
         Equal in shape and type.
-    um_per_px : float, optional
-        Pixel size; the calibration's by default.
-    frame_period_s : float, optional
-        Time from one image to the next; the calibration's by default.
-    metadata : mapping, optional
-        Anything else to keep; must be fit for JSON.
-    calibration : Calibration, optional
-        Kept in the file, without its arrays.
+    metadata : ImageMetadata
+        Pixel size, settings, calibration; nothing by default.
     force : bool
         Replace an existing file instead of refusing it.
 
@@ -59,21 +48,14 @@ def write_images(
     """
     writer = format_to_write(Path(path)).writer
     assert writer is not None
-    return writer(
-        path, images, um_per_px=um_per_px, frame_period_s=frame_period_s, metadata=metadata, calibration=calibration,
-        force=force,
-    )  # fmt: skip
+    return writer(path, images, metadata, force=force)
 
 
 def allocate_images(
     path: str | os.PathLike[str],
     shape: tuple[int, int, int],
     dtype: DTypeLike,
-    *,
-    um_per_px: float | None = None,
-    frame_period_s: float | None = None,
-    metadata: Mapping[str, Any] | None = None,
-    calibration: Calibration | None = None,
+    metadata: ImageMetadata = ImageMetadata(),  # noqa: B008 - immutable
 ) -> None:
     """Create the file of a stack of images, whose pixels are 0, in the format that the suffix names.
 
@@ -88,7 +70,7 @@ def allocate_images(
         Number of images, rows, columns.
     dtype : dtype-like
         Of the pixels.
-    um_per_px, frame_period_s, metadata, calibration
+    metadata : ImageMetadata
         As :func:`write_images`.
 
     Raises
@@ -98,10 +80,7 @@ def allocate_images(
     """
     allocator = format_to_write(Path(path)).allocator
     assert allocator is not None
-    allocator(
-        path, shape, dtype, um_per_px=um_per_px, frame_period_s=frame_period_s, metadata=metadata,
-        calibration=calibration,
-    )  # fmt: skip
+    allocator(path, shape, dtype, metadata)
 
 
 def fill_images(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
@@ -138,10 +117,8 @@ def fill_images(path: str | os.PathLike[str], first: int, images: Iterable[NDArr
 def write_mosaic(
     path: str | os.PathLike[str],
     image: NDArray[Any],
-    um_per_px: float | None = None,
+    metadata: ImageMetadata = ImageMetadata(),  # noqa: B008 - immutable
     *,
-    metadata: Mapping[str, Any] | None = None,
-    calibration: Calibration | None = None,
     force: bool = False,
 ) -> Path:
     """Write a mosaic in the format that the suffix names, with a pyramid of halved levels where the format has one.
@@ -152,12 +129,8 @@ def write_mosaic(
         ``NAME.ome.tif`` for OME-TIFF, ``NAME.ome.zarr`` for OME-Zarr, or a suffix of another registered format.
     image : numpy.ndarray, (rows, cols)
         The mosaic at full resolution; pixels that were never covered are 0.
-    um_per_px : float, optional
-        Pixel size; the calibration's by default.
-    metadata : mapping, optional
-        Anything else to keep; must be fit for JSON.
-    calibration : Calibration, optional
-        Kept in the file, without its arrays.
+    metadata : ImageMetadata
+        Pixel size, settings, calibration; nothing by default.
     force : bool
         Replace an existing file instead of refusing it.
 
@@ -173,9 +146,7 @@ def write_mosaic(
     """
     chosen = format_to_write(Path(path))
     if chosen.pyramid_writer is not None:
-        return chosen.pyramid_writer(
-            path, image, um_per_px, metadata=metadata, calibration=calibration, force=force
-        )  # fmt: skip
+        return chosen.pyramid_writer(path, image, metadata, force=force)
     assert chosen.writer is not None
-    chosen.writer(path, [image], um_per_px=um_per_px, metadata=metadata, calibration=calibration, force=force)
+    chosen.writer(path, [image], metadata, force=force)
     return Path(path)

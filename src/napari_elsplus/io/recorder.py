@@ -20,6 +20,7 @@ from napari_elsplus.io.atomic import refuse_existing
 from napari_elsplus.io.calibration_lookup import beside
 from napari_elsplus.io.calibrations import write_calibration
 from napari_elsplus.io.formats import ome_xml as ome
+from napari_elsplus.io.formats.registry import ImageMetadata
 from napari_elsplus.io.formats.tiff_pages import PageLayout
 
 if TYPE_CHECKING:
@@ -170,22 +171,20 @@ class RecordingWriter(ClosedOnExit):
             self.path.unlink()
             return
         try:
-            ome.put_into_first_page(self.path, (len(self), *self.frame_shape), self.dtype, **self._metadata())
+            ome.put_into_first_page(
+                self.path, (len(self), *self.frame_shape), self.dtype, self._metadata(), times_s=self._times_s
+            )
             self._flush()
         except OSError:
             self._cut_to_whole_pages()
             raise
 
-    def _metadata(self) -> dict[str, Any]:
+    def _metadata(self) -> ImageMetadata:
         times = np.array(self._times_s)
-        period = float(np.median(np.diff(times))) if len(times) > 1 else None
-        return {
-            "um_per_px": None if self._calibration is None else self._calibration.um_per_px,
-            "frame_period_s": period if period and period > 0 else None,
-            "times_s": self._times_s,
-            "calibration": self._calibration,
-            "settings": self._settings,
-        }
+        period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        return ImageMetadata(
+            frame_period_s=period if period > 0 else None, settings=self._settings, calibration=self._calibration
+        )
 
     def _close_file(self) -> None:
         file, self._file = self._file, None

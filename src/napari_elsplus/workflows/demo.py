@@ -14,6 +14,7 @@ import numpy as np
 
 from napari_elsplus import __version__
 from napari_elsplus.io import (
+    ImageMetadata,
     RecordingWriter,
     open_recording,
     refuse_existing,
@@ -190,17 +191,11 @@ def _process(
     """
     optics = stage.instrument.optics
     tracks, mosaics = {}, {}
+    known = ImageMetadata(um_per_px=optics.um_per_px, frame_period_s=optics.frame_period_s, calibration=calibration)
     with open_recording(stage.folder / "recording.ome.tif") as recording:
         for mode in (Mode.LS, Mode.RESIDUAL, Mode.ELS):
             images = SectionedImages(recording[:SHOWN_FRAMES], calibration, mode)
-            write_stack(
-                stage.folder / f"{mode.value}.ome.tif",
-                images,
-                um_per_px=optics.um_per_px,
-                frame_period_s=optics.frame_period_s,
-                calibration=calibration,
-                force=stage.force,
-            )
+            write_stack(stage.folder / f"{mode.value}.ome.tif", images, known, force=stage.force)
         path = trajectory("spiral", speed_um_s=SPEED_UM_S)
         true_px = np.array(motion(stage.instrument, path, len(recording))["positions_mid"])
         for mode in (Mode.LS, Mode.ELS):
@@ -211,7 +206,8 @@ def _process(
             tracks[mode] = track_errors(pipeline.rows, true_px)
             mosaics[mode] = montage(list(pipeline.mosaics.values()))
             target = stage.folder / f"mosaic_{mode.value}.ome.tif"
-            write_mosaic(target, mosaics[mode], pipeline.um_per_px, calibration=calibration, force=stage.force)
+            scaled = ImageMetadata(um_per_px=pipeline.um_per_px, calibration=calibration)
+            write_mosaic(target, mosaics[mode], scaled, force=stage.force)
     write_track(stage.folder / "track.csv", pipeline.rows, force=stage.force)
     return tracks, mosaics, pipeline.um_per_px
 

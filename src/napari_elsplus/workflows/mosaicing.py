@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import Recording, TrackPoint, refuse_existing, write_mosaic, write_track
+from napari_elsplus.io import ImageMetadata, Recording, TrackPoint, refuse_existing, write_mosaic, write_track
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
@@ -92,8 +92,8 @@ class MosaicResult:
         for target in (path, track):
             if target is not None:
                 refuse_existing(target, force=force)
-        settings: dict[str, Any] = dict(self.settings)
-        write_mosaic(path, self.image, self.um_per_px, calibration=self.calibration, metadata=settings, force=force)
+        known = ImageMetadata(um_per_px=self.um_per_px, settings=self.settings, calibration=self.calibration)
+        write_mosaic(path, self.image, known, force=force)
         if track is not None:
             write_track(track, self.track, force=force)
 

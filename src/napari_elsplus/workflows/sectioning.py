@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.io import allocate_images, fill_images, write_images
+from napari_elsplus.io import ImageMetadata, allocate_images, fill_images, write_images
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.row_power import RowPower
@@ -195,7 +195,7 @@ class SectionedImages:
             If no format writes the suffix, or the file exists and `force` is not given.
         """
         images = self._images(progress(range(self._count), self.mode.value))
-        write_images(path, images if threads == 1 else computed_ahead(images), **self._known(), force=force)
+        write_images(path, images if threads == 1 else computed_ahead(images), self._metadata, force=force)
 
     def allocate(self, path: str | os.PathLike[str]) -> None:
         """Create the file that :meth:`save` writes, with pixels of 0; :meth:`fill` writes spans of images into it.
@@ -205,7 +205,7 @@ class SectionedImages:
         path : path-like
             ``NAME.ome.tif`` or ``NAME.ome.zarr``, which does not exist.
         """
-        allocate_images(path, self.shape, np.float32, **self._known())
+        allocate_images(path, self.shape, np.float32, self._metadata)
 
     def fill(self, path: str | os.PathLike[str], span: range) -> None:
         """Write a span of the images into a file of :meth:`allocate`, one at a time; other processes may write others.
@@ -222,13 +222,11 @@ class SectionedImages:
     def _images(self, indices: Iterable[int]) -> Iterator[NDArray[np.float32]]:
         return (self[index] for index in indices)
 
-    def _known(self) -> dict[str, Any]:
-        """Return what is written with the images."""
-        return {
-            "frame_period_s": self.frame_period_s,
-            "metadata": {"mode": self.mode.value},
-            "calibration": self.calibration,
-        }
+    @property
+    def _metadata(self) -> ImageMetadata:
+        """Metadata of the images, as they are written."""
+        settings = {"mode": self.mode.value}
+        return ImageMetadata(frame_period_s=self.frame_period_s, settings=settings, calibration=self.calibration)
 
 
 def finishing(

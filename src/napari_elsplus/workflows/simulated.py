@@ -14,7 +14,15 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.virtual.steady_scan import steady_line_rows
-from napari_elsplus.io import beside, refuse_existing, replacing, write_calibration, write_column, write_stack
+from napari_elsplus.io import (
+    ImageMetadata,
+    beside,
+    refuse_existing,
+    replacing,
+    write_calibration,
+    write_column,
+    write_stack,
+)
 from napari_elsplus.simulation import calibration_scenes, truth
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS
@@ -103,7 +111,7 @@ class SimulatedRecording(RenderedFrames):
             refuse_existing(target, force=force)
         frames = (self[index] for index in progress(range(self.count), "depths" if scanned else "frames"))
         axes = "ZYX" if scanned else "TYX"
-        write_stack(output, frames, calibration=self.calibration, force=force, axes=axes)
+        write_stack(output, frames, ImageMetadata(calibration=self.calibration), force=force, axes=axes)
         write_calibration(record, self.calibration, force=force)
         _write_json(facts, self.truth, force=force)
         if self.depth_um is not None:
@@ -265,7 +273,7 @@ class SimulatedCalibrationFrames:
             refuse_existing(folder / name, force=force)
         for part, frames in parts.items():
             shown = (frames[index] for index in progress(range(len(frames)), part))
-            write_stack(folder / f"{part}.tif", shown, um_per_px=self.um_per_px, force=force)
+            write_stack(folder / f"{part}.tif", shown, ImageMetadata(um_per_px=self.um_per_px), force=force)
         write_column(folder / "sweep_volts.csv", "volts", self.volts, force=force)
         _write_json(folder / "truth.json", self.truth, force=force)
 

@@ -8,7 +8,7 @@ import pytest
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording
-from napari_elsplus.io.formats.registry import format_to_write
+from napari_elsplus.io.formats.registry import ImageMetadata, format_to_write
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,4 +27,4 @@ def test_a_missing_decoder_is_named_with_its_extra(tmp_path: Path, monkeypatch: 
     writer = format_to_write(tmp_path / "b.zarr").writer
     assert writer is not None
     with pytest.raises(InputError, match="extra `zarr`"):
-        writer(tmp_path / "b.zarr", [np.zeros((4, 4), np.uint8)])
+        writer(tmp_path / "b.zarr", [np.zeros((4, 4), np.uint8)], ImageMetadata())

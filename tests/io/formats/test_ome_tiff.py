@@ -8,14 +8,14 @@ import tifffile
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.io import open_recording, write_mosaic, write_stack
+from napari_elsplus.io import ImageMetadata, open_recording, write_mosaic, write_stack
 
 IMAGES = np.random.default_rng(3).normal(size=(6, 33, 33)).astype(np.float32)
 CALIBRATION = Calibration.parse({"optics": {"um_per_px": 0.96, "line_period_s": 1e-5, "rows_per_frame": 500.0}})
 
 
 def test_signed_floats_come_back_exactly(tmp_path):
-    assert write_stack(tmp_path / "els.tif", iter(IMAGES), um_per_px=0.96) == 6
+    assert write_stack(tmp_path / "els.tif", iter(IMAGES), ImageMetadata(um_per_px=0.96)) == 6
     read = tifffile.imread(tmp_path / "els.tif")
     assert read.dtype == np.float32
     np.testing.assert_array_equal(read, IMAGES)
@@ -29,7 +29,7 @@ def test_one_image_comes_back_too(tmp_path, images):
 
 
 def test_scale_interval_calibration_and_notes_are_kept(tmp_path):
-    write_stack(tmp_path / "els.tif", IMAGES, calibration=CALIBRATION, metadata={"mode": "els"})
+    write_stack(tmp_path / "els.tif", IMAGES, ImageMetadata(calibration=CALIBRATION, settings={"mode": "els"}))
     with open_recording(tmp_path / "els.tif") as recording:
         assert recording.metadata["um_per_px"] == 0.96
         assert recording.metadata["frame_period_s"] == pytest.approx(5e-3)
@@ -89,7 +89,7 @@ def test_an_existing_file_is_refused_before_any_work(tmp_path):
 
 def test_a_mosaic_has_a_pyramid_and_its_scale(tmp_path):
     mosaic = np.random.default_rng(4).random((1300, 900)).astype(np.float32)
-    assert write_mosaic(tmp_path / "m.ome.tif", mosaic, 0.96) == tmp_path / "m.ome.tif"
+    assert write_mosaic(tmp_path / "m.ome.tif", mosaic, ImageMetadata(um_per_px=0.96)) == tmp_path / "m.ome.tif"
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "m.ome.tif"), mosaic)
     with tifffile.TiffFile(tmp_path / "m.ome.tif") as file:
         levels = file.series[0].levels

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zarr
 
-from napari_elsplus.io import open_recording, write_images, write_mosaic
+from napari_elsplus.io import ImageMetadata, open_recording, write_images, write_mosaic
 from pairs import FRAME_PERIOD_S, calibration
 
 RNG = np.random.default_rng(3)
@@ -16,7 +16,8 @@ RNG = np.random.default_rng(3)
 
 def test_a_stack_is_read_back_with_its_scale_and_calibration(tmp_path: Path) -> None:
     images = RNG.normal(size=(5, 20, 30)).astype(np.float32)
-    assert write_images(tmp_path / "a.ome.zarr", images, calibration=calibration(), metadata={"mode": "els"}) == 5
+    known = ImageMetadata(calibration=calibration(), settings={"mode": "els"})
+    assert write_images(tmp_path / "a.ome.zarr", images, known) == 5
     with open_recording(tmp_path / "a.ome.zarr") as back:
         np.testing.assert_array_equal(back[:], images)
         assert back.metadata["um_per_px"] == pytest.approx(2.0)
@@ -29,7 +30,8 @@ def test_the_levels_of_a_mosaic_lie_on_each_other(tmp_path: Path) -> None:
     """A linear scene has the same value at the same place, in micrometres, on every level."""
     rows, cols = np.mgrid[:1300, :900].astype(np.float32)
     mosaic = 3 * rows + cols
-    assert write_mosaic(tmp_path / "m.ome.zarr", mosaic, 0.5, metadata={"mode": "els"}) == tmp_path / "m.ome.zarr"
+    known = ImageMetadata(um_per_px=0.5, settings={"mode": "els"})
+    assert write_mosaic(tmp_path / "m.ome.zarr", mosaic, known) == tmp_path / "m.ome.zarr"
     group = zarr.open_group(tmp_path / "m.ome.zarr", mode="r")
     image = group.attrs["ome"]["multiscales"][0]
     assert group.attrs["ome"]["version"] == "0.5"
@@ -47,7 +49,7 @@ def test_the_levels_of_a_mosaic_lie_on_each_other(tmp_path: Path) -> None:
 
 
 def test_a_mosaic_keeps_the_pixel_size_of_its_calibration(tmp_path: Path) -> None:
-    write_mosaic(tmp_path / "m.ome.zarr", np.ones((40, 30), np.float32), calibration=calibration())
+    write_mosaic(tmp_path / "m.ome.zarr", np.ones((40, 30), np.float32), ImageMetadata(calibration=calibration()))
     with open_recording(tmp_path / "m.ome.zarr") as back:
         assert back.metadata["um_per_px"] == pytest.approx(2.0)
         assert back.calibration is not None

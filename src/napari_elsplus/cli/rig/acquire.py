@@ -129,7 +129,7 @@ def _stream(engine: Engine, seconds: float, plan: RecordingPlan | None) -> None:
 
 
 def _write(pipeline: Pipeline, engine: Engine, mosaic: Path | None, track: Path | None, force: bool) -> None:
-    from napari_elsplus.io import write_mosaic, write_track
+    from napari_elsplus.io import ImageMetadata, write_mosaic, write_track
     from napari_elsplus.processing.mosaicing.montage import montage
 
     calibration = engine.calibration
@@ -138,7 +138,7 @@ def _write(pipeline: Pipeline, engine: Engine, mosaic: Path | None, track: Path 
         write_track(track, pipeline.rows, force=force)
     if mosaic is not None:
         image = montage(list(pipeline.mosaics.values()))
-        write_mosaic(mosaic, image, pipeline.um_per_px, calibration=calibration, force=force)
+        write_mosaic(mosaic, image, ImageMetadata(um_per_px=pipeline.um_per_px, calibration=calibration), force=force)
 
 
 def summary(status: Status) -> str:

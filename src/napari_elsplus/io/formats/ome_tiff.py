@@ -12,14 +12,13 @@ import numpy as np
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import refuse_existing, replacing
 from napari_elsplus.io.formats import ome_xml as ome
+from napari_elsplus.io.formats.registry import ImageMetadata
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import DTypeLike, NDArray
-
-    from napari_elsplus.instrument.calibration import Calibration
 
 MAX_CLASSIC_BYTES: Final = 2 << 30
 """Pixels of a classic TIFF; what is larger, or of unknown length, is written as BigTIFF. Half of what 32-bit offsets
@@ -33,11 +32,8 @@ TILE_PX: Final = (256, 256)
 def write_stack(
     path: str | os.PathLike[str],
     images: Iterable[NDArray[Any]],
+    metadata: ImageMetadata = ImageMetadata(),  # noqa: B008 - immutable
     *,
-    um_per_px: float | None = None,
-    frame_period_s: float | None = None,
-    metadata: Mapping[str, Any] | None = None,
-    calibration: Calibration | None = None,
     force: bool = False,
     axes: str = "TYX",
 ) -> int:
@@ -49,14 +45,8 @@ def write_stack(
         The file.
     images : iterable of numpy.ndarray, (rows, cols)
         Equal in shape and type.
-    um_per_px : float, optional
-        Pixel size; the calibration's by default.
-    frame_period_s : float, optional
-        Time from one image to the next; the calibration's by default.
-    metadata : mapping, optional
-        Anything else to keep, as JSON.
-    calibration : Calibration, optional
-        Kept in the file, without its arrays.
+    metadata : ImageMetadata
+        Pixel size, settings, calibration; nothing by default.
     force : bool
         Replace an existing file instead of refusing it.
     axes : str
@@ -77,9 +67,6 @@ def write_stack(
     with replacing(path, force=force) as beside:
         planes = contiguous_images(images)
         first = next(planes)
-        if calibration is not None:
-            um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
-            frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
         length = len(images) if isinstance(images, Sized) else None
         big = length is None or length * first.nbytes > MAX_CLASSIC_BYTES
         count = 0
@@ -90,10 +77,7 @@ def write_stack(
                     software=ome.SOFTWARE, description=ome.SOFTWARE,
                 )  # fmt: skip
                 count += 1
-        ome.put_into_first_page(
-            beside, (count, first.shape[0], first.shape[1]), first.dtype, axes,
-            um_per_px=um_per_px, frame_period_s=frame_period_s, calibration=calibration, settings=metadata,
-        )  # fmt: skip
+        ome.put_into_first_page(beside, (count, *first.shape), first.dtype, metadata, axes)
     return count
 
 
@@ -101,11 +85,7 @@ def allocate_stack(
     path: str | os.PathLike[str],
     shape: tuple[int, int, int],
     dtype: DTypeLike,
-    *,
-    um_per_px: float | None = None,
-    frame_period_s: float | None = None,
-    metadata: Mapping[str, Any] | None = None,
-    calibration: Calibration | None = None,
+    metadata: ImageMetadata,
 ) -> None:
     """Create the OME-TIFF (BigTIFF) of a stack whose pixels are 0; :func:`fill_stack` writes images into it.
 
@@ -117,24 +97,18 @@ def allocate_stack(
         Number of images, rows, columns.
     dtype : dtype-like
         Of the pixels.
-    um_per_px, frame_period_s, metadata, calibration
+    metadata : ImageMetadata
         As :func:`write_stack`.
     """
     import tifffile
 
     refuse_existing(path)
-    if calibration is not None:
-        um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
-        frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
     with tifffile.TiffWriter(path, bigtiff=True) as writer:
         writer.write(
             shape=shape, dtype=np.dtype(dtype), contiguous=True, photometric="minisblack", metadata=None,
             software=ome.SOFTWARE, description=ome.SOFTWARE,
         )  # fmt: skip
-    ome.put_into_first_page(
-        Path(path), shape, np.dtype(dtype),
-        um_per_px=um_per_px, frame_period_s=frame_period_s, calibration=calibration, settings=metadata,
-    )  # fmt: skip
+    ome.put_into_first_page(Path(path), shape, np.dtype(dtype), metadata)
 
 
 def fill_stack(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
@@ -236,10 +210,8 @@ def require_alike(
 def write_ome_tiff_pyramid(
     path: str | os.PathLike[str],
     image: NDArray[Any],
-    um_per_px: float | None = None,
+    metadata: ImageMetadata,
     *,
-    metadata: Mapping[str, Any] | None = None,
-    calibration: Calibration | None = None,
     force: bool = False,
 ) -> Path:
     """Write a mosaic to a tiled OME-TIFF with a pyramid of halved levels, so that viewers open any size at once.
@@ -250,12 +222,8 @@ def write_ome_tiff_pyramid(
         The file.
     image : numpy.ndarray, (rows, cols)
         The mosaic at full resolution; pixels that were never covered are 0.
-    um_per_px : float, optional
-        Pixel size; the calibration's by default.
-    metadata : mapping, optional
-        Anything else to keep, as JSON.
-    calibration : Calibration, optional
-        Kept in the file, without its arrays.
+    metadata : ImageMetadata
+        As :func:`write_stack`.
     force : bool
         Replace an existing file instead of refusing it.
 
@@ -275,9 +243,7 @@ def write_ome_tiff_pyramid(
         image = np.ascontiguousarray(image)
         if image.ndim != 2 or image.size == 0:
             raise InputError(f"the mosaic has shape {image.shape}", "a mosaic (rows, cols) is expected")
-        if um_per_px is None and calibration is not None:
-            um_per_px = calibration.um_per_px
-        fields = ome.tifffile_metadata(um_per_px=um_per_px, calibration=calibration, settings=metadata)
+        fields = ome.tifffile_metadata(metadata, "YX")
         levels = pyramid(image)
         with tifffile.TiffWriter(beside, bigtiff=image.nbytes > MAX_CLASSIC_BYTES, ome=True) as writer:
             for index, level in enumerate(levels):
@@ -285,7 +251,7 @@ def write_ome_tiff_pyramid(
                     level, photometric="minisblack", tile=TILE_PX, compression="zlib", software=ome.SOFTWARE,
                     subifds=len(levels) - 1 if index == 0 else None,
                     subfiletype=None if index == 0 else 1,
-                    metadata={**fields, "axes": "YX"} if index == 0 else None,
+                    metadata=fields if index == 0 else None,
                 )  # fmt: skip
     return Path(path)
 

@@ -15,10 +15,10 @@ from napari_elsplus.io.calibrations import format_calibration
 from napari_elsplus.io.formats.source import positive
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
-    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.io.formats.registry import ImageMetadata
 
 SOFTWARE: Final = f"napari-elsplus {__version__}"
 """Written as the creator of every file."""
@@ -30,48 +30,44 @@ _S: Final = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "μs": 1e-6, "us": 1e-6, "min": 
 
 
 def tifffile_metadata(
-    *,
-    um_per_px: float | None = None,
-    frame_period_s: float | None = None,
-    times_s: Sequence[float] | None = None,
-    calibration: Calibration | None = None,
-    settings: Mapping[str, Any] | None = None,
+    metadata: ImageMetadata, axes: str = "TYX", times_s: Sequence[float] | None = None
 ) -> dict[str, Any]:
-    """Return the metadata of a stack under the keys of tifffile's OME metadata.
+    """Return the metadata of a stack, or of a single image, under the keys of tifffile's OME metadata.
 
     Parameters
     ----------
-    um_per_px : float, optional
-        Pixel size.
-    frame_period_s : float, optional
-        Time from one frame to the next.
+    metadata : ImageMetadata
+        Calibration and settings are kept as annotations.
+    axes : str
+        ``"TYX"``, ``"ZYX"``, or ``"YX"`` for a single image, which has no frame interval.
     times_s : sequence of float, optional
         Time of each frame.
-    calibration : Calibration, optional
-        Kept as an annotation, without its arrays.
-    settings : mapping, optional
-        Kept as an annotation, as JSON.
     """
-    fields: dict[str, Any] = {"Description": SOFTWARE}
-    if um_per_px is not None:
-        fields |= {"PhysicalSizeX": um_per_px, "PhysicalSizeY": um_per_px}
+    fields: dict[str, Any] = {"Description": SOFTWARE, "axes": axes}
+    if metadata.um_per_px is not None:
+        fields |= {"PhysicalSizeX": metadata.um_per_px, "PhysicalSizeY": metadata.um_per_px}
         fields |= {"PhysicalSizeXUnit": "µm", "PhysicalSizeYUnit": "µm"}
-    if frame_period_s is not None:
-        fields |= {"TimeIncrement": frame_period_s, "TimeIncrementUnit": "s"}
+    if metadata.frame_period_s is not None and axes != "YX":
+        fields |= {"TimeIncrement": metadata.frame_period_s, "TimeIncrementUnit": "s"}
     if times_s is not None:
         fields["Plane"] = {"DeltaT": list(times_s), "DeltaTUnit": ["s"] * len(times_s)}
     notes = []
-    if calibration is not None:
-        notes.append({"Namespace": FORMAT, "Value": format_calibration(calibration)})
-    if settings:
-        notes.append({"Namespace": SETTINGS, "Value": json.dumps(dict(settings), default=str)})
+    if metadata.calibration is not None:
+        notes.append({"Namespace": FORMAT, "Value": format_calibration(metadata.calibration)})
+    if metadata.settings:
+        notes.append({"Namespace": SETTINGS, "Value": json.dumps(dict(metadata.settings), default=str)})
     if notes:
         fields["CommentAnnotation"] = notes
     return fields
 
 
 def put_into_first_page(
-    path: Path, shape: tuple[int, int, int], dtype: np.dtype[Any], axes: str = "TYX", **known: Any
+    path: Path,
+    shape: tuple[int, int, int],
+    dtype: np.dtype[Any],
+    metadata: ImageMetadata,
+    axes: str = "TYX",
+    times_s: Sequence[float] | None = None,
 ) -> None:
     """Write the OME-XML of a finished TIFF of one page per frame over the first page's description.
 
@@ -83,16 +79,15 @@ def put_into_first_page(
         (T, rows, cols).
     dtype : numpy.dtype
         Of the frames.
-    axes : str
-        ``"TYX"`` or ``"ZYX"``.
-    **known
+    metadata, axes, times_s
         As :func:`tifffile_metadata`.
     """
     import tifffile
 
     count, rows, cols = shape
     xml = tifffile.OmeXml(creator=SOFTWARE)
-    xml.addimage(dtype.name, shape, (count, 1, 1, rows, cols, 1), axes=axes, **tifffile_metadata(**known))
+    fields = tifffile_metadata(metadata, axes, times_s)
+    xml.addimage(dtype.name, shape, (count, 1, 1, rows, cols, 1), **fields)
     with tifffile.TiffFile(path, mode="r+") as file:
         file.pages.first.tags["ImageDescription"].overwrite(xml.tostring(declaration=True).encode(), erase=False)
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import DTypeLike, NDArray
 
-    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.io.formats.registry import ImageMetadata
 
 NOTES: Final = "napari-elsplus"
 """Attribute of the group that keeps settings, software and calibration."""
@@ -100,11 +100,8 @@ def _scales(axes: Sequence[Mapping[str, Any]], scale: Sequence[float]) -> dict[s
 def write_ome_zarr(
     path: str | os.PathLike[str],
     images: Iterable[NDArray[Any]],
+    metadata: ImageMetadata,
     *,
-    um_per_px: float | None = None,
-    frame_period_s: float | None = None,
-    metadata: Mapping[str, Any] | None = None,
-    calibration: Calibration | None = None,
     force: bool = False,
 ) -> int:
     """Write images of one shape and type to an OME-Zarr folder, one at a time in memory, a plane per chunk.
@@ -115,14 +112,8 @@ def write_ome_zarr(
         The folder, NAME.zarr.
     images : iterable of numpy.ndarray, (rows, cols)
         Equal in shape and type.
-    um_per_px : float, optional
-        Pixel size; the calibration's by default.
-    frame_period_s : float, optional
-        Time from one image to the next; the calibration's by default.
-    metadata : mapping, optional
-        Anything else to keep; must be fit for JSON.
-    calibration : Calibration, optional
-        Kept in the attributes, without its arrays.
+    metadata : ImageMetadata
+        Pixel size and frame interval become the scale; settings and calibration, attributes.
     force : bool
         Replace an existing folder instead of refusing it.
 
@@ -140,13 +131,10 @@ def write_ome_zarr(
     ----------
     https://ngff.openmicroscopy.org/0.5/
     """
-    if calibration is not None:
-        um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
-        frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
-    with _new_group(path, metadata, calibration, force=force) as group:
+    with _new_group(path, metadata, force=force) as group:
         planes = contiguous_images(images)
         first = next(planes)
-        array = _new_array(group, path, (0, *first.shape), first.dtype, um_per_px, frame_period_s)
+        array = _new_array(group, path, (0, *first.shape), first.dtype, metadata)
         count = 0
         for image in chain([first], planes):
             array.resize((count + 1, *first.shape))
@@ -159,11 +147,7 @@ def allocate_ome_zarr(
     path: str | os.PathLike[str],
     shape: tuple[int, int, int],
     dtype: DTypeLike,
-    *,
-    um_per_px: float | None = None,
-    frame_period_s: float | None = None,
-    metadata: Mapping[str, Any] | None = None,
-    calibration: Calibration | None = None,
+    metadata: ImageMetadata,
 ) -> None:
     """Create the OME-Zarr folder of a stack whose pixels are 0; :func:`fill_ome_zarr` writes images into it.
 
@@ -175,14 +159,11 @@ def allocate_ome_zarr(
         Number of images, rows, columns.
     dtype : dtype-like
         Of the pixels.
-    um_per_px, frame_period_s, metadata, calibration
+    metadata : ImageMetadata
         As :func:`write_ome_zarr`.
     """
-    if calibration is not None:
-        um_per_px = calibration.um_per_px if um_per_px is None else um_per_px
-        frame_period_s = calibration.frame_period_s if frame_period_s is None else frame_period_s
-    with _new_group(path, metadata, calibration, force=False) as group:
-        _new_array(group, path, shape, np.dtype(dtype), um_per_px, frame_period_s)
+    with _new_group(path, metadata, force=False) as group:
+        _new_array(group, path, shape, np.dtype(dtype), metadata)
 
 
 def fill_ome_zarr(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
@@ -224,10 +205,8 @@ def fill_ome_zarr(path: str | os.PathLike[str], first: int, images: Iterable[NDA
 def write_ome_zarr_pyramid(
     path: str | os.PathLike[str],
     image: NDArray[Any],
-    um_per_px: float | None = None,
+    metadata: ImageMetadata,
     *,
-    metadata: Mapping[str, Any] | None = None,
-    calibration: Calibration | None = None,
     force: bool = False,
 ) -> Path:
     """Write a mosaic to an OME-Zarr folder with a pyramid of halved levels, in square chunks.
@@ -238,12 +217,8 @@ def write_ome_zarr_pyramid(
         The folder, NAME.zarr.
     image : numpy.ndarray, (rows, cols)
         The mosaic at full resolution; pixels that were never covered are 0.
-    um_per_px : float, optional
-        Pixel size; the calibration's by default.
-    metadata : mapping, optional
-        Anything else to keep; must be fit for JSON.
-    calibration : Calibration, optional
-        Kept in the attributes, without its arrays.
+    metadata : ImageMetadata
+        The pixel size becomes the scale; settings and calibration, attributes.
     force : bool
         Replace an existing folder instead of refusing it.
 
@@ -261,9 +236,8 @@ def write_ome_zarr_pyramid(
     ----------
     https://ngff.openmicroscopy.org/0.5/
     """
-    if um_per_px is None and calibration is not None:
-        um_per_px = calibration.um_per_px
-    with _new_group(path, metadata, calibration, force=force) as group:
+    um_per_px = metadata.um_per_px
+    with _new_group(path, metadata, force=force) as group:
         (whole,) = contiguous_images([image])
         datasets = []
         for index, level in enumerate(pyramid(whole)):
@@ -278,9 +252,7 @@ def write_ome_zarr_pyramid(
 
 
 @contextmanager
-def _new_group(
-    path: str | os.PathLike[str], metadata: Mapping[str, Any] | None, calibration: Calibration | None, *, force: bool
-) -> Iterator[Any]:
+def _new_group(path: str | os.PathLike[str], metadata: ImageMetadata, *, force: bool) -> Iterator[Any]:
     """Yield a group, renamed to its path at the end, with its settings, software and calibration."""
     with extra_needed("zarr", "OME-Zarr images"):
         import zarr
@@ -291,24 +263,19 @@ def _new_group(
     with replacing(target, force=force) as beside:
         group = zarr.open_group(beside, mode="w", zarr_format=3)
         yield group
-        kept = {} if calibration is None else {"calibration": calibration.content()}
-        group.attrs[NOTES] = {"software": SOFTWARE, **(metadata or {}), **kept}
+        kept = {} if metadata.calibration is None else {"calibration": metadata.calibration.content()}
+        group.attrs[NOTES] = {"software": SOFTWARE, **metadata.settings, **kept}
 
 
 def _new_array(
-    group: Any,
-    path: str | os.PathLike[str],
-    shape: tuple[int, int, int],
-    dtype: np.dtype[Any],
-    um_per_px: float | None,
-    frame_period_s: float | None,
+    group: Any, path: str | os.PathLike[str], shape: tuple[int, int, int], dtype: np.dtype[Any], metadata: ImageMetadata
 ) -> Any:
     """Return the new array of a stack of images, a chunk each, in a group that has its axes and scale."""
-    size = um_per_px or 1.0
-    time = _axis("t", "time", "second" if frame_period_s else None)
-    scaled = {"type": "scale", "scale": [frame_period_s or 1.0, size, size]}
+    size, period_s = metadata.um_per_px or 1.0, metadata.frame_period_s
+    time = _axis("t", "time", "second" if period_s else None)
+    scaled = {"type": "scale", "scale": [period_s or 1.0, size, size]}
     datasets = [{"path": "0", "coordinateTransformations": [scaled]}]
-    _describe(group, path, [time, *_space(um_per_px)], datasets)
+    _describe(group, path, [time, *_space(metadata.um_per_px)], datasets)
     return group.create_array("0", shape=shape, chunks=(1, *shape[1:]), dtype=dtype)
 
 

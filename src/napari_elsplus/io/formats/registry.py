@@ -8,7 +8,7 @@ a :class:`FileFormat` in its entry points of the group ``napari_elsplus.file_for
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Final, Protocol
@@ -29,6 +29,38 @@ ENTRY_POINTS: Final = "napari_elsplus.file_formats"
 """Group of the entry points by which installed packages add formats."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ImageMetadata:
+    """What a file of finished images states beside their pixels.
+
+    Parameters
+    ----------
+    um_per_px : float, optional
+        Pixel size, micrometres; the calibration's by default.
+    frame_period_s : float, optional
+        Time from one image to the next, seconds; the calibration's by default.
+    settings : mapping
+        Anything else to keep; must be fit for JSON.
+    calibration : Calibration, optional
+        Kept in the file, without its arrays.
+
+    Examples
+    --------
+    >>> ImageMetadata(um_per_px=0.96, settings={"mode": "els"}).settings["mode"]
+    'els'
+    """
+
+    um_per_px: float | None = None
+    frame_period_s: float | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    calibration: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("um_per_px", "frame_period_s") if self.calibration is not None else ():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, getattr(self.calibration, name))
+
+
 class ImageWriter(Protocol):
     """Writes finished images; :func:`napari_elsplus.io.write_stack` is one."""
 
@@ -36,11 +68,8 @@ class ImageWriter(Protocol):
         self,
         path: str | os.PathLike[str],
         images: Iterable[NDArray[Any]],
+        metadata: ImageMetadata,
         *,
-        um_per_px: float | None = None,
-        frame_period_s: float | None = None,
-        metadata: Mapping[str, Any] | None = None,
-        calibration: Calibration | None = None,
         force: bool = False,
     ) -> int:
         """Write equal images, (rows, cols) each, and return their number."""
@@ -53,10 +82,8 @@ class PyramidWriter(Protocol):
         self,
         path: str | os.PathLike[str],
         image: NDArray[Any],
-        um_per_px: float | None = None,
+        metadata: ImageMetadata,
         *,
-        metadata: Mapping[str, Any] | None = None,
-        calibration: Calibration | None = None,
         force: bool = False,
     ) -> Path:
         """Write an image (rows, cols) and return its path."""
@@ -70,11 +97,7 @@ class ImageAllocator(Protocol):
         path: str | os.PathLike[str],
         shape: tuple[int, int, int],
         dtype: DTypeLike,
-        *,
-        um_per_px: float | None = None,
-        frame_period_s: float | None = None,
-        metadata: Mapping[str, Any] | None = None,
-        calibration: Calibration | None = None,
+        metadata: ImageMetadata,
     ) -> None:
         """Create a file of images (T, rows, cols), with their metadata."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import refuse_existing, write_mosaic, write_track
+from napari_elsplus.io import ImageMetadata, refuse_existing, write_mosaic, write_track
 from napari_elsplus.io.formats.registry import recording_stem
 from napari_elsplus.processing.mosaicing.sheet import Sheet
 from napari_elsplus.viewing.mosaic.growing import display_white_level
@@ -69,10 +69,9 @@ def save_mosaics(
     for mode, one in names.items():
         image, weight = Sheet.of(mosaics.canvases[mode], layout).read(part)
         settings = {"mode": mode.value, "method": str(plan.method), "insertion": plan.insertion.value}
-        write_mosaic(
-            path.with_name(f"{one}.ome.tif"), image, um_per_px, calibration=calibration,
-            metadata={**settings, "first_frames_px": places}, force=force,
-        )  # fmt: skip
+        known = {**settings, "first_frames_px": places}
+        metadata = ImageMetadata(um_per_px=um_per_px, settings=known, calibration=calibration)
+        write_mosaic(path.with_name(f"{one}.ome.tif"), image, metadata, force=force)
         white = display_white_level(image[weight > 0])
         save_figure(draw_mosaic(image, um_per_px, white), path.with_name(f"{one}.png"), force=force)
     write_track(table, mosaics.rows, force=force)
