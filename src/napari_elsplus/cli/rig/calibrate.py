@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -11,7 +10,7 @@ from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, r
 from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.optics import PRESETS
-from napari_elsplus.processing.calibration.file_options import ENTRY_POINTS, FILE_OPTIONS, FileOption
+from napari_elsplus.processing.calibration.file_options import FILE_OPTIONS, FileOption, added_steps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -26,7 +25,7 @@ PLAIN: Final = str.maketrans({"±": "+-", "µ": "u", "°": " deg", "²": "^2", "
 
 def _file_options() -> dict[str, FileOption]:
     """Return the options for recorded frames by the key of their step, those of installed packages included."""
-    if not entry_points(group=ENTRY_POINTS):
+    if not added_steps():
         return FILE_OPTIONS
     from napari_elsplus.processing.calibration.steps import calibration_steps
 

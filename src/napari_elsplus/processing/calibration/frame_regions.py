@@ -78,7 +78,8 @@ def brightest(frames: Frames, background: Image | None) -> Image:
 def column_between_views(frame: Image) -> int:
     """Return the column between the two views: the middle of the darkest gap near the middle of the frame."""
     ordered = np.sort(np.ascontiguousarray(frame.T), axis=1)
-    brightness = ordered[:, -max(3, len(frame) // 50) :].mean(axis=1) - np.median(ordered, axis=1)
+    medians = ordered[:, [(len(frame) - 1) // 2, len(frame) // 2]].mean(axis=1)
+    brightness = ordered[:, -max(3, len(frame) // 50) :].mean(axis=1) - medians
     width = max(3, len(brightness) // 60)
     brightness = np.convolve(brightness, np.full(width, 1 / width), mode="same")
     start, stop = int(0.3 * len(brightness)), int(0.7 * len(brightness))

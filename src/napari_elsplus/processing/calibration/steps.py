@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.calibration import file_options, sections, summaries
-from napari_elsplus.processing.calibration.file_options import ENTRY_POINTS
+from napari_elsplus.processing.calibration.file_options import added_steps
 from napari_elsplus.processing.calibration.measurements import (
     map_galvo,
     measure_background,
@@ -42,7 +41,7 @@ register_step = register
 
 @cache
 def _load_added_steps() -> None:
-    for entry_point in entry_points(group=ENTRY_POINTS):
+    for entry_point in added_steps():
         register(entry_point.load())
 
 
