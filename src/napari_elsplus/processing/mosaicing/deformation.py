@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from math import ceil, log
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
@@ -50,8 +50,9 @@ ROUNDS: Final = 4
 the tissue at rest by up to 0.002 less; a prior about the fields of the neighbouring frames adds at most 0.001."""
 _SAMPLES_ACROSS: Final = 120
 """Pixels of the field that are compared, along a diameter; chosen: half of those of the grid."""
-_TESTED_ACROSS: Final = 60
-"""The same where it is tested whether tissue deforms; chosen: a quarter of the points."""
+_TESTED_ACROSS: Final = 42
+"""The same where it is tested whether tissue deforms; measured: in 75 frames of the tests' scenes under strains of 0 to
+3 % what a field gains differs by up to 15 nats from that with twice the points, and never in its sign."""
 _HIGH_PASS_DIAMETERS: Final = 1 / 30
 """Standard deviation of the Gaussian that is subtracted, as that of the registration: haze does not move."""
 _REDUCED_SIGMA_PX: Final = 2.0
@@ -158,14 +159,15 @@ class Deformation:
 
     def _high_passed(self, image: NDArray[np.float32], at: Floats) -> Floats:
         """Return an image at points (2, ..., n), freed of its blurred light; its pixels that are 0 show nothing."""
-        lit = (image != 0).astype(np.float32)
+        both = cv2.merge((image, (image != 0).astype(np.float32)))
         size = [ceil(length / max(1.0, self._high_pass_px / _REDUCED_SIGMA_PX)) for length in image.shape]
         scale = np.divide(size, image.shape)
-        reduced = (cv2.resize(values, size[::-1], interpolation=cv2.INTER_AREA) for values in (image, lit))
         sigmas = (self._high_pass_px * scale).tolist()
-        blurred = [cv2.GaussianBlur(values, (0, 0), sigmas[1], sigmaY=sigmas[0]) for values in reduced]
-        smooth, share = (_sampled(values, ((at.T + 0.5) * scale - 0.5).T) for values in blurred)
-        return _sampled(image, at) - smooth / np.maximum(share, 1e-3) * _sampled(lit, at)
+        reduced = cv2.resize(both, size[::-1], interpolation=cv2.INTER_AREA)
+        blurred = cv2.GaussianBlur(reduced, (0, 0), sigmas[1], sigmaY=sigmas[0])
+        light, lit = _sampled(both, at)
+        smooth, share = _sampled(blurred, ((at.T + 0.5) * scale - 0.5).T)
+        return np.asarray(light - smooth / np.maximum(share, 1e-3) * lit, np.float64)
 
 
 def estimate_deformation(
@@ -223,8 +225,9 @@ def legendre_terms(points: Floats) -> Floats:
     return np.array([down[i] * across[j] for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
 
 
-def _sampled(image: NDArray[np.float32], at: Floats) -> Floats:
-    """Return an image at points (2, ..., n) between its pixels."""
+def _sampled(images: NDArray[Any], at: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return both channels of an image (rows, cols, 2) at points (2, ..., n) between its pixels."""
     rows, cols = at.astype(np.float32).reshape(2, -1, at.shape[-1])
-    sampled = cv2.remap(image, cols, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(sampled, np.float64).reshape(at.shape[1:])
+    sampled = cv2.remap(images, cols, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    one, two = cv2.split(sampled)
+    return np.reshape(one, at.shape[1:]), np.reshape(two, at.shape[1:])

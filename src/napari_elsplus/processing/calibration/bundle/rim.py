@@ -162,9 +162,12 @@ def _evenly_lit(frame: Image, circle: Floats, samples: int = 60) -> Image:
     quadratic = _quadratic(y[inside], x[inside])
     terms = np.linalg.lstsq(quadratic @ quadratic.T, quadratic @ light, rcond=None)[0]
     y, x = (np.clip(axis, -1.1, 1.1) for axis in (rows[:, None], cols))
-    down, across = (terms[0] + terms[1] * y + terms[3] * y * y, terms[2] * x + terms[5] * x * x)
-    surface = (down + across + terms[4] * y * x) / max(float(light.mean()), 1e-6)
-    return np.asarray((frame - dark) / np.maximum(surface, 0.2), np.float32)
+    surface = (terms[0] + terms[1] * y + terms[3] * y * y) + (terms[2] * x + terms[5] * x * x)
+    surface += terms[4] * y * x
+    surface /= max(float(light.mean()), 1e-6)
+    even = np.subtract(frame, dark, dtype=np.float32)
+    even /= np.maximum(surface, 0.2, out=surface)
+    return even
 
 
 def _quadratic(y: Floats, x: Floats) -> Floats:
