@@ -33,3 +33,16 @@ def test_no_halo_is_stated_where_core_or_halo_is_not_significant(halo: float, ha
     """Unequal light beside the line was stated as a halo of 92 % with an uncertainty of 1200 %, or of NaN."""
     with pytest.raises(MeasurementError, match="no halo"):
         parts(halo, halo_rows, seed)
+
+
+@pytest.mark.parametrize(("halo", "halo_rows", "seed"), [(0.0, 10.0, 39), (1.0, 60.0, 4)])
+def test_a_small_view_without_a_halo_is_refused_where_the_fit_diverges(
+    halo: float, halo_rows: float, seed: int
+) -> None:
+    """Its halo's width overflowed."""
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[:120, :120] - 60.0
+    light = 80 * np.exp(-(y**2) / (2 * 0.6**2)) + halo * np.exp(-(y**2) / (2 * halo_rows**2))
+    light *= (abs(x) < 52.8) * random.normal(1, 0.15, y.shape)
+    with pytest.raises(MeasurementError, match="no halo"):
+        measure_line_parts(light + random.normal(0, 0.3, y.shape), 60.0, 0.0, (7, 112), 0.6)

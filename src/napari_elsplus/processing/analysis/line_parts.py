@@ -30,6 +30,8 @@ _HONEYCOMB: Final = 0.1
 MAX_STEPS, SMALL_STEP = 4, 0.01
 """Gauss-Newton steps from the fit of the mean profile to that of the groups, and the largest relative change of a
 width that ends them; chosen: the error after a step is about the square of that step."""
+_MAX_STEP: Final = 5.0
+"""Largest change of a width's logarithm in such a step; chosen: no halo is 150 times as wide as a core."""
 _MIN_HALO_SHARE: Final = 0.02
 """Share of the light below which no halo is stated; chosen: its width is then unknown."""
 _MIN_SIGMAS: Final = 3.0
@@ -94,6 +96,8 @@ def measure_line_parts(
     for _ in range(MAX_STEPS):
         misfit = (_model(best, u) - profiles) * weights[:, None]
         before, (best, without) = best, _steps(best, _derivatives(best, u) * weights[:, None], misfit)
+        if np.abs((best - before)[[1, 3]]).max() > _MAX_STEP:
+            _must_have_halo(*_parts(before)[:2], share=0.0)
         if np.abs(best - before)[[1, 3]].max() < SMALL_STEP:
             break
     core, halo, share = _parts(best)
