@@ -24,7 +24,7 @@ from benchmarks.harness.registry import MODULES, benchmark
 from benchmarks.harness.running import run
 from benchmarks.harness.table import breakdowns, header, lines, markdown, write_csv
 from benchmarks.harness.verdict import verdict
-from benchmarks.imperfect import study, survey
+from benchmarks.imperfect import row_twins, study, survey
 from benchmarks.imperfect.cases import CASES
 from benchmarks.programs.acquire import acquire
 from benchmarks.programs.batch import batch
@@ -108,12 +108,22 @@ def paper_figures(out: Path, quick: bool, force: bool) -> None:
 @click.option("--out", type=FILE, required=True, help="Folder for imperfect.csv, imperfect.png and imperfect-rigs.csv.")
 @click.option("--quick", is_flag=True, help="A few cases: a check that it runs.")
 @click.option("--rigs", type=click.IntRange(min=0), default=0, show_default=True, help="Rigs drawn at random, too.")
-@click.option("--only-rigs", is_flag=True, help="No cases, only the rigs.")
+@click.option("--first-seed", type=int, default=6274, show_default=True, help="Of these; smaller ones were looked at.")
+@click.option("--twins", type=click.IntRange(min=0), default=0, show_default=True, help="Twins of the independent rig.")
+@click.option("--only-rigs", is_flag=True, help="No cases, only the rigs and twins.")
 @click.option("--resume", is_flag=True, help="Keep the rows that the CSV files have already.")
 @click.option("--docs", "folder", type=FILE, help="Folder of the documentation whose tables and chart are renewed.")
 @force_option
 def imperfect_rigs(
-    out: Path, quick: bool, rigs: int, only_rigs: bool, resume: bool, folder: Path | None, force: bool
+    out: Path,
+    quick: bool,
+    rigs: int,
+    first_seed: int,
+    twins: int,
+    only_rigs: bool,
+    resume: bool,
+    folder: Path | None,
+    force: bool,
 ) -> None:
     """Disturb the simulated rig by each imperfection, with and without its correction, and draw rigs at random."""
     tables, chart = [out / f"imperfect{name}" for name in (".csv", "-rigs.csv")], out / "imperfect.png"
@@ -129,7 +139,13 @@ def imperfect_rigs(
             save_figure(study.draw_outcomes(outcomes), chart, force=True)
             blocks["imperfect"] = study.markdown(outcomes)
         if rigs:
-            blocks["imperfect-rigs"] = survey.markdown(survey.survey(rigs, tables[1], status.update))
+            seeds = range(first_seed, first_seed + rigs)
+            blocks["imperfect-rigs"] = survey.markdown(survey.survey(seeds, tables[1], status.update))
+        if twins:
+            seeds = range(row_twins.FIRST_SEED, row_twins.FIRST_SEED + twins)
+            blocks["imperfect-twins"] = row_twins.markdown(
+                row_twins.compare_twins(seed, status.update) for seed in seeds
+            )
     for block in blocks.values():
         click.echo(block)
     if folder is not None:

@@ -19,14 +19,12 @@ from napari_elsplus.processing.analysis.axial_notes import uncertainty_note
 from napari_elsplus.processing.calibration.steps import find_step
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from napari_elsplus.processing.analysis.axial_response import AxialResponse
 
 PRESET: Final = "240hz"
-FIRST_SEED: Final = 5600
-"""Rigs with smaller seeds were looked at while the software was written."""
 TOLERANCE: Final = 0.03
 """Largest deviation of a drop-off from the ideal rig's, as a share of it, that is good enough."""
 MAX_RATES: Final = 3
@@ -122,13 +120,13 @@ def _distances(response: AxialResponse) -> tuple[Error, Error]:
     return tuple(Error(drop.um, drop.uncertainty_um) for drop in (response.els_3db, response.els_10db))  # type: ignore[return-value]
 
 
-def survey(rigs: int, path: Path, report: Callable[[str], None] = lambda _: None) -> list[Surveyed]:
-    """Survey a number of rigs, one after the other; those that a CSV file has already are not measured again.
+def survey(seeds: Sequence[int], path: Path, report: Callable[[str], None] = lambda _: None) -> list[Surveyed]:
+    """Survey rigs by their seeds, one after the other; those that a CSV file has already are not measured again.
 
     Parameters
     ----------
-    rigs : int
-        How many, from the seed `FIRST_SEED` on.
+    seeds : sequence of int
+        Of the rigs.
     path : pathlib.Path
         The CSV file, a row for each rig, which is written after each.
     report : callable
@@ -140,10 +138,9 @@ def survey(rigs: int, path: Path, report: Callable[[str], None] = lambda _: None
         If the file exists, and was not written by this function.
     """
     known = {one.seed: one for one in read_survey(path)} if path.exists() else {}
-    seeds = range(FIRST_SEED, FIRST_SEED + rigs)
     for number, seed in enumerate(seeds, 1):
         if seed not in known:
-            report(f"rig {number} of {rigs}")
+            report(f"rig {number} of {len(seeds)}")
             known[seed] = survey_rig(seed)
             write_survey([known[each] for each in seeds if each in known], path, force=True)
     return [known[seed] for seed in seeds]
