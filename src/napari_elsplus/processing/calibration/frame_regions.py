@@ -42,7 +42,7 @@ def mean_frame(frames: Frames) -> Image:
     if not len(frames):
         raise InputError("there are 0 frames", "give at least one")
     if len(frames) == 1:
-        return _finite(np.array(frames[0], np.float32))
+        return _finite(np.array(frames[0], np.float32), frames[0].dtype)
     exact = largest_level(frames[0]) * len(frames) < EXACT_FLOAT32
     total = np.zeros(frames[0].shape, np.float32 if exact else np.float64)
     for number in range(len(frames)):
@@ -50,11 +50,12 @@ def mean_frame(frames: Frames) -> Image:
         # OpenCV adds integers to floats without a converted copy of the frame, many times as fast as numpy.
         cv2.accumulate(frame if frame.dtype in (np.uint8, np.uint16) else frame.astype(total.dtype), total)
     total /= len(frames)
-    return _finite(total.astype(np.float32, copy=False))
+    return _finite(total.astype(np.float32, copy=False), frames[0].dtype)
 
 
-def _finite(frame: Image) -> Image:
-    if not np.isfinite(frame.sum(dtype=np.float64)):
+def _finite(frame: Image, dtype: np.dtype[Any]) -> Image:
+    """Return the mean of frames of a dtype; integers are finite."""
+    if not np.issubdtype(dtype, np.integer) and not np.isfinite(frame.sum(dtype=np.float64)):
         raise InputError("a frame holds NaN or infinity", "record it again")
     return frame
 
@@ -77,7 +78,7 @@ def brightest(frames: Frames, background: Image | None) -> Image:
 
 def column_between_views(frame: Image) -> int:
     """Return the column between the two views: the middle of the darkest gap near the middle of the frame."""
-    ordered = np.sort(np.ascontiguousarray(frame.T), axis=1)
+    ordered = np.sort(cv2.transpose(frame), axis=1)
     medians = ordered[:, [(len(frame) - 1) // 2, len(frame) // 2]].mean(axis=1)
     brightness = ordered[:, -max(3, len(frame) // 50) :].mean(axis=1) - medians
     width = max(3, len(brightness) // 60)

@@ -115,10 +115,7 @@ def measure_offset(
     noisy = reference.some_show_noise(frames)
     frame = reference.without_row_noise(raw) if noisy else raw
     place = near or pair
-    if place is None:
-        split = column_between_views(np.subtract(frame, 0 if background is None else background, dtype=np.float32))
-    else:
-        split = place.split
+    split = column_between_views(_less(frame, background)) if place is None else place.split
     lines = []
     for name, part in (("confocal", slice(0, split)), ("residual", slice(split, None))):
         dark = None if background is None else background[:, part]
@@ -130,8 +127,8 @@ def measure_offset(
     found = _of_lines(lines[0], lines[1], split, pair)
     if alone:
         return found
-    of_tube = 0.0 if background is None else background[:, :split]
-    found = replace(found, parts=parts_of(lines[0], np.subtract(frame[:, :split], of_tube, dtype=np.float32)))
+    of_tube = None if background is None else background[:, :split]
+    found = replace(found, parts=parts_of(lines[0], _less(frame[:, :split], of_tube)))
     if len(frames) < MIN_SCATTER_FRAMES:
         return found
     views = (lines[0], slice(0, split)), (lines[1], slice(split, None))
@@ -140,6 +137,11 @@ def measure_offset(
     unsteady_rows = common_scatter_rows(shifts)
     uncertainty_rows = float(np.hypot(found.uncertainty_rows, unsteady_rows))
     return replace(found, uncertainty_rows=uncertainty_rows, unsteady_rows=unsteady_rows)
+
+
+def _less(frame: NDArray[Any], background: Image | None) -> Image:
+    """Return a frame less the background, float32; without one, the frame itself where it is float32."""
+    return np.asarray(frame, np.float32) if background is None else np.subtract(frame, background, dtype=np.float32)
 
 
 def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:

@@ -41,6 +41,8 @@ SAMPLED_ROWS, SAMPLED_COLUMNS = 200, 128
 """Of a frame, from which row noise is detected; chosen: it then stands out from a tenth of a grey level on."""
 AVERAGED_ROWS: Final = 4
 """Rows over which the light is averaged before columns are compared; chosen: as wide as a laser line."""
+DARKEST: Final = 0.02
+"""Share of a row's columns that are darker than its darkness; chosen: the few least are chance."""
 DARK_LIGHT: Final = 0.1
 """Part of the brightest columns' light up to which a column counts as dark; chosen."""
 
@@ -71,7 +73,8 @@ def dark_columns(frame: Image) -> Mask:
     small = cv2.resize(frame, (frame.shape[1], max(1, frame.shape[0] // AVERAGED_ROWS)), interpolation=cv2.INTER_AREA)
     smooth = cv2.blur(small, (SMOOTH_PX, 1))
     # Row noise, which all columns share, cancels in the difference to the darkest columns.
-    darkest = np.percentile(smooth[:, ::SMOOTH_PX], 2, axis=1, keepdims=True).astype(np.float32)
+    ordered = np.sort(smooth[:, ::SMOOTH_PX], axis=1)
+    darkest = ordered[:, [round(DARKEST * (ordered.shape[1] - 1))]]
     light = np.asarray((smooth - darkest).max(axis=0), np.float64)
     low, high = np.percentile(light, (1, 90))
     lit = ndimage.binary_dilation(light > low + DARK_LIGHT * (high - low), iterations=SMOOTH_PX)

@@ -38,8 +38,8 @@ FOOT_LEVEL: Final = 0.2
 """At which the outermost cores end; chosen, above noise and stray light."""
 NEAR_EDGE: Final = 0.03
 """Distance of an edge from a circle, over the radius, at which it counts as the circle's; chosen."""
-MAX_SHARE_RAYS: Final = 360
-"""Rays from the centre at most on which the share of an edge is found; chosen: a ray every degree."""
+MAX_SHARE_RAYS: Final = 180
+"""Rays from the centre at most on which the share of an edge is found; chosen: a ray every two degrees."""
 SHARE_STEP_PX: Final = 1.0
 """Step along them; chosen: a third of the distance that counts as near at a radius of 100 px."""
 SHARE_SAMPLES: Final = 20
