@@ -210,6 +210,13 @@ def test_a_recording_that_is_dropped_lets_go_of_its_file(tmp_path, frames, name)
     assert [str(warning.message) for warning in caught] == []
 
 
+def test_numbers_of_either_byte_order_are_read(tmp_path, frames):
+    np.save(tmp_path / "big-endian.npy", frames.astype(">u2"))
+    with open_recording(tmp_path / "big-endian.npy") as recording:
+        assert recording.dtype == np.uint16
+        np.testing.assert_array_equal(np.asarray(recording), frames)
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("compression", [None, "zlib"])
