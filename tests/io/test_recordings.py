@@ -210,6 +210,25 @@ def test_a_recording_that_is_dropped_lets_go_of_its_file(tmp_path, frames, name)
     assert [str(warning.message) for warning in caught] == []
 
 
+def test_numbers_of_either_byte_order_are_read(tmp_path, frames):
+    np.save(tmp_path / "big-endian.npy", frames.astype(">u2"))
+    with open_recording(tmp_path / "big-endian.npy") as recording:
+        assert recording.dtype == np.uint16
+        np.testing.assert_array_equal(np.asarray(recording), frames)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.filterwarnings("ignore:.*photometric:DeprecationWarning")
+def test_a_few_frames_written_as_an_array_are_frames_and_no_colours(tmp_path, count, dtype, compression):
+    frames = np.random.default_rng(3).integers(0, 255, (count, 40, 64)).astype(dtype)
+    tifffile.imwrite(tmp_path / "few.tif", frames, compression=compression)
+    with open_recording(tmp_path / "few.tif") as recording:
+        assert (recording.shape, recording.dtype) == (frames.shape, dtype)
+        np.testing.assert_array_equal(np.asarray(recording), frames)
+
+
 def write_bad(folder, name):
     path = folder / name
     whole = np.random.default_rng(2).integers(0, 255, (9, 40, 64), dtype=np.uint8)
@@ -220,6 +239,12 @@ def write_bad(folder, name):
             path.write_text("not a recording")
         case "rgb.tif":
             tifffile.imwrite(path, np.zeros((3, 40, 60, 3), np.uint8))
+        case "planes.tif":
+            tifffile.imwrite(path, np.zeros((3, 40, 60), np.uint8), photometric="rgb", metadata=None)
+        case "cut-planes.tif":
+            with pytest.warns(DeprecationWarning, match="photometric"):
+                tifffile.imwrite(path, whole[:3], compression="zlib")
+            path.write_bytes(path.read_bytes()[:-50])
         case "rgb.npy":
             np.save(path, np.zeros((3, 40, 60, 3), np.uint8))
         case "colour.avi":
@@ -264,6 +289,8 @@ def write_bad(folder, name):
         "text.npy": "cannot be read",
         "text": "is in no known format",
         "rgb.tif": "colour",
+        "planes.tif": "colour",
+        "cut-planes.tif": "truncated",
         "rgb.npy": r"shape \(3, 40, 60, 3\)",
         "colour.avi": "colour",
         "cut-pages.tif": "truncated",

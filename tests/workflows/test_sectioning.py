@@ -74,6 +74,16 @@ def test_what_cannot_be_done_is_said(calibration: Calibration) -> None:
         section(RAW, Calibration(), "ls")
 
 
+@pytest.mark.parametrize("background", [None, np.ones(SHAPE, np.float32)], ids=["no background", "background"])
+def test_frames_of_another_size_than_calibrated_are_refused(
+    calibration: Calibration, background: np.ndarray | None
+) -> None:
+    raw = np.zeros((3, 50, 100), np.uint8)
+    known = calibration.model_copy(update={"background": background})
+    with pytest.raises(CalibrationError, match="frame has 60 x 130 pixels, the recording 50 x 100"):
+        section(raw, known, "els")
+
+
 @pytest.mark.parametrize("mode", ["ls", "els", "elsa"])
 @pytest.mark.parametrize("cores", ["none", "median"])
 def test_what_is_saved_is_what_is_computed_one_by_one(

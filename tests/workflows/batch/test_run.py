@@ -178,6 +178,33 @@ def test_local_workers_have_one_thread_keep_their_memory_and_have_a_dashboard() 
     assert "MALLOC_TRIM_THRESHOLD_" not in environment
 
 
+INTERRUPTED_WHILE_IT_STARTS = """
+import os, signal, time, distributed
+from napari_elsplus.workflows.batch.cluster import batch_client
+
+start = distributed.LocalCluster.__init__
+
+def interrupted(*arguments, **settings):
+    time.sleep(0.5)  # the process that workers are forked from imports for a second or more
+    os.killpg(0, signal.SIGINT)  # as a terminal does
+    start(*arguments, **settings)
+
+distributed.LocalCluster.__init__ = interrupted
+try:
+    with batch_client(None, 1):
+        print("started")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="Windows has no process groups of this kind")
+def test_a_batch_that_is_interrupted_while_its_workers_start_ends_without_a_traceback() -> None:
+    program = [sys.executable, "-c", INTERRUPTED_WHILE_IT_STARTS]
+    ended = subprocess.run(program, capture_output=True, text=True, check=True, start_new_session=True)
+    assert (ended.stdout.split(), ended.stderr) == (["interrupted"], "")
+
+
 def test_the_process_that_submits_tasks_imports_no_kernels() -> None:
     program = (
         "import sys, napari_elsplus.workflows.batch.run; "

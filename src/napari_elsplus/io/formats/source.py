@@ -50,7 +50,7 @@ class FrameSource(ABC):
             shape = (1, *shape)
         if len(shape) != 3 or 0 in shape:
             raise InputError(f"{path.name} has shape {shape}", "a stack of frames (T, rows, cols) is expected")
-        if dtype.kind != "f" and dtype not in (np.uint8, np.uint16):
+        if dtype.kind != "f" and dtype.newbyteorder("=") not in (np.uint8, np.uint16):
             raise InputError(f"{path.name} holds {dtype} pixels", "save it with 8 or 16 bits, unsigned, or as float")
         frame_bytes = shape[1] * shape[2] * dtype.itemsize
         if frame_bytes > MAX_FRAME_BYTES:

@@ -27,7 +27,13 @@ logging.getLogger("tifffile").addHandler(logging.NullHandler())  # the errors th
 
 
 class PagedTiff(FrameSource):
-    """Frames of a TIFF file that other software wrote, decoded one at a time."""
+    """Frames of a TIFF file that other software wrote, decoded one at a time.
+
+    Notes
+    -----
+    tifffile writes an array of three or four frames as the planes of one colour image, unless it is told otherwise.
+    The array's shape, which it notes beside them, says that they are frames.
+    """
 
     def __init__(self, path: Path, tiff: tifffile.TiffFile) -> None:
         import tifffile
@@ -41,7 +47,13 @@ class PagedTiff(FrameSource):
             raise InputError(f"{path.name} is truncated or damaged ({errors[0]:.80})", "copy or record it again")
         first = series[0]
         page = first.keyframe
-        if page.photometric == tifffile.PHOTOMETRIC.PALETTE or page.samplesperpixel > 1:
+        self._planes = bool(
+            tiff.is_shaped
+            and first.axes == "SYX"
+            and page.planarconfig == tifffile.PLANARCONFIG.SEPARATE
+            and len(first.pages) == 1
+        )
+        if page.photometric == tifffile.PHOTOMETRIC.PALETTE or (page.samplesperpixel > 1 and not self._planes):
             raise InputError(
                 f"{path.name} is a colour image ({page.samplesperpixel} samples per pixel)", "save it as grey levels"
             )
@@ -58,17 +70,19 @@ class PagedTiff(FrameSource):
         offset = first.dataoffset
         self._mapped = self._map(offset) if offset is not None else None
         if self._mapped is None:
-            self._refuse_truncated(len(first.pages))
+            self._refuse_truncated(count if self._planes else len(first.pages))
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return frame `index`, (rows, cols), as stored."""
         if self._mapped is not None:
             return self._mapped[index, :, :]
         with self._lock:
-            page = self._series.pages[index]
+            page = self._series.pages[0 if self._planes else index]
         if page is None:
             raise InputError(f"{self.path.name}: frame {index} is missing", "copy or record it again")
         image = page.asarray(maxworkers=1)
+        if self._planes:
+            return image[index, :, :]
         return image.reshape(self.shape[1:]) if image.size == self.shape[1] * self.shape[2] else image
 
     def _map(self, offset: int) -> NDArray[Any]:

@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
+from napari_elsplus.instrument.frame_region import require_frame_shape
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -100,7 +102,13 @@ def reference_of_rows(calibration: Calibration, frame_shape: tuple[int, ...], te
         Rows and columns of the raw frames.
     test_interval : int
         As of :class:`RowReference`.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration was measured on frames of another size.
     """
+    require_frame_shape(calibration, frame_shape)
     bundle = calibration.measured_bundle
     discs = [(centre, bundle.diameter_px) for centre in (bundle.confocal_centre, bundle.residual_centre)]
     dark = dark_pixels(frame_shape, discs)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
+from napari_elsplus.instrument.frame_region import require_frame_shape
 from napari_elsplus.processing.images.fused import FusedSections
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.modes import Frames as Frames
@@ -116,7 +117,7 @@ class Sectioner:
         row_test_interval: int = 1,
     ) -> None:
         bundle = calibration.measured_bundle
-        _check_fits(calibration, frame_shape)
+        require_frame_shape(calibration, frame_shape)
         _check_possible(bundle, frame_shape)
         self.diameter_px = bundle.diameter_px
         self.side = side_px(bundle.diameter_px)
@@ -369,18 +370,3 @@ def _check_possible(bundle: BundleSection, frame_shape: tuple[int, int]) -> None
             f"the bundle's diameter is {bundle.diameter_px:g} px, the frame has {frame_shape[0]} x {frame_shape[1]}",
             "locate the bundle views again",
         )
-
-
-def _check_fits(calibration: Calibration, frame_shape: tuple[int, int]) -> None:
-    calibrated: dict[str, tuple[int, ...]] = {}
-    if calibration.frame is not None:
-        calibrated["frame"] = calibration.frame.shape
-    if calibration.background is not None:
-        calibrated["background"] = calibration.background.shape
-    for name, shape in calibrated.items():
-        if shape != tuple(frame_shape):
-            raise CalibrationError(
-                f"the calibration's {name} has {shape[0]} x {shape[1]} pixels, "
-                f"the recording {frame_shape[0]} x {frame_shape[1]}",
-                "use the calibration that was made with this camera region",
-            )

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from contextlib import contextmanager
+import signal
+import threading
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError
@@ -74,13 +76,12 @@ def _local_client(workers: int | None) -> Iterator[Any]:
         "distributed.admin.tick.interval": "1s",  # of a check of each event loop; 20 ms take 4 % of a core
     }
     local = {"host": LOCAL, "dashboard_address": f"{LOCAL}:0", "threads_per_worker": 1, "preload": [WORKER_MODULE]}
-    with (
-        dask.config.set(settings),
-        LocalCluster(
-            n_workers=workers, silence_logs="ERROR", scheduler_kwargs={"dashboard": False}, **local
-        ) as cluster,
-        Client(cluster) as client,
-    ):
+    with dask.config.set(settings), ExitStack() as running:
+        with _interrupted_later():
+            cluster = running.enter_context(
+                LocalCluster(n_workers=workers, silence_logs="CRITICAL", scheduler_kwargs={"dashboard": False}, **local)
+            )
+            client = running.enter_context(Client(cluster))
         _connect_dashboard(cluster.scheduler)
         yield client
 
@@ -98,8 +99,32 @@ def _started_method() -> str:
     from multiprocessing.forkserver import ensure_running, set_forkserver_preload
 
     set_forkserver_preload(["distributed", WORKER_MODULE])
-    ensure_running()
+    with _on_interrupt(signal.SIG_IGN):  # inherited by that process and its forks, which this one ends
+        ensure_running()
     return FORKSERVER
+
+
+@contextmanager
+def _interrupted_later() -> Iterator[None]:
+    """Keep Ctrl-C back until the end of the context: a cluster that is interrupted while it starts cannot be closed."""
+    interrupts: list[int] = []
+    with _on_interrupt(lambda number, _: interrupts.append(number)):
+        yield
+    if interrupts:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def _on_interrupt(handler: Any) -> Iterator[None]:
+    """Handle Ctrl-C otherwise within the context, where it arrives in this thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
