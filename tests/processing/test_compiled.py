@@ -24,10 +24,16 @@ def outer(x):
 """
 INNER = """
 from napari_elsplus.processing.compiled import kernel
+from napari_elsplus.processing.instructions import ADDED
 
 @kernel
 def twice(x):
-    return {factor} * x
+    return {factor} * x + ADDED
+"""
+INSTRUCTIONS = """
+from llvmlite import ir
+
+ADDED = {added}
 """
 
 
@@ -49,6 +55,7 @@ def package(tmp_path: Path) -> Path:
         shutil.copy(source / name, copy / name)
     (copy / "processing" / "outer.py").write_text(CALLER)
     (copy / "processing" / "inner.py").write_text(INNER.format(factor="2.0"))
+    (copy / "processing" / "instructions.py").write_text(INSTRUCTIONS.format(added="0.0"))
     return copy
 
 
@@ -58,7 +65,9 @@ def test_an_edited_kernel_is_compiled_again_into_those_that_call_it(package: Pat
     assert answer(package) == "7.0 1"
     (package / "processing" / "inner.py").write_text(INNER.format(factor="5.0"))
     assert answer(package) == "16.0 0"
-    assert answer(package) == "16.0 1"
+    (package / "processing" / "instructions.py").write_text(INSTRUCTIONS.format(added="0.5"))
+    assert answer(package) == "16.5 0"
+    assert answer(package) == "16.5 1"
 
 
 def test_a_kernel_is_compiled_once_for_all_constants_that_other_kernels_pass() -> None:

@@ -129,8 +129,25 @@ def _sources_of_kernels() -> str:
     """
     package = Path(__file__).parents[1]
     texts = (path.read_bytes() for path in sorted(package.rglob("*.py")))
-    marks = b"processing.compiled import", b"numba.extending import"
+    marks = b"processing.compiled import", b"numba.extending import", b"llvmlite import"
     return hashlib.sha256(b"".join(text for text in texts if any(mark in text for mark in marks))).hexdigest()
+
+
+def build_prefetch(builder: Any, place: Any) -> None:
+    """Add the instruction that prefetches the cache line of an address, any of which is harmless, to a kernel.
+
+    Parameters
+    ----------
+    builder : llvmlite.ir.IRBuilder
+        Of the kernel.
+    place : llvmlite.ir.Value
+        Pointer.
+    """
+    flag, byte = ir.IntType(32), ir.IntType(8).as_pointer()
+    takes = ir.FunctionType(ir.VoidType(), [byte, flag, flag, flag])
+    function = cgutils.get_or_insert_function(builder.module, takes, "llvm.prefetch.p0")
+    read, keep, data = (flag(value) for value in (0, 3, 1))
+    builder.call(function, [builder.bitcast(place, byte), read, keep, data])
 
 
 def _prefetch(_: Any, array: Any, row: Any, col: Any) -> Any:
@@ -145,11 +162,7 @@ def _prefetch(_: Any, array: Any, row: Any, col: Any) -> Any:
         place = cgutils.get_item_pointer(
             context, builder, kind, context.make_array(kind)(context, builder, arguments[0]), indices, wraparound=False
         )
-        flag, byte = ir.IntType(32), ir.IntType(8).as_pointer()
-        takes = ir.FunctionType(ir.VoidType(), [byte, flag, flag, flag])
-        function = cgutils.get_or_insert_function(builder.module, takes, "llvm.prefetch.p0")
-        read, keep, data = (flag(value) for value in (0, 3, 1))
-        builder.call(function, [builder.bitcast(place, byte), read, keep, data])
+        build_prefetch(builder, place)
         return context.get_dummy_value()
 
     return numba.types.void(array, row, col), build

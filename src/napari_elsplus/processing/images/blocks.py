@@ -15,6 +15,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from napari_elsplus.processing.images.resampling import LOBES, taps
+from napari_elsplus.processing.vectors import Vectors, data_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -74,46 +75,28 @@ def interpolation(rows: int, *, along_rows: bool) -> Interpolation:
     """
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        vector = ir.VectorType(ir.FloatType(), BLOCK)
-        image, weights, out = (
-            context.make_array(signature.args[k])(context, builder, arguments[k]).data for k in (0, 3, 7)
-        )
+        vectors = Vectors(builder, BLOCK)
+        image, weights, out = (data_of(context, builder, signature.args[k], arguments[k]) for k in (0, 3, 7))
         _, at, row_step, _, phase, offset, slope, _, to, out_step = arguments
-
-        def chain(element: Any, step: Any, count: int) -> list[Any]:
-            places = [builder.gep(image, [element])]
-            for _ in range(count - 1):
-                places.append(builder.gep(places[-1], [step]))
-            return places
 
         def weight_of(order: int, tap: int) -> Any:
             element = builder.add(phase, ir.Constant(phase.type, order * TAPS + tap))
-            return spread(builder.load(builder.gep(weights, [element])))
+            return vectors.spread(builder.load(builder.gep(weights, [element])))
 
-        def along_row(place: Any, tap: int) -> Any:
-            return builder.gep(place, [ir.Constant(at.type, tap)])
-
-        def spread(value: Any) -> Any:
-            one = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.IntType(32)(0))
-            return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), BLOCK), [0] * BLOCK))
-
-        def fused(a: Any, b: Any, c: Any) -> Any:
-            return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
-
-        ramp = ir.Constant(vector, [float(t) for t in range(BLOCK)])
-        beyond = fused(spread(slope), ramp, spread(offset))
-        lines = chain(at, row_step, rows + (TAPS - 1 if along_rows else 0))
+        lines = [at]
+        for _ in range(rows - 1 + (TAPS - 1 if along_rows else 0)):
+            lines.append(builder.add(lines[-1], row_step))
+        beyond = vectors.fused(vectors.spread(slope), vectors.ramp(), vectors.spread(offset))
         sums: list[Any] = [None] * rows
         for k in range(TAPS):
             value, first, second = (weight_of(order, k) for order in range(3))
-            weight = fused(fused(second, beyond, first), beyond, value)
+            weight = vectors.fused(vectors.fused(second, beyond, first), beyond, value)
             for r in range(rows):
-                place = lines[r + k] if along_rows else along_row(lines[r], k)
-                pixels = builder.load(builder.bitcast(place, vector.as_pointer()), align=4)
-                sums[r] = builder.fmul(weight, pixels) if k == 0 else fused(weight, pixels, sums[r])
+                element = lines[r + k] if along_rows else builder.add(lines[r], ir.Constant(at.type, k))
+                pixels = vectors.load(image, element)
+                sums[r] = builder.fmul(weight, pixels) if k == 0 else vectors.fused(weight, pixels, sums[r])
         for r in range(rows):
-            place = builder.gep(out, [builder.add(to, builder.mul(out_step, ir.Constant(to.type, r)))])
-            builder.store(sums[r], builder.bitcast(place, vector.as_pointer()), align=4)
+            vectors.store(sums[r], out, builder.add(to, builder.mul(out_step, ir.Constant(to.type, r))))
         return context.get_dummy_value()
 
     def interpolate(

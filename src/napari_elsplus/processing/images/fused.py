@@ -11,6 +11,7 @@ import numpy as np
 
 from napari_elsplus.processing.images.blocks import BLOCK, MAX_EXPANSION_PX, TAPS, expanded_weights
 from napari_elsplus.processing.images.fused_kernel import BAND, LINE, WIDTH, section_views
+from napari_elsplus.processing.vectors import aligned_zeros
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -156,13 +157,6 @@ class FusedSections:
         for image, made in zip(wanted, filled, strict=True):
             if made is not image:
                 np.copyto(image, made)
-
-
-def aligned_zeros(count: int) -> NDArray[np.float32]:
-    """Return `count` zeros at a multiple of 64 bytes, the length of a cache line."""
-    zeros = np.zeros(count + BLOCK, np.float32)
-    first = -(zeros.ctypes.data // zeros.itemsize) % BLOCK
-    return zeros[first : first + count]
 
 
 def extents(inside: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

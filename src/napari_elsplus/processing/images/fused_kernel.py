@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel, prefetch
 from napari_elsplus.processing.images.blocks import BLOCK, PHASES, TAPS, interpolation
 from napari_elsplus.processing.images.resampling import LOBES
 
@@ -33,6 +33,12 @@ LINE: Final = WIDTH + 48
 _MAX_SHARED_PX: Final = 0.0023
 """Largest error of a row's position where rows share weights, pixels; derived: 0.5 % at 0.35 cycles
 per pixel."""
+
+_ROWS_AHEAD: Final = 4
+"""Rows of the frame that are prefetched; measured: frames that are in no near cache take 346 us without, 256 with 4
+rows, 258 with 8 and 262 with 16; frames that are take 248, 251, 253 and 255."""
+_CACHE_LINE: Final = 64
+"""Bytes."""
 
 _across_one_row = interpolation(1, along_rows=False)
 _across_two_rows = interpolation(2, along_rows=False)
@@ -147,6 +153,9 @@ def _convert(
         out[before:after],
     )
     scale, by = np.float32(steps), np.float32(factor)
+    line = _CACHE_LINE // raw.itemsize
+    for c in range(col + before, col + after + line - 1, line):
+        prefetch(raw, nearest + _ROWS_AHEAD, c)
     for t in range(len(seen)):
         seen[t] = (np.float32(pixels[t]) * scale - np.float32(dark[t])) * by
     if before > 0:

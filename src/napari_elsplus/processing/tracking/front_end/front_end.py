@@ -17,8 +17,9 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
-from napari_elsplus.processing.tracking.front_end.binning import is_blank, scratch, subtract_views
+from napari_elsplus.processing.tracking.front_end.binning import is_blank, subtract_views
 from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels, rectangle_within
+from napari_elsplus.processing.tracking.front_end.view_blocks import interleaved, scratch, view_blocks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -62,21 +63,29 @@ class FrontEnd:
         to_residual = np.linalg.inv(np.vstack([bundle.residual_to_confocal, (0.0, 0.0, 1.0)]))[:2]
         gain = bundle.residual_gain
         sign = {Mode.LS: 0.0, Mode.RESIDUAL: 1.0, Mode.ELS: -1.0, Mode.ELSA: -1.0}[mode]
-        self._confocal = _Binning(grid, np.eye(3)[:2], 0.0 if mode is Mode.RESIDUAL else 1 / q**2)
-        self._residual = _Binning(grid, to_residual, sign / gain / q**2)
-        seen = _seen(grid, (self._confocal, self._residual), self._frame_shape)
+        views = (
+            _Binning(grid, np.eye(3)[:2], 0.0 if mode is Mode.RESIDUAL else 1 / q**2),
+            _Binning(grid, to_residual, sign / gain / q**2),
+        )
+        seen = _seen(grid, views, self._frame_shape)
         if seen is not None:
             subtracts = sign != 0 and mode is not Mode.RESIDUAL
             grid = replace(grid, seen=seen, line_offset=line_offset_px(calibration) / q if subtracts else 0.0)
         self.grid = grid
-        self._work = scratch(grid.side)
         self.lit = grid.spans(1.0)
+        # a view of weight zero is read where the other one lies
+        confocal, residual = (
+            (view if view.weight else other).matrix for view, other in zip(views, views[::-1], strict=True)
+        )
+        self._blocks = view_blocks(confocal, residual, q, self.lit, self._frame_shape)
+        self._weights = (np.float32(views[0].weight), np.float32(views[1].weight))
+        self._rows = scratch()
         inside = lit_pixels(*self.lit).astype(np.float32)
         weights = _smooth(inside)
         if calibration.flat is not None:
             weights = np.maximum(_smooth(inside * self._binned_flat(calibration.flat)), _LOWEST_FLAT * weights)
-        self._scale = np.divide(inside, weights, out=np.zeros_like(inside), where=inside > 0)
-        self._offset = np.zeros_like(inside)
+        scale = np.divide(inside, weights, out=np.zeros_like(inside), where=inside > 0)
+        self._factors = interleaved(scale, np.zeros_like(scale))
         self._hot_pixels = HotPixels(calibration.background)
         if calibration.background is not None:
             if calibration.background.shape != tuple(frame_shape):
@@ -84,7 +93,8 @@ class FrontEnd:
                     f"the calibration's background has {calibration.background.shape} pixels, the frames {frame_shape}",
                     "use the calibration that was made with this camera region",
                 )
-            self._offset = self._binned(self._hot_pixels.mended(calibration.background))
+            offset = self._binned(self._hot_pixels.mended(calibration.background))
+            self._factors = interleaved(scale, offset)
 
     def image(
         self, raw: NDArray[Any], out: NDArray[np.float32], raw_residual: NDArray[Any] | None = None
@@ -96,7 +106,7 @@ class FrontEnd:
         raw : numpy.ndarray
             (rows, cols) raw frame, integer or float.
         out : numpy.ndarray
-            (n, n) float32: filled with signed grey levels.
+            (n, n) float32, C-contiguous: filled with signed grey levels.
         raw_residual : numpy.ndarray, optional
             The frame that the residual is taken from, in ELSA.
 
@@ -116,19 +126,24 @@ class FrontEnd:
         return out
 
     def _fill(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        confocal, residual = self._confocal, self._residual
+        pixels = tuple(range(self.grid.binning))
         subtract_views(
-            _read_only(raw), _read_only(raw_residual), confocal.matrix, residual.matrix,
-            (confocal.weight, residual.weight), tuple(range(self.grid.binning)), *self.lit,
-            self._scale, self._offset, self._work, out,
-        )  # fmt: skip
+            _read_only(raw),
+            _read_only(raw_residual),
+            pixels,
+            self._blocks,
+            self._weights,
+            self._factors,
+            self._rows,
+            out,
+        )
 
     def _binned(self, background: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the tracking image (n, n) of the background, added byte by byte.
 
         So the kernel is compiled for frames of bytes only, which takes seconds.
         """
-        total, part = np.zeros_like(self._scale), np.zeros_like(self._scale)
+        total, part = np.zeros((2, self.grid.side, self.grid.side), np.float32)
         steps, level = np.empty(background.shape, "<u4"), np.empty(background.shape, np.uint8)
         signs = (1,) if background.min() >= 0 else (1, -1)
         for sign in signs:
@@ -169,8 +184,8 @@ class FrontEnd:
 
 
 def _read_only(frame: NDArray[Any]) -> NDArray[Any]:
-    """Return a read-only view of a frame, as those of a file are: kernels are compiled for one kind of array."""
-    view = frame.view()
+    """Return a read-only frame, as those of a file are, without gaps: kernels are compiled for one kind of array."""
+    view = np.ascontiguousarray(frame).view()
     view.flags.writeable = False
     return view
 

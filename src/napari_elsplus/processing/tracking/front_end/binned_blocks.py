@@ -1,0 +1,194 @@
+"""Blocks of neighbouring pixels of the grid: both views binned and subtracted, in vector instructions.
+
+A square that lies between camera pixels is interpolated between the four squares on whole pixels around it. Sums of
+camera pixels are exact integers, which are converted to float32 once for each pixel of the grid.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from napari_elsplus.processing.compiled import build_prefetch
+from napari_elsplus.processing.vectors import FLOAT, Vectors, data_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+BLOCK: Final = 32
+"""Pixels of the grid in a block; derived: with two camera pixels of a byte each they fill a vector of 512 bits, the
+longest there is."""
+AHEAD: Final = 24
+"""Number of blocks, some three rows, ahead of which the camera's memory is prefetched; chosen: between 20 and 30 it
+makes no difference beyond its scatter."""
+_PLACE: Final = ir.IntType(64)
+_FLOAT_BITS: Final = 32
+
+
+class _Camera:
+    """Sums of a row of camera pixels, in instructions for one kind of them.
+
+    Parameters
+    ----------
+    builder : llvmlite.ir.IRBuilder
+        Of the kernel.
+    kind : numba.types.Type
+        Of the camera pixels.
+    binning : int
+        Camera pixels per pixel of the grid.
+    """
+
+    def __init__(self, builder: Any, kind: Any, binning: int) -> None:
+        self._builder, self._kind, self._binning = builder, kind, binning
+        self._vectors = Vectors(builder, BLOCK)
+        self._exact: Any = None
+        """Integers that hold the sum of a square; None where sums are float32."""
+        if isinstance(kind, types.Integer) and _bits(kind) <= 16:
+            self._exact = ir.IntType(16 if binning**2 << _bits(kind) < 2**15 else 32)
+
+    def added(self, numbers: Sequence[Any]) -> Any:
+        """Return the sum of vectors of pixels."""
+        add = self._builder.add if self._exact else self._builder.fadd
+        total = numbers[0]
+        for number in numbers[1:]:
+            total = add(total, number)
+        return total
+
+    def less(self, a: Any, b: Any) -> Any:
+        """Return the difference of two sums."""
+        return self._builder.sub(a, b) if self._exact else self._builder.fsub(a, b)
+
+    def real(self, total: Any) -> Any:
+        """Return a sum or difference as float32."""
+        return self._builder.sitofp(total, self._vectors.of(FLOAT)) if self._exact else total
+
+    def columns(self, data: Any, element: Any) -> list[Any]:
+        """Return the first, second, ... camera pixel of each pixel of the grid, from an element of a frame on."""
+        many = ir.VectorType(data.type.pointee, self._binning * BLOCK)
+        place = self._builder.bitcast(self._builder.gep(data, [element]), many.as_pointer())
+        pixels = self._builder.load(place, align=_bits(self._kind) // 8)
+        if self._exact and self._exact.width == self._binning * _bits(self._kind) and not self._kind.signed:
+            return self._parts(self._builder.bitcast(pixels, self._vectors.of(self._exact)))
+        every = range(0, self._binning * BLOCK, self._binning)
+        return [
+            self._summand(self._vectors.chosen(pixels, pixels, [first + k for k in every]))
+            for first in range(self._binning)
+        ]
+
+    def _parts(self, together: Any) -> list[Any]:
+        """Return the first, second, ... of the unsigned pixels that are one integer together, its lowest bits first."""
+        width, numbers = _bits(self._kind), self._vectors.of(self._exact)
+        mask = ir.Constant(numbers, [2**width - 1] * BLOCK)
+        shifted = (
+            self._builder.lshr(together, ir.Constant(numbers, [k * width] * BLOCK)) for k in range(self._binning)
+        )
+        return [self._builder.and_(part, mask) for part in shifted]
+
+    def _summand(self, pixels: Any) -> Any:
+        """Return pixels as what their sums are."""
+        signed = getattr(self._kind, "signed", False)
+        if self._exact:
+            widened = self._builder.sext if signed else self._builder.zext
+            same = self._exact.width == _bits(self._kind)
+            return pixels if same else widened(pixels, self._vectors.of(self._exact))
+        floats = self._vectors.of(FLOAT)
+        if isinstance(self._kind, types.Integer):
+            return (self._builder.sitofp if signed else self._builder.uitofp)(pixels, floats)
+        return pixels if _bits(self._kind) == _FLOAT_BITS else self._builder.fptrunc(pixels, floats)
+
+
+def _bits(kind: Any) -> int:
+    return int(kind.bitwidth)
+
+
+def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    kinds = signature.args
+    raw, raw_residual, places, fractions, rows = (
+        data_of(context, builder, kinds[k], arguments[k]) for k in (0, 1, 3, 4, 9)
+    )
+    binning = len(kinds[2])
+    first, stop, slopes, weights = arguments[5:9]
+    cols = cgutils.unpack_tuple(builder, context.make_array(kinds[0])(context, builder, arguments[0]).shape, 2)[1]
+    vectors, camera = Vectors(builder, BLOCK), _Camera(builder, kinds[0].dtype, binning)
+    tilt, growth = (builder.fmul(vectors.spread(s), vectors.ramp()) for s in cgutils.unpack_tuple(builder, slopes, 2))
+    of_confocal, of_residual = (vectors.spread(w) for w in cgutils.unpack_tuple(builder, weights, 2))
+
+    def entry(table: Any, n: Any, k: int, size: int) -> Any:
+        return builder.load(builder.gep(table, [builder.add(builder.mul(n, _PLACE(size)), _PLACE(k))]))
+
+    def corners(n: Any) -> list[Any]:
+        return [builder.sext(entry(places, n, k, 4), _PLACE) for k in (0, 1)]
+
+    def pixel(corner: Any, row: int, col: int) -> Any:
+        return builder.add(builder.add(corner, builder.mul(cols, _PLACE(row))), _PLACE(col))
+
+    def squares(data: Any, corner: Any, row: int) -> tuple[Any, Any]:
+        """Return the sums of a row of the squares, and of those one camera pixel aside."""
+        here = camera.columns(data, pixel(corner, row, 0))
+        beyond = camera.columns(data, pixel(corner, row, 1))[-1]
+        return camera.added(here), camera.added([*here[1:], beyond])
+
+    with cgutils.for_range_slice(builder, first, stop, _PLACE(1), intp=_PLACE) as (n, _):
+        later = corners(builder.add(n, _PLACE(AHEAD)))
+        for row in range(binning):
+            for col in (0, binning * BLOCK - 1):
+                build_prefetch(builder, builder.gep(raw, [pixel(later[0], row, col)]))
+                build_prefetch(builder, builder.gep(raw_residual, [pixel(later[1], row + 1, col)]))
+        confocal, residual = corners(n)
+        down, across = (
+            builder.fadd(vectors.spread(entry(fractions, n, k, 2)), slope) for k, slope in enumerate((tilt, growth))
+        )
+        whole = camera.added([camera.added(camera.columns(raw, pixel(confocal, row, 0))) for row in range(binning)])
+        lines = [squares(raw_residual, residual, row) for row in range(binning + 1)]
+        upper, upper_aside = (camera.added(sums[:binning]) for sums in zip(*lines, strict=True))
+        more, more_aside = (camera.less(lines[-1][k], lines[0][k]) for k in (0, 1))
+        above = vectors.fused(across, camera.real(camera.less(upper_aside, upper)), camera.real(upper))
+        step = vectors.fused(across, camera.real(camera.less(more_aside, more)), camera.real(more))
+        between = vectors.fused(down, step, above)
+        value = vectors.fused(between, of_residual, builder.fmul(camera.real(whole), of_confocal))
+        to = builder.sext(entry(places, n, 2, 4), _PLACE)
+        filled = builder.bitcast(entry(places, n, 3, 4), vectors.of(ir.IntType(1)))
+        vectors.store(builder.select(filled, value, vectors.load(rows, to)), rows, to)
+    return context.get_dummy_value()
+
+
+def _bin_blocks(
+    _: Any, raw: Any, raw_residual: Any, pixels: Any, places: Any, fractions: Any, first: Any, stop: Any, slopes: Any,
+    weights: Any, rows: Any,
+) -> Any:  # fmt: skip
+    """Fill blocks of the rows of the grid.
+
+    Parameters
+    ----------
+    raw, raw_residual : numpy.ndarray
+        (rows, cols), C-contiguous: frames that the confocal and the residual view are taken from.
+    pixels : tuple of int
+        0, 1, ...: as many as there are camera pixels per pixel of the grid in a row.
+    places, fractions, slopes : numpy.ndarray, numpy.ndarray, tuple of float32
+        Of :class:`~napari_elsplus.processing.tracking.front_end.view_blocks.ViewBlocks`.
+    first, stop : int
+        First block that is filled, and the one after the last.
+    weights : tuple of float32
+        Of the two views.
+    rows : numpy.ndarray
+        Flat float32.
+    """
+    whole, real = types.int64, types.float32
+    pair = types.UniTuple(real, 2)
+    if any(kind.layout != "C" for kind in (raw, raw_residual, places, fractions, rows)):
+        return None
+    return types.void(raw, raw_residual, pixels, places, fractions, whole, whole, pair, pair, rows), _build
+
+
+bin_blocks = cast(
+    "Callable[[NDArray[Any], NDArray[Any], tuple[int, ...], NDArray[np.int32], NDArray[np.float32], int, int, "
+    "tuple[np.float32, np.float32], tuple[np.float32, np.float32], NDArray[np.float32]], None]",
+    intrinsic(_bin_blocks),
+)

@@ -1,0 +1,155 @@
+"""Which blocks of pixels the rows of the grid consist of, and where each lies in the frame; found once.
+
+Whole-pixel shifts of the residual view are constant over long runs of columns. A run is divided into blocks. The last
+one ends where the run ends, so that it reads no pixels beyond, and fills only pixels of the run.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.errors import CalibrationError
+from napari_elsplus.processing.tracking.front_end.binned_blocks import AHEAD, BLOCK
+from napari_elsplus.processing.tracking.front_end.smoothed_rows import MARGIN, ROWS, VECTOR, WIDTH
+from napari_elsplus.processing.vectors import aligned_zeros
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Columns = NDArray[np.int32]
+    Indices = NDArray[np.intp]
+    Matrix = NDArray[np.float64]
+
+_HELD: Final = 2 * ROWS
+"""Rows that are held at a time."""
+
+
+class ViewBlocks(NamedTuple):
+    """Blocks of the rows of the grid, in groups of four rows that begin two before the grid.
+
+    Parameters
+    ----------
+    places : numpy.ndarray
+        (blocks, 4) int32: elements of the frame, counted through its rows, of the first camera pixel of the confocal
+        view and of the residual one; element of the memory of rows; bits of the pixels that are filled. The last entry
+        is repeated for as many blocks as are prefetched ahead.
+    fractions : numpy.ndarray
+        (blocks, 2) float32: rows and columns of the camera by which the residual view lies beyond its first pixel.
+    slopes : tuple of float32
+        Their changes from pixel to pixel of the grid.
+    first : numpy.ndarray
+        (groups + 1,) int64: first block of each group, and the number of blocks.
+    cleared : numpy.ndarray
+        Elements of the memory of rows from which a vector is cleared, as a row replaces a wider one.
+    first_cleared : numpy.ndarray
+        (groups + 1,) int64: the first of them for each group, and their number.
+    """
+
+    places: NDArray[np.int32]
+    fractions: NDArray[np.float32]
+    slopes: tuple[np.float32, np.float32]
+    first: Indices
+    cleared: Indices
+    first_cleared: Indices
+
+
+def view_blocks(
+    confocal: Matrix, residual: Matrix, binning: int, spans: tuple[Columns, Columns], frame_shape: tuple[int, int]
+) -> ViewBlocks:
+    """Return the blocks of a grid.
+
+    Parameters
+    ----------
+    confocal, residual : numpy.ndarray
+        (2, 3): from (row, col, 1), counted in camera pixels from the grid's corner, to (row, col) in the frame. The
+        confocal view is taken at whole pixels.
+    binning : int
+        Camera pixels per grid pixel in a row.
+    spans : tuple of numpy.ndarray
+        (n,) int32: first lit column of each row, and the one after the last.
+    frame_shape : tuple of int
+        Rows and columns of the frames, in which the lit pixels lie.
+
+    Raises
+    ------
+    CalibrationError
+        If the frames have hardly more pixels than a block.
+    """
+    first_lit, last_lit = (span.astype(int) for span in spans)
+    side = len(first_lit)
+    rows, cols = np.nonzero((np.arange(side) >= first_lit[:, None]) & (np.arange(side) < last_lit[:, None]))
+    memory = (rows + ROWS // 2) % _HELD * WIDTH + MARGIN + cols
+    corners = np.stack([_corners(view, binning, rows, cols) for view in (confocal, residual)])
+    whole = np.floor(corners)
+    elements = (frame_shape[1] * whole[:, 0] + whole[:, 1]).astype(int)
+    breaks = (np.diff(elements) != binning).any(axis=0) | (np.diff(rows) != 0)
+    ends = np.append(np.flatnonzero(breaks) + 1, len(rows))
+    begins = np.append(0, ends[:-1])
+    # blocks of each run: their first pixels, counted through the lit ones, of which those before the run are not filled
+    counts = -(-(ends - begins) // BLOCK)
+    run = np.repeat(np.arange(len(counts)), counts)
+    begin, end = begins[run], ends[run]
+    start = begin + BLOCK * (np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts))
+    in_frame = begin - elements[:, begin].min(axis=0) // binning
+    start = np.where(start + BLOCK <= end, start, np.maximum(end - BLOCK, in_frame))
+    at = elements[:, begin] + binning * (start - begin)
+    if at.max() + binning * (frame_shape[1] + BLOCK) >= frame_shape[0] * frame_shape[1]:
+        raise CalibrationError(
+            f"frames of {frame_shape[0]} x {frame_shape[1]} pixels are too small", "record a larger region"
+        )
+    low, high = np.maximum(begin - start, 0), np.minimum(end - start, BLOCK)
+    filled = (1 << high) - (1 << low)
+    places = np.stack([*at, memory[begin] + start - begin, filled], axis=1).astype(np.uint32).view(np.int32)
+    slopes = binning * (residual[:, 1] - (0.0, 1.0))
+    fractions = (corners[1] - whole[1])[:, begin] + slopes[:, None] * (start - begin)
+    groups = np.arange(-ROWS // 2, side + ROWS, ROWS)
+    cleared, first_cleared = _cleared(first_lit, last_lit)
+    return ViewBlocks(
+        np.pad(places, ((0, AHEAD), (0, 0)), mode="edge"),
+        np.ascontiguousarray(fractions.T, np.float32),
+        (np.float32(slopes[0]), np.float32(slopes[1])),
+        np.searchsorted(rows[begin], groups),
+        cleared,
+        first_cleared,
+    )
+
+
+def scratch() -> NDArray[np.float32]:
+    """Return the memory of rows."""
+    return aligned_zeros(_HELD * WIDTH + BLOCK)
+
+
+def interleaved(scale: NDArray[np.float32], offset: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return scale and offset (n, n) as vectors that take turns, with a fixed number of elements from row to row."""
+    side = len(scale)
+    wide = np.zeros((2, side, WIDTH), np.float32)
+    wide[0, :, :side], wide[1, :, :side] = scale, offset
+    factors = aligned_zeros(wide.size)
+    factors.reshape(side, WIDTH // VECTOR, 2, VECTOR)[:] = wide.reshape(2, side, -1, VECTOR).transpose(1, 2, 0, 3)
+    return factors
+
+
+def _corners(view: Matrix, binning: int, rows: Indices, cols: Indices) -> NDArray[np.float64]:
+    """Return where in the frame the first camera pixels of pixels of the grid lie, (2, n)."""
+    half = 0.5 * (binning - 1)
+    corners: NDArray[np.float64] = view @ np.stack([binning * rows + half, binning * cols + half, np.ones(len(rows))])
+    return corners - half
+
+
+def _cleared(first: Indices, last: Indices) -> tuple[Indices, Indices]:
+    """Return :attr:`ViewBlocks.cleared` and :attr:`ViewBlocks.first_cleared`."""
+    cleared: list[int] = []
+    numbers = [0]
+    held = [(0, 0)] * _HELD
+    for place in range(len(first) + ROWS):
+        row, slot = place - ROWS // 2, place % _HELD
+        left, right = held[slot]
+        begin, end = (int(first[row]), int(last[row])) if 0 <= row < len(first) else (right, right)
+        for gone in (range(left, min(begin, right), VECTOR), range(max(end, left), right, VECTOR)):
+            cleared += [slot * WIDTH + MARGIN + col for col in gone]
+        held[slot] = begin, end
+        if place % ROWS == ROWS - 1:
+            numbers.append(len(cleared))
+    return np.array(cleared, np.intp), np.array(numbers)
