@@ -192,11 +192,8 @@ def changes() -> list[Change]:
         *constant("sharp without competitors, px", "registration/pyramid_descent", "SHARP_PX"),
         *constant("peaks of the search", search, "CANDIDATES", without="1"),
         *left_out(
-            "other peaks compete", pair, ("sum(exp(max(nats - highest, -700.0)) for nats in others)", "0.0")
-        ),
-        *left_out(
             "unrelated frames compete", "registration/pyramid_descent",
-            ("            odds = min(odds, _odds_against_unrelated(correlation, count))\n", ""),
+            ("            odds = min(odds, odds_against_unrelated(correlation, count))\n", ""),
         ),
         *constant("fall of correlation", pair, "FALL_OF_CORRELATION", without="inf"),
         *constant("memory of the correlation", "tracker", "_MEMORY", without="1.0"),

@@ -17,13 +17,9 @@ import numpy as np
 from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
 
 if TYPE_CHECKING:
-    from typing import Any, TypeVar
-
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-
-    Distance = TypeVar("Distance", float, NDArray[np.floating[Any]])
+    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 
 CANDIDATES: Final = 6
 """Shifts that are registered after a search, the most likely ones; chosen."""
@@ -142,7 +138,7 @@ def opposite(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 class ShiftSearch(MaskedCorrelation):
-    """Finds the few most likely shifts between two discs by their correlation and a heavy-tailed prior.
+    """Finds the few most likely shifts between two discs by their correlation and the motion prior.
 
     Parameters
     ----------
@@ -160,37 +156,21 @@ class ShiftSearch(MaskedCorrelation):
         """Return what the search needs of a coarse image (n, n)."""
         return self.prepare(high_passed(image, self._mask, _HIGH_PASS_CELLS))
 
-    def peaks(self, earlier: CoarseImage, later: CoarseImage, expected: Warp, reach_px: float) -> NDArray[np.float32]:
+    def peaks(self, earlier: CoarseImage, later: CoarseImage, motion: MotionPrior) -> NDArray[np.float32]:
         """Return the most likely shifts (b, d), in pixels of full resolution, best first.
 
         Parameters
         ----------
         earlier, later : CoarseImage
             Both frames, prepared.
-        expected : Warp
-            Centre of a heavy-tailed prior.
-        reach_px : float
-            Scale of that prior in pixels of full resolution.
+        motion : MotionPrior
+            Prior of the motion between them.
         """
         alike = np.clip(self.coefficients(earlier, later), 0.0, _MAX_CORRELATION)
-        before = prior(self._shifts[:, None] - expected.b, self._shifts - expected.d, reach_px)
-        score = before - _NATS_PER_CELL * self.overlap * np.log(1 - alike * alike)
+        score = motion.log_density(self._shifts[:, None], self._shifts)
+        score -= _NATS_PER_CELL * self.overlap * np.log(1 - alike * alike)
         np.copyto(score, -np.inf, where=alike == 0)
         around = cv2.dilate(cv2.copyMakeBorder(score, 1, 1, 1, 1, cv2.BORDER_WRAP), None)[1:-1, 1:-1]
         highest = np.flatnonzero((score == around) & (alike > 0))
         best = highest[np.argsort(-score.ravel()[highest])[:CANDIDATES]]
         return self._shifts[np.stack(np.unravel_index(best, score.shape), axis=1)]
-
-
-def prior(rows: Distance, cols: Distance, reach_px: float) -> Distance:
-    """Return the log-probability of a shift that misses what was expected by so much, nats; hands jerk: heavy tails.
-
-    Parameters
-    ----------
-    rows, cols : float or numpy.ndarray
-        Distance of the shift from the predicted one, pixels.
-    reach_px : float
-        Scale of the prior, pixels.
-    """
-    log_probability: Distance = -1.5 * np.log(1 + (rows * rows + cols * cols) / (reach_px * reach_px))
-    return log_probability

@@ -143,7 +143,7 @@ def register(
     correlation, count, sharp = descend(
         earlier.images, later.images, coarsest, 0, expected, terms, warp, information, tools
     )
-    odds = _odds_against_unrelated(correlation, count) if sharp else -np.inf
+    odds = odds_against_unrelated(correlation, count) if sharp else -np.inf
     if not sharp and correlation > 0:
         # noise is more than what does not move at the rim: all that is lit, without what is smooth
         high_pass(earlier, tools.pyramid)
@@ -156,14 +156,14 @@ def register(
         if correlation > min_correlation:
             pair = pair_at(1, 1, earlier.images, later.images, tools)
             odds = log_odds(pair, warp, information, expected, terms, tools.sums, tools.work)
-            odds = min(odds, _odds_against_unrelated(correlation, count))
+            odds = min(odds, odds_against_unrelated(correlation, count))
     velocity, variance, of_stretch, of_shift = velocity_given(prior, Warp(warp[0], warp[1], warp[2], warp[3]))
     found[4], found[5], found[6], found[7] = correlation, odds, velocity.row, velocity.col
     found[8] = variance + _variance_along(information, of_stretch, of_shift, tools.work)
 
 
 @lean_kernel
-def _odds_against_unrelated(correlation: float, count: float) -> float:
+def odds_against_unrelated(correlation: float, count: float) -> float:
     """Return the log odds of frames of that correlation in `count` pixels against unrelated ones, nats; at most 700."""
     return float(min(-0.5 * count / CORRELATED_PX * np.log(max(1 - correlation * correlation, 1e-12)), 700.0))
 
