@@ -1,6 +1,6 @@
 """Zero-mean normalised correlation of two images under a mask, at every shift at once, by Fourier transform.
 
-Of raw frames it finds the most likely shifts, which are then registered; of finished images it gives the odds of one.
+Of raw frames it finds the most likely shift, which is then registered; of finished images it gives the odds of one.
 
 References
 ----------
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 
-CANDIDATES: Final = 6
-"""Shifts that are registered after a search, the most likely ones; chosen."""
 _HIGH_PASS_CELLS: Final = 4.0
 """Standard deviation of the high-pass of raw frames before a search, cells of quarter resolution; chosen."""
 _NATS_PER_CELL: Final = 0.05
@@ -138,7 +136,7 @@ def opposite(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 class ShiftSearch(MaskedCorrelation):
-    """Finds the few most likely shifts between two discs by their correlation and the motion prior.
+    """Finds the most likely shift between two discs by their correlation and the motion prior.
 
     Parameters
     ----------
@@ -156,8 +154,8 @@ class ShiftSearch(MaskedCorrelation):
         """Return what the search needs of a coarse image (n, n)."""
         return self.prepare(high_passed(image, self._mask, _HIGH_PASS_CELLS))
 
-    def peaks(self, earlier: CoarseImage, later: CoarseImage, motion: MotionPrior) -> NDArray[np.float32]:
-        """Return the most likely shifts (b, d), in pixels of full resolution, best first.
+    def best(self, earlier: CoarseImage, later: CoarseImage, motion: MotionPrior) -> tuple[float, float]:
+        """Return the most likely shift (b, d), in pixels of full resolution.
 
         Parameters
         ----------
@@ -169,8 +167,5 @@ class ShiftSearch(MaskedCorrelation):
         alike = np.clip(self.coefficients(earlier, later), 0.0, _MAX_CORRELATION)
         score = motion.log_density(self._shifts[:, None], self._shifts)
         score -= _NATS_PER_CELL * self.overlap * np.log(1 - alike * alike)
-        np.copyto(score, -np.inf, where=alike == 0)
-        around = cv2.dilate(cv2.copyMakeBorder(score, 1, 1, 1, 1, cv2.BORDER_WRAP), None)[1:-1, 1:-1]
-        highest = np.flatnonzero((score == around) & (alike > 0))
-        best = highest[np.argsort(-score.ravel()[highest])[:CANDIDATES]]
-        return self._shifts[np.stack(np.unravel_index(best, score.shape), axis=1)]
+        row, col = np.unravel_index(np.argmax(score), score.shape)
+        return float(self._shifts[row]), float(self._shifts[col])

@@ -1,6 +1,6 @@
 """Registration of two frames: the warp between them, its covariance, and its log posterior odds.
 
-From the expected warp, or else from the best few peaks of a masked correlation over all shifts, down a pyramid of
+From the expected warp, or else from the best peak of a masked correlation over all shifts, down a pyramid of
 Lucas-Kanade steps to full resolution; then against competing shifts.
 """
 
@@ -20,12 +20,7 @@ from napari_elsplus.processing.tracking.registration import motion_models
 from napari_elsplus.processing.tracking.registration.masked_correlation import ShiftSearch
 from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, weakest_direction
 from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, fill_levels
-from napari_elsplus.processing.tracking.registration.pyramid_descent import (
-    Tools,
-    descend,
-    odds_against_unrelated,
-    register,
-)
+from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, register
 from napari_elsplus.processing.tracking.registration.uneven_motion import EXACT_PX, align_unevenly
 
 if TYPE_CHECKING:
@@ -208,14 +203,13 @@ class Registrar:
         min_correlation : float
             Correlation that is needed: without it the odds are not computed, and minus infinity.
         """
-        return self._refined(earlier, later, motion, motion.warp, LEVELS - 1, min_correlation)
+        return self._refined(earlier, later, motion, motion.warp, min_correlation)
 
     def _refined(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp, coarsest: int,
-        min_correlation: float,
-    ) -> PairRegistration:  # fmt: skip
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp, min_correlation: float
+    ) -> PairRegistration:
         information, found, frames = np.empty((4, 4)), self._found, (earlier.arrays, later.arrays)
-        _register(*frames, motion, start, coarsest, min_correlation, self._tools, information, found)
+        _register(*frames, motion, start, min_correlation, self._tools, information, found)
         a, b, s, d, correlation, odds, row, col, variance = found.tolist()
         overlap = overlap_of_discs(hypot(b, d) / (FIELD * self.grid.diameter))
         return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
@@ -223,7 +217,7 @@ class Registrar:
     def search(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0
     ) -> PairRegistration | None:
-        """Register two frames over all shifts; None where no shift is supported at all.
+        """Register two frames over all shifts; other registrars return None where no shift is supported at all.
 
         Parameters
         ----------
@@ -238,16 +232,8 @@ class Registrar:
             fill_levels(view.arrays, self._tools.pyramid)
             if view.coarse is None:
                 view.coarse = self._everywhere.of_frame(view.levels[-1])
-        found: list[tuple[float, Warp]] = []
-        expected, terms, scratch = np.array(motion.warp), motion.terms, np.empty((4, 4))
-        for b, d in self._everywhere.peaks(earlier.coarse, later.coarse, motion).tolist():
-            warp = np.array(motion.at(b, d))
-            correlation, count, _ = descend(
-                earlier.levels, later.levels, 1, 1, expected, terms, warp, scratch, self._tools
-            )
-            peak = Warp(*warp.tolist())
-            found.append((odds_against_unrelated(correlation, count) + motion.log_density(peak.b, peak.d), peak))
-        return self._refined(earlier, later, motion, max(found)[1], 1, min_correlation) if found else None
+        start = motion.at(*self._everywhere.best(earlier.coarse, later.coarse, motion))
+        return self._refined(earlier, later, motion, start, min_correlation)
 
     def remainder(
         self,
@@ -334,7 +320,7 @@ class Registrar:
             if anywhere and (link is None or not link.observed):
                 link = self.search(upright, later, motion)
             else:
-                link = self._refined(upright, later, motion, start, LEVELS - 1, 0.0)
+                link = self._refined(upright, later, motion, start, 0.0)
             left = turn - expected_turn, turn_spread
             found = None if link is None else self.remainder(upright, later, link.warp, motion.spread, left, rim=False)
             if link is None or found is None:
