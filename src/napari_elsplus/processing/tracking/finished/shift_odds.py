@@ -127,7 +127,7 @@ class ShiftOdds:
         earlier, later : SpectraOfImage
             From :meth:`spectra`.
         """
-        r, lags = self._correlation.coefficients(earlier.image, later.image), self._correlation.lags
+        r, lags = self._correlation.coefficients(earlier.image.as_template, later.image), self._correlation.lags
         values = self._independent_values(earlier, later)
         log_odds = -0.5 * values * np.log1p(-(np.clip(r, 0.0, 0.9999) ** 2)) + self._prior
         peak = np.unravel_index(np.argmax(log_odds), log_odds.shape)

@@ -18,7 +18,7 @@ import numpy as np
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction, Corrections
 from napari_elsplus.processing.tracking.pose_graph.edge import UNKNOWN_TURN, Edge
 from napari_elsplus.processing.tracking.pose_graph.least_squares import least_squares
-from napari_elsplus.processing.tracking.pose_graph.place_recognition import PlaceRecognition, Thumbnail
+from napari_elsplus.processing.tracking.pose_graph.place_recognition import PlaceRecognition
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
     from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
+    from napari_elsplus.processing.tracking.registration.masked_correlation import CoarseImage
     from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame
 
 REACH: Final = 0.45
@@ -89,7 +90,7 @@ class PoseGraph:
         self._registration, self._frame = registration, view
         self._diameter = self.grid.diameter
         self._recognition = PlaceRecognition(self.grid)
-        self._thumbnails: dict[int, Thumbnail] = {}
+        self._thumbnails: dict[int, CoarseImage] = {}
         self.nodes: list[Node] = []
         self.closed = 0
         self.unsolved = False
@@ -317,7 +318,7 @@ class PoseGraph:
         if self._view(number) is not None and number not in self._thumbnails and not near.any():
             self._thumbnails[number] = self._thumbnail(number)
 
-    def _thumbnail(self, number: int) -> Thumbnail:
+    def _thumbnail(self, number: int) -> CoarseImage:
         view = self._view(number)
         assert view is not None
         return self._recognition.thumbnail(view, self.nodes[number].pose.velocity, self._orientation(number))

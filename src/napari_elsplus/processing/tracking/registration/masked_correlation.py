@@ -1,6 +1,7 @@
 """Zero-mean normalised correlation of two images under a mask, at every shift at once, by Fourier transform.
 
-Of raw frames it finds the most likely shift, which is then registered; of finished images it gives the odds of one.
+Of raw frames it finds the most likely shift, which is then registered; of finished images it gives the odds of one, and
+of thumbnails it finds those that show the same place.
 
 References
 ----------
@@ -25,7 +26,8 @@ _HIGH_PASS_CELLS: Final = 4.0
 """Standard deviation of the high-pass of raw frames before a search, cells of quarter resolution; chosen."""
 _NATS_PER_CELL: Final = 0.05
 """Weight of a cell of quarter resolution: its part of an independent value, over two."""
-_MAX_CORRELATION: Final = 0.999
+MAX_CORRELATION: Final = 0.999
+"""Largest correlation that is counted; chosen, against the logarithm of zero."""
 
 
 class CoarseImage(NamedTuple):
@@ -46,6 +48,11 @@ class CoarseImage(NamedTuple):
     scale: NDArray[np.float32]
     mean: NDArray[np.float32]
 
+    @property
+    def as_template(self) -> CoarseImage:
+        """The same by the shift of other images against this one."""
+        return CoarseImage(self.spectrum, opposite(self.scale), opposite(self.mean))
+
 
 class MaskedCorrelation:
     """Correlates images under one mask; what depends on the mask alone is kept.
@@ -56,6 +63,8 @@ class MaskedCorrelation:
         (n, n) float32, 1 where images are compared, 0 elsewhere.
     min_overlap : float
         Smallest overlap that is searched, as a fraction of the mask.
+    reach : int, optional
+        Largest shift that leaves such an overlap, pixels; that of images side by side by default.
 
     Attributes
     ----------
@@ -67,9 +76,9 @@ class MaskedCorrelation:
         (size,) shift at each index, pixels.
     """
 
-    def __init__(self, mask: NDArray[np.float32], min_overlap: float = 0.0) -> None:
+    def __init__(self, mask: NDArray[np.float32], min_overlap: float = 0.0, reach: int | None = None) -> None:
         self._mask = mask
-        self._size = cv2.getOptimalDFTSize(2 * len(mask))
+        self._size = cv2.getOptimalDFTSize(len(mask) + (len(mask) if reach is None else reach))
         self.mask_spectrum = self.spectrum(mask)
         self.overlap = np.maximum(self.correlate(self.mask_spectrum, self.mask_spectrum), np.float32(1e-3))
         self.searched = self.overlap > min_overlap * self.overlap[0, 0]
@@ -86,16 +95,16 @@ class MaskedCorrelation:
         scale = np.reciprocal(np.sqrt(squares), dtype=np.float32)
         return CoarseImage(spectrum, scale, sums * scale)
 
-    def coefficients(self, earlier: CoarseImage, later: CoarseImage) -> NDArray[np.float32]:
+    def coefficients(self, template: CoarseImage, image: CoarseImage) -> NDArray[np.float32]:
         """Return the correlation coefficient (size, size) at each shift; 0 where the overlap is too small, or even.
 
         Parameters
         ----------
-        earlier, later : CoarseImage
-            From :meth:`prepare`.
+        template, image : CoarseImage
+            From :attr:`CoarseImage.as_template` and :meth:`prepare`: the image is shifted against the template.
         """
-        product = self.correlate(earlier.spectrum, later.spectrum)
-        return product * opposite(earlier.scale) * later.scale - opposite(earlier.mean) * later.mean
+        product = self.correlate(template.spectrum, image.spectrum)
+        return product * template.scale * image.scale - template.mean * image.mean
 
     def spectrum(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the spectrum (size, size) of an image (n, n), packed as OpenCV does."""
@@ -164,7 +173,7 @@ class ShiftSearch(MaskedCorrelation):
         motion : MotionPrior
             Prior of the motion between them.
         """
-        alike = np.clip(self.coefficients(earlier, later), 0.0, _MAX_CORRELATION)
+        alike = np.clip(self.coefficients(earlier.as_template, later), 0.0, MAX_CORRELATION)
         score = motion.log_density(self._shifts[:, None], self._shifts)
         score -= _NATS_PER_CELL * self.overlap * np.log(1 - alike * alike)
         row, col = np.unravel_index(np.argmax(score), score.shape)
