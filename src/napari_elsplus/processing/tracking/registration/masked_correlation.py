@@ -1,4 +1,4 @@
-"""Zero-mean normalised correlation of two images under a mask, at every shift at once, by Fourier transform.
+"""Normalised correlation of two high-passed images under a mask, at every shift at once, by Fourier transform.
 
 Of raw frames it finds the most likely shift, which is then registered; of finished images it gives the odds of one, and
 of thumbnails it finds those that show the same place.
@@ -38,20 +38,17 @@ class CoarseImage(NamedTuple):
     spectrum : numpy.ndarray
         (size, size) float32 spectrum of the image, packed as OpenCV does.
     scale : numpy.ndarray
-        (size, size) float32: over its overlap with the mask at each shift, the reciprocal root of the sum of squared
-        deviations from the mean; 0 where the overlap is too small, or even.
-    mean : numpy.ndarray
-        (size, size) float32: the mean there, times the root of the number of pixels, times `scale`.
+        (size, size) float32: over its overlap with the mask at each shift, the reciprocal root of the sum of squares;
+        0 where the overlap is too small, or empty.
     """
 
     spectrum: NDArray[np.float32]
     scale: NDArray[np.float32]
-    mean: NDArray[np.float32]
 
     @property
     def as_template(self) -> CoarseImage:
         """The same by the shift of other images against this one."""
-        return CoarseImage(self.spectrum, opposite(self.scale), opposite(self.mean))
+        return self._replace(scale=opposite(self.scale))
 
 
 class MaskedCorrelation:
@@ -83,20 +80,15 @@ class MaskedCorrelation:
         self.overlap = np.maximum(self.correlate(self.mask_spectrum, self.mask_spectrum), np.float32(1e-3))
         self.searched = self.overlap > min_overlap * self.overlap[0, 0]
         self.lags = np.fft.fftfreq(self._size, 1 / self._size)
-        self._root_cells: NDArray[np.float32] = np.sqrt(np.maximum(self.overlap, 1.0))
 
     def prepare(self, inside: NDArray[np.float32]) -> CoarseImage:
         """Return what :meth:`coefficients` needs of an image (n, n) that is zero outside of the mask."""
-        spectrum = self.spectrum(inside)
-        sums = self.correlate(self.mask_spectrum, spectrum) / self._root_cells
         squares = self.correlate(self.mask_spectrum, self.spectrum(inside * inside))
-        squares -= sums * sums
         np.copyto(squares, np.inf, where=~self.searched | (squares <= 0))
-        scale = np.reciprocal(np.sqrt(squares), dtype=np.float32)
-        return CoarseImage(spectrum, scale, sums * scale)
+        return CoarseImage(self.spectrum(inside), np.reciprocal(np.sqrt(squares), dtype=np.float32))
 
     def coefficients(self, template: CoarseImage, image: CoarseImage) -> NDArray[np.float32]:
-        """Return the correlation coefficient (size, size) at each shift; 0 where the overlap is too small, or even.
+        """Return the correlation coefficient (size, size) at each shift; 0 where the overlap is too small, or empty.
 
         Parameters
         ----------
@@ -104,7 +96,7 @@ class MaskedCorrelation:
             From :attr:`CoarseImage.as_template` and :meth:`prepare`: the image is shifted against the template.
         """
         product = self.correlate(template.spectrum, image.spectrum)
-        return product * template.scale * image.scale - template.mean * image.mean
+        return product * template.scale * image.scale
 
     def spectrum(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the spectrum (size, size) of an image (n, n), packed as OpenCV does."""
