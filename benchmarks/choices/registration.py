@@ -103,11 +103,11 @@ class _Ours:
         link = self._registrar.link(earlier, later, motion)
         if link.observed and link.correlation > 0.9:
             return _shift(link)
-        return _shift(self._registrar.search(earlier, later, motion, _PREDICTION_PX))
+        return _shift(self._registrar.search(earlier, later, motion))
 
     def searched(self, pair: Pair) -> Shift:
         """Search all shifts."""
-        return _shift(self._registrar.search(*self._views(pair), self._motion((0.0, 0.0), self._reach), self._reach))
+        return _shift(self._registrar.search(*self._views(pair), self._motion((0.0, 0.0), self._reach)))
 
     def _motion(self, displacement: tuple[float, float], sigma_px: float) -> MotionPrior:
         at_rest, shutter = Velocity(0.0, 0.0), self._registrar.grid.shutter

@@ -150,7 +150,7 @@ def left_out(rule: str, module: str, *replaced: tuple[str, str], change: str = "
 
 def changes() -> list[Change]:
     """Return all changes; that of nothing first."""
-    odds, pair, search = "registration/odds", "registration/pair_registration", "registration/masked_correlation"
+    odds, pair = "registration/odds", "registration/pair_registration"
     prediction, near = "motion/prediction", "4.0, -4.0, 8.0, -8.0"
     return [
         Change("nothing", ""),
@@ -190,13 +190,9 @@ def changes() -> list[Change]:
         *constant("static variance, squared grey levels", odds, "_FLOOR_DN2", without="0.0"),
         *constant("static variance, of the brightest", odds, "_FLOOR_SHARE", without="0.0"),
         *constant("sharp without competitors, px", "registration/pyramid_descent", "SHARP_PX"),
-        *constant("peaks of the search", search, "CANDIDATES", without="1"),
-        *left_out(
-            "other peaks compete", pair, ("sum(exp(max(nats - highest, -700.0)) for nats in others)", "0.0")
-        ),
         *left_out(
             "unrelated frames compete", "registration/pyramid_descent",
-            ("            odds = min(odds, _odds_against_unrelated(correlation, count))\n", ""),
+            ("            odds = min(odds, odds_against_unrelated(correlation, count))\n", ""),
         ),
         *constant("fall of correlation", pair, "FALL_OF_CORRELATION", without="inf"),
         *constant("memory of the correlation", "tracker", "_MEMORY", without="1.0"),

@@ -70,8 +70,8 @@ from napari_elsplus.workflows.tracking import Pipeline
 rig = simulated_rig()
 warm_up(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)
 called = (
-    pyramid_descent.register, pyramid_descent.descend, pyramid.fill_levels, odds.weakest_direction, odds.log_likelihood,
-    motion_models.score_rotation, model_selection.shows_rotation,
+    pyramid_descent.register, pyramid.fill_levels, odds.weakest_direction, motion_models.score_rotation,
+    model_selection.shows_rotation,
 )
 print([kernel.__name__ for kernel in called if not kernel.signatures])
 """

@@ -15,7 +15,7 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from napari_elsplus.hardware.priority import leave_frame_core
-from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
+from napari_elsplus.processing.tracking.pose_graph.graph import MAX_NODES, PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
 
@@ -185,14 +185,14 @@ class LoopClosureThread(Thread):
         self.count = self._graph.closed
         if self._track.crowded:
             self._kept = {one.frame: one for one in self._track.thin(self._graph.corrections)}
-        self._graph.marginalise(lambda node: node.frame in self._kept)
+        self._graph.thin(lambda node: node.frame in self._kept)
 
     def _correct(self, limit_px: float) -> None:
         """Solve the pose graph, and correct the track."""
         if self._settled and not self._graph.unsolved:
             return
         begin_s = time.perf_counter()
-        self._graph.solve()
+        self._graph.solve(MAX_NODES)
         self._track.correct(self._graph.corrections, limit_px, self._removals)
         self._settled = limit_px == DISPLACEMENT_LIMIT_AT_REST_PX
         end_s = time.perf_counter()

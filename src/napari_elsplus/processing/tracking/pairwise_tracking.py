@@ -85,16 +85,15 @@ class PairwiseRegistrar(Registrar):
         self._register = register
 
     def search(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, reach_px: float,
-        min_odds_nats: float = -inf, min_correlation: float = 0.0,
-    ) -> PairRegistration | None:  # fmt: skip
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0
+    ) -> PairRegistration | None:
         """Register two frames; None where the function returned None.
 
         Parameters
         ----------
         earlier, later, motion
             As of :meth:`~.Registrar.search`.
-        reach_px, min_odds_nats, min_correlation
+        min_correlation : float
             Not used.
         """
         warp = motion.warp

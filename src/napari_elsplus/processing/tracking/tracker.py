@@ -210,7 +210,8 @@ class Tracker:
         link, waited = self._link(start.later, here, motion), start.found.registration
         if link is None or abs(link.correlation - waited.correlation) > self.registrar.fall_of_correlation:
             return None
-        rise = motion.log_density(link.warp) - self._widest.log_density(link.warp)
+        _, b, _, d = link.warp
+        rise = motion.log_density(b, d) - self._widest.log_density(b, d)
         if waited.odds + rise < MIN_ODDS_NATS or not self._place(start.later, here, link, motion):
             return None
         self.links.insert(-1, start.found)
@@ -295,9 +296,7 @@ class Tracker:
             link = self.registrar.link(earlier.view, here.view, motion, self._min_correlation)
             if self._accepted(link):
                 return link
-        found = self.registrar.search(
-            earlier.view, here.view, motion, motion.shift_sigma, min_odds_nats, self._min_correlation
-        )
+        found = self.registrar.search(earlier.view, here.view, motion, self._min_correlation)
         return found if found is not None and self._accepted(found, min_odds_nats) else None
 
     def _turned_link(self, earlier: _Placed, here: _Placed, motion: MotionPrior) -> PairRegistration | None:
@@ -306,9 +305,9 @@ class Tracker:
         gap, apart = here.index - last.index, here.index - earlier.index
         turn = last.angle - earlier.angle + rate * gap if known else rate * apart
         spread = self._turning.spread(gap)
-        for reach in (None, motion.shift_sigma) if known else (motion.shift_sigma,):
+        for anywhere in (False, True) if known else (True,):
             link = self.registrar.turned_link(
-                earlier.view, here.view, motion, turn, self._scratch, reach, spread, apart
+                earlier.view, here.view, motion, turn, self._scratch, spread, apart, anywhere=anywhere
             )
             if link is not None and self._accepted(link):
                 return link

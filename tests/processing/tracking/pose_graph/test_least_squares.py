@@ -65,6 +65,19 @@ def test_each_set_of_connected_nodes_is_solved_about_its_first_one() -> None:
     assert least_squares_positions([], start, np.zeros(40)) is start
 
 
+def test_nodes_before_the_first_that_is_solved_for_stay_and_hold_the_others() -> None:
+    truth, edges = walk(4)
+    start, held = truth @ (1, 1j), 10 + 5j
+    start[:25] += held
+    right = [closing(truth, a, b) for a, b in ((0, 39), (3, 35), (1, 37))]
+    later = [edge for edge in [*edges, *right, closing(truth, 2, 38, error=12.0)] if edge.later >= 25]
+    found = least_squares_positions(later, start, np.zeros(40), 25)
+    np.testing.assert_array_equal(found[:25], start[:25])
+    misses = found[25:] - truth[25:] @ (1, 1j) - held
+    assert abs(misses).max() < 0.5
+    assert abs(misses[-1]) < 0.05, "a wrong edge to a node that stays is let go"
+
+
 def test_turned_links_are_laid_in_one_orientation_and_a_loop_shares_out_the_angles() -> None:
     """Around a hexagon, 60 degrees a link, each measured 0.01 rad too large; a seventh link closes the loop."""
     side, error, turn = 10.0, 0.01, np.pi / 3

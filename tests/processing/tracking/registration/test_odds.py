@@ -61,5 +61,5 @@ def test_frames_that_share_only_noise_are_rejected() -> None:
     registrar, empty = Registrar(GRID), np.zeros((500, 500), np.float32)
     for seed in range(6):
         frames = [seen(registrar, empty, (0.0, 0.0), 2 * seed + k) for k in range(2)]
-        found = registrar.search(*frames, about(GRID.shutter, Warp(), shift_px=60.0), 60.0)
+        found = registrar.search(*frames, about(GRID.shutter, Warp(), shift_px=60.0))
         assert found is None or not found.observed

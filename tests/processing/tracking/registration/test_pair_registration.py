@@ -48,7 +48,7 @@ def test_displacement_of_a_fast_accelerating_probe_to_a_twentieth_of_a_pixel(spe
 def test_all_shifts_are_searched() -> None:
     """Without any idea of the motion, up to 60 % of the disc."""
     registrar, a, b, _, truth = pair(texture(800, 2), (90.0, -85.0), (90.0, -85.0))
-    link = registrar.search(a, b, about(registrar.grid.shutter, Warp()), 60.0)
+    link = registrar.search(a, b, about(registrar.grid.shutter, Warp(), shift_px=60.0))
     assert link is not None
     assert np.abs(np.subtract(displacement(registrar, link), truth)).max() < 0.3
 
@@ -107,7 +107,7 @@ def test_frames_without_structure_are_not_observed(level: float) -> None:
         view.image[:] = level
         registrar.prepare(view)
     assert not registrar.link(a, b, about(registrar.grid.shutter, true)).observed
-    found = registrar.search(a, b, about(registrar.grid.shutter, true), 20.0)
+    found = registrar.search(a, b, about(registrar.grid.shutter, true, shift_px=20.0))
     assert found is None or not found.observed
 
 

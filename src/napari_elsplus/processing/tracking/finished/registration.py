@@ -95,23 +95,22 @@ class FinishedRegistrar(Registrar):
         return view
 
     def search(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, reach_px: float,
-        min_odds_nats: float = -inf, min_correlation: float = 0.0,
-    ) -> PairRegistration | None:  # fmt: skip
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0
+    ) -> PairRegistration | None:
         """Register two frames over all shifts; None where the odds are less than needed.
 
         Parameters
         ----------
         earlier, later : FinishedFrame
             Frames.
-        motion, reach_px, min_odds_nats, min_correlation
-            As of :meth:`~.Registrar.search`; only `min_odds_nats` is used.
+        motion, min_correlation
+            Not used.
         """
         for view in (earlier, later):
             if view.coarse is None:
                 self.prepare(view)
         found = self._odds.best(earlier.coarse, later.coarse)
-        if found.odds < max(MIN_ODDS_NATS, min_odds_nats):
+        if found.odds < MIN_ODDS_NATS:
             return None
         cell_px = self._field.pixels_per_cell / self.binning
         shift = Warp(b=found.row * cell_px, d=found.col * cell_px)

@@ -1,7 +1,7 @@
 """Log posterior odds of the best shift between two images against all others and against none, in nats of the frame.
 
 For finished images, whose texture may be soft and whose noise is unknown. The likelihood of a shift follows from the
-zero-mean normalised correlation r of the overlap: with n independent values, n / 2 ln(1 / (1 - r^2)) nats above that of
+normalised correlation r of the overlap: with n independent values, n / 2 ln(1 / (1 - r^2)) nats above that of
 unrelated images. The number n is estimated from the images: the variance of r between unrelated ones is the sum over
 all lags of the product of both autocorrelations over the number of pixels (Bartlett 1935,
 doi:10.1111/j.2397-2335.1935.tb04253.x), and larger where bright structure of one meets that of the other.
@@ -76,7 +76,7 @@ class ShiftEstimate(NamedTuple):
     odds : float
         Log posterior odds against all other shifts and against unrelated images, nats of the whole frame.
     correlation : float
-        Zero-mean normalised correlation of the overlap.
+        Normalised correlation of the overlap, high-passed.
     """
 
     row: float
@@ -127,7 +127,7 @@ class ShiftOdds:
         earlier, later : SpectraOfImage
             From :meth:`spectra`.
         """
-        r, lags = self._correlation.coefficients(earlier.image, later.image), self._correlation.lags
+        r, lags = self._correlation.coefficients(earlier.image.as_template, later.image), self._correlation.lags
         values = self._independent_values(earlier, later)
         log_odds = -0.5 * values * np.log1p(-(np.clip(r, 0.0, 0.9999) ** 2)) + self._prior
         peak = np.unravel_index(np.argmax(log_odds), log_odds.shape)

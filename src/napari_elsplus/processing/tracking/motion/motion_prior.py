@@ -12,20 +12,24 @@ Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Nav
 
 from __future__ import annotations
 
-from math import inf, log, log1p, sqrt
+from math import inf, log
 from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
 
 from napari_elsplus.processing.compiled import compilable
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp, warp_between
 
 if TYPE_CHECKING:
-    import numpy as np
+    from typing import Any, TypeVar
+
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
 
     Covariance = tuple[tuple[float, float, float], ...]
     Terms = tuple[float, float, float]
+    Shift = TypeVar("Shift", float, NDArray[np.floating[Any]])
 
 _MIN_STRETCH_SIGMA: Final = 1e-9
 """Smallest standard deviation of stretch and shear: that of a global shutter."""
@@ -68,11 +72,6 @@ class MotionPrior(NamedTuple):
         return terms_of(self)
 
     @property
-    def shift_sigma(self) -> float:
-        """Standard deviation of the shift, pixels."""
-        return sqrt(self.covariance[1][1])
-
-    @property
     def spread(self) -> tuple[float, float]:
         """Standard deviations of stretch and shear at a given shift."""
         return (self.terms[0] ** -0.5,) * 2
@@ -111,11 +110,18 @@ class MotionPrior(NamedTuple):
         slope = self.terms[1]
         return Warp(a + slope * (b - b0), b, s + slope * (d - d0), d)
 
-    def log_density(self, warp: Warp) -> float:
-        """Return the logarithm of the probability density of a warp's shift, up to a constant, nats."""
+    def log_density(self, b: Shift, d: Shift) -> Shift:
+        """Return the logarithm of the probability density of a shift, up to a constant, nats.
+
+        Parameters
+        ----------
+        b, d : float or numpy.ndarray
+            Shift in rows and columns, pixels.
+        """
         variance, expected = self.covariance[1][1], self.warp
-        miss = ((warp.b - expected.b) ** 2 + (warp.d - expected.d) ** 2) / variance
-        return -log(variance) - 0.5 * (DEGREES_OF_FREEDOM + 2) * log1p(miss / DEGREES_OF_FREEDOM)
+        miss = ((b - expected.b) ** 2 + (d - expected.d) ** 2) / variance
+        density: Shift = -log(variance) - 0.5 * (DEGREES_OF_FREEDOM + 2) * np.log1p(miss / DEGREES_OF_FREEDOM)
+        return density
 
     def later_velocity(self, warp: Warp, covariance: NDArray[np.float64]) -> tuple[Velocity, float]:
         """Return the later frame's velocity given a registered warp, and its variance (larger axis).

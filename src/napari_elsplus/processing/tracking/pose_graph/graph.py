@@ -3,8 +3,8 @@
 The tracker registers frame after frame, and its errors add up. Nodes are taken from its track
 (``pose_graph.keyframes``) and registered with earlier ones that show the same place: within a segment those whose poses
 lie near, in other segments those that their thumbnails recognise (``pose_graph.place_recognition``). Live, the graph
-grows in a thread of its own and is marginalised beyond a number of nodes; a finished track is solved by the same graph
-without that bound.
+grows in a thread of its own, in which the newest of many nodes are solved for; a finished track is solved by the same
+graph without that bound.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction, Corrections
-from napari_elsplus.processing.tracking.pose_graph.edge import UNKNOWN_TURN, Edge, marginalised_edges, retained_nodes
+from napari_elsplus.processing.tracking.pose_graph.edge import UNKNOWN_TURN, Edge
 from napari_elsplus.processing.tracking.pose_graph.least_squares import least_squares
-from napari_elsplus.processing.tracking.pose_graph.place_recognition import PlaceRecognition, Thumbnail
+from napari_elsplus.processing.tracking.pose_graph.place_recognition import PlaceRecognition
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
     from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
+    from napari_elsplus.processing.tracking.registration.masked_correlation import CoarseImage
     from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame
 
 REACH: Final = 0.45
@@ -40,14 +41,15 @@ EDGES_PER_NODE: Final = 3
 MAX_CANDIDATES: Final = 3
 """Nodes of other segments that a node is registered with; chosen: the right one ranks first but for rare ties."""
 MAX_NODES: Final = 1500
-"""Nodes from which on some are marginalised, down to two thirds; chosen: solving then takes some 0.1 s."""
+"""Newest nodes that are solved for while a track grows, and number from which those before are thinned out; chosen:
+solving then takes some 0.1 s."""
 _LANDMARK_SPACING: Final = 0.4
 """Distance between the nodes by which a segment is recognised, beside its ends, bundle diameters; chosen: a view within
 the segment overlaps one of them by half."""
 _DRIFT: Final = 0.01
 """Largest drift of a track, fraction of the path; chosen, ten times that of jerky recordings."""
 _GROWTH: Final = 1.25
-"""Factor by which the number of nodes grows between two marginalisations; chosen, so that its cost stays linear."""
+"""Factor by which the number of nodes grows before they are thinned out again; chosen: its cost stays linear."""
 TURNS_PER_NODE: Final = 2
 """Edges from before the rotation was modelled whose angle is estimated with each new node."""
 _GUESSED_TURN_SIGMA: Final = 0.5
@@ -88,7 +90,7 @@ class PoseGraph:
         self._registration, self._frame = registration, view
         self._diameter = self.grid.diameter
         self._recognition = PlaceRecognition(self.grid)
-        self._thumbnails: dict[int, Thumbnail] = {}
+        self._thumbnails: dict[int, CoarseImage] = {}
         self.nodes: list[Node] = []
         self.closed = 0
         self.unsolved = False
@@ -99,7 +101,7 @@ class PoseGraph:
         self._bridges: dict[frozenset[int], list[Edge]] = {}
         self._deferred: list[int] = []
         self._heading: dict[int, float] = {}
-        self._limit = MAX_NODES
+        self._limit = 2 * MAX_NODES
 
     def place(self, number: int) -> Pose:
         """Return the corrected pose of a node, given its number."""
@@ -156,11 +158,18 @@ class PoseGraph:
         del self._deferred[:limit]
         self._register_turns(limit)
 
-    def solve(self) -> None:
-        """Solve for the poses of all nodes if there are new edges."""
+    def solve(self, newest: int | None = None) -> None:
+        """Solve for the poses of nodes if there are new edges.
+
+        Parameters
+        ----------
+        newest : int, optional
+            Number of nodes that are solved for, while those before them stay where they are; all by default.
+        """
         if self.unsolved:
-            edges, places = [*self._chain, *self._loops], self._places
-            places["at"], places["angle"] = least_squares(edges, places["at"], places["angle"])
+            places, first = self._places, 0 if newest is None else max(0, len(self.nodes) - newest)
+            edges = [edge for edge in (*self._chain, *self._loops) if edge.later >= first]
+            places["at"], places["angle"] = least_squares(edges, places["at"], places["angle"], first)
         self.unsolved = False
 
     @property
@@ -193,8 +202,8 @@ class PoseGraph:
         self._retain(self._places["segment"] != group)
         self.unsolved = True
 
-    def marginalise(self, kept: Callable[[Node], bool]) -> None:
-        """Marginalise nodes whose frames are no longer kept where there are many; the others get new numbers.
+    def thin(self, kept: Callable[[Node], bool]) -> None:
+        """Remove every second of many nodes that are neither solved for any more nor kept; others get new numbers.
 
         Parameters
         ----------
@@ -203,12 +212,13 @@ class PoseGraph:
         """
         if len(self.nodes) <= self._limit:
             return
-        segment = np.array([node.pose.segment for node in self.nodes])
-        free = np.array([not kept(node) and node.upright is None for node in self.nodes])
-        stays = retained_nodes(self._places["path"], segment, free, 2 * MAX_NODES // 3)
-        self._chain, self._loops = marginalised_edges(self._chain, self._loops, stays)
+        first = len(self.nodes) - MAX_NODES
+        needed = {edge.earlier for edge in (*self._chain, *self._loops) if edge.later >= first}
+        old = (k for k in range(first) if k not in needed)
+        stays = np.ones(len(self.nodes), bool)
+        stays[[k for k in old if self.nodes[k].upright is None and not kept(self.nodes[k])][::2]] = False
         self._retain(stays)
-        self._limit = max(MAX_NODES, int(_GROWTH * len(self.nodes)))
+        self._limit = max(2 * MAX_NODES, int(_GROWTH * len(self.nodes)))
 
     def _retain(self, stays: NDArray[np.bool_]) -> None:
         """Remove all but some nodes (n,), and the edges that end at them; the others get new numbers."""
@@ -308,7 +318,7 @@ class PoseGraph:
         if self._view(number) is not None and number not in self._thumbnails and not near.any():
             self._thumbnails[number] = self._thumbnail(number)
 
-    def _thumbnail(self, number: int) -> Thumbnail:
+    def _thumbnail(self, number: int) -> CoarseImage:
         view = self._view(number)
         assert view is not None
         return self._recognition.thumbnail(view, self.nodes[number].pose.velocity, self._orientation(number))

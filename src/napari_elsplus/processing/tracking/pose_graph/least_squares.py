@@ -43,12 +43,12 @@ _TAIL: Final = 3.0
 force, standard deviations; chosen, where Gaussian noise has 1 %."""
 
 
-def least_squares(edges: Sequence[Edge], at: Complex, angle: Real) -> tuple[Complex, Real]:
+def least_squares(edges: Sequence[Edge], at: Complex, angle: Real, first: int = 0) -> tuple[Complex, Real]:
     """Return positions and angles of all nodes: angles are solved for first, then positions.
 
     Parameters
     ----------
-    edges, at, angle
+    edges, at, angle, first
         As for :func:`least_squares_positions`. The angle of the first node of each connected set stays as it is;
         all do where no edge has a turn.
 
@@ -62,11 +62,11 @@ def least_squares(edges: Sequence[Edge], at: Complex, angle: Real) -> tuple[Comp
     if any(edge.turn for edge in edges):
         turns = np.array([[edge.turn] for edge in edges])
         sigmas = np.clip([edge.turn_sigma for edge in edges], _MIN_TURN_SIGMA, UNKNOWN_TURN)
-        angle = _solved(edges, turns, sigmas[:, None, None] ** 2, angle[:, None])[:, 0]
-    return least_squares_positions(edges, at, angle), angle
+        angle = _solved(edges, turns, sigmas[:, None, None] ** 2, angle[:, None], first)[:, 0]
+    return least_squares_positions(edges, at, angle, first), angle
 
 
-def least_squares_positions(edges: Sequence[Edge], at: Complex, angle: Real) -> Complex:
+def least_squares_positions(edges: Sequence[Edge], at: Complex, angle: Real, first: int = 0) -> Complex:
     """Return the positions of all nodes, of which the first of each connected set stays where it is.
 
     Parameters
@@ -78,6 +78,8 @@ def least_squares_positions(edges: Sequence[Edge], at: Complex, angle: Real) -> 
         (n,) complex positions, row + i col, pixels; those of nodes that begin no connected set do not matter.
     angle : numpy.ndarray
         (n,) angles, radians.
+    first : int
+        First node that is solved for; those before it stay where they are.
 
     Examples
     --------
@@ -93,17 +95,19 @@ def least_squares_positions(edges: Sequence[Edge], at: Complex, angle: Real) -> 
         return at
     upright = np.exp(1j * angle[[edge.later for edge in edges]]) * [edge.displacement for edge in edges]
     covariance = np.stack([edge.covariance for edge in edges])
-    places = _solved(edges, np.stack([upright.real, upright.imag], 1), covariance, np.stack([at.real, at.imag], 1))
+    measured, start = (np.stack([values.real, values.imag], 1) for values in (upright, at))
+    places = _solved(edges, measured, covariance, start, first)
     solved: Complex = places[:, 0] + 1j * places[:, 1]
     return solved
 
 
-def _solved(edges: Sequence[Edge], measured: Real, covariance: Real, start: Real) -> Real:
+def _solved(edges: Sequence[Edge], measured: Real, covariance: Real, start: Real, first: int) -> Real:
     """Return the coordinates (n, m) of nodes from differences (e, m) with covariances (e, m, m), and first ones."""
-    (count, axes), number = start.shape, np.arange(len(edges))
-    joined = DisjointSet(range(count))
-    closing = np.array([not joined.merge(edge.earlier, edge.later) for edge in edges])
-    free = ~np.isin(np.arange(count), [min(connected) for connected in joined.subsets()]).repeat(axes)
+    (count, axes), number, last_held = start.shape, np.arange(len(edges)), first - 1
+    joined = DisjointSet(range(last_held, count))  # those that stay count as one node
+    closing = np.array([not joined.merge(max(edge.earlier, last_held), max(edge.later, last_held)) for edge in edges])
+    held = [*range(first), *(min(connected) for connected in joined.subsets())]
+    free = ~np.isin(np.arange(count), held).repeat(axes)
     ends = np.array([(edge.later, edge.earlier) for edge in edges])
     signs = np.tile((1.0, -1.0), len(edges))
     of_nodes = sparse.csr_matrix((signs, (number.repeat(2), ends.ravel())), (len(edges), count))

@@ -81,13 +81,13 @@ class NodeRegistration:
         """
         registrar, shutter = self._registrar, self.grid.shutter
         there = Displacement(expected.displacement.real, expected.displacement.imag)
-        velocities, reach_px = (poses[0].velocity, poses[1].velocity), _SEARCHED_PX if anywhere else None
+        velocities = poses[0].velocity, poses[1].velocity
         motion = MotionPrior.between(velocities, there, _VELOCITY_SIGMA, _SEARCHED_PX, shutter)
         link: PairRegistration | None
         if model is not MotionModel.TRANSLATION:
-            link = registrar.turned_link(*views, motion, expected.turn, self._scratch, reach_px)
+            link = registrar.turned_link(*views, motion, expected.turn, self._scratch, anywhere=anywhere)
         elif anywhere or not registrar.registers_warps:
-            link = registrar.search(*views, motion, _SEARCHED_PX)
+            link = registrar.search(*views, motion)
         else:
             link = registrar.link(*views, motion)
         if link is None or not link.observed or (anywhere and not self.joins(link, poses, expected)):

@@ -1,6 +1,7 @@
-"""Zero-mean normalised correlation of two images under a mask, at every shift at once, by Fourier transform.
+"""Normalised correlation of two high-passed images under a mask, at every shift at once, by Fourier transform.
 
-Of raw frames it finds the most likely shifts, which are then registered; of finished images it gives the odds of one.
+Of raw frames it finds the most likely shift, which is then registered; of finished images it gives the odds of one, and
+of thumbnails it finds those that show the same place.
 
 References
 ----------
@@ -17,21 +18,16 @@ import numpy as np
 from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
 
 if TYPE_CHECKING:
-    from typing import Any, TypeVar
-
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 
-    Distance = TypeVar("Distance", float, NDArray[np.floating[Any]])
-
-CANDIDATES: Final = 6
-"""Shifts that are registered after a search, the most likely ones; chosen."""
 _HIGH_PASS_CELLS: Final = 4.0
 """Standard deviation of the high-pass of raw frames before a search, cells of quarter resolution; chosen."""
 _NATS_PER_CELL: Final = 0.05
 """Weight of a cell of quarter resolution: its part of an independent value, over two."""
-_MAX_CORRELATION: Final = 0.999
+MAX_CORRELATION: Final = 0.999
+"""Largest correlation that is counted; chosen, against the logarithm of zero."""
 
 
 class CoarseImage(NamedTuple):
@@ -42,15 +38,17 @@ class CoarseImage(NamedTuple):
     spectrum : numpy.ndarray
         (size, size) float32 spectrum of the image, packed as OpenCV does.
     scale : numpy.ndarray
-        (size, size) float32: over its overlap with the mask at each shift, the reciprocal root of the sum of squared
-        deviations from the mean; 0 where the overlap is too small, or even.
-    mean : numpy.ndarray
-        (size, size) float32: the mean there, times the root of the number of pixels, times `scale`.
+        (size, size) float32: over its overlap with the mask at each shift, the reciprocal root of the sum of squares;
+        0 where the overlap is too small, or empty.
     """
 
     spectrum: NDArray[np.float32]
     scale: NDArray[np.float32]
-    mean: NDArray[np.float32]
+
+    @property
+    def as_template(self) -> CoarseImage:
+        """The same by the shift of other images against this one."""
+        return self._replace(scale=opposite(self.scale))
 
 
 class MaskedCorrelation:
@@ -62,6 +60,8 @@ class MaskedCorrelation:
         (n, n) float32, 1 where images are compared, 0 elsewhere.
     min_overlap : float
         Smallest overlap that is searched, as a fraction of the mask.
+    reach : int, optional
+        Largest shift that leaves such an overlap, pixels; that of images side by side by default.
 
     Attributes
     ----------
@@ -73,35 +73,30 @@ class MaskedCorrelation:
         (size,) shift at each index, pixels.
     """
 
-    def __init__(self, mask: NDArray[np.float32], min_overlap: float = 0.0) -> None:
+    def __init__(self, mask: NDArray[np.float32], min_overlap: float = 0.0, reach: int | None = None) -> None:
         self._mask = mask
-        self._size = cv2.getOptimalDFTSize(2 * len(mask))
+        self._size = cv2.getOptimalDFTSize(len(mask) + (len(mask) if reach is None else reach))
         self.mask_spectrum = self.spectrum(mask)
         self.overlap = np.maximum(self.correlate(self.mask_spectrum, self.mask_spectrum), np.float32(1e-3))
         self.searched = self.overlap > min_overlap * self.overlap[0, 0]
         self.lags = np.fft.fftfreq(self._size, 1 / self._size)
-        self._root_cells: NDArray[np.float32] = np.sqrt(np.maximum(self.overlap, 1.0))
 
     def prepare(self, inside: NDArray[np.float32]) -> CoarseImage:
         """Return what :meth:`coefficients` needs of an image (n, n) that is zero outside of the mask."""
-        spectrum = self.spectrum(inside)
-        sums = self.correlate(self.mask_spectrum, spectrum) / self._root_cells
         squares = self.correlate(self.mask_spectrum, self.spectrum(inside * inside))
-        squares -= sums * sums
         np.copyto(squares, np.inf, where=~self.searched | (squares <= 0))
-        scale = np.reciprocal(np.sqrt(squares), dtype=np.float32)
-        return CoarseImage(spectrum, scale, sums * scale)
+        return CoarseImage(self.spectrum(inside), np.reciprocal(np.sqrt(squares), dtype=np.float32))
 
-    def coefficients(self, earlier: CoarseImage, later: CoarseImage) -> NDArray[np.float32]:
-        """Return the correlation coefficient (size, size) at each shift; 0 where the overlap is too small, or even.
+    def coefficients(self, template: CoarseImage, image: CoarseImage) -> NDArray[np.float32]:
+        """Return the correlation coefficient (size, size) at each shift; 0 where the overlap is too small, or empty.
 
         Parameters
         ----------
-        earlier, later : CoarseImage
-            From :meth:`prepare`.
+        template, image : CoarseImage
+            From :attr:`CoarseImage.as_template` and :meth:`prepare`: the image is shifted against the template.
         """
-        product = self.correlate(earlier.spectrum, later.spectrum)
-        return product * opposite(earlier.scale) * later.scale - opposite(earlier.mean) * later.mean
+        product = self.correlate(template.spectrum, image.spectrum)
+        return product * template.scale * image.scale
 
     def spectrum(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the spectrum (size, size) of an image (n, n), packed as OpenCV does."""
@@ -142,7 +137,7 @@ def opposite(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 class ShiftSearch(MaskedCorrelation):
-    """Finds the few most likely shifts between two discs by their correlation and a heavy-tailed prior.
+    """Finds the most likely shift between two discs by their correlation and the motion prior.
 
     Parameters
     ----------
@@ -160,37 +155,18 @@ class ShiftSearch(MaskedCorrelation):
         """Return what the search needs of a coarse image (n, n)."""
         return self.prepare(high_passed(image, self._mask, _HIGH_PASS_CELLS))
 
-    def peaks(self, earlier: CoarseImage, later: CoarseImage, expected: Warp, reach_px: float) -> NDArray[np.float32]:
-        """Return the most likely shifts (b, d), in pixels of full resolution, best first.
+    def best(self, earlier: CoarseImage, later: CoarseImage, motion: MotionPrior) -> tuple[float, float]:
+        """Return the most likely shift (b, d), in pixels of full resolution.
 
         Parameters
         ----------
         earlier, later : CoarseImage
             Both frames, prepared.
-        expected : Warp
-            Centre of a heavy-tailed prior.
-        reach_px : float
-            Scale of that prior in pixels of full resolution.
+        motion : MotionPrior
+            Prior of the motion between them.
         """
-        alike = np.clip(self.coefficients(earlier, later), 0.0, _MAX_CORRELATION)
-        before = prior(self._shifts[:, None] - expected.b, self._shifts - expected.d, reach_px)
-        score = before - _NATS_PER_CELL * self.overlap * np.log(1 - alike * alike)
-        np.copyto(score, -np.inf, where=alike == 0)
-        around = cv2.dilate(cv2.copyMakeBorder(score, 1, 1, 1, 1, cv2.BORDER_WRAP), None)[1:-1, 1:-1]
-        highest = np.flatnonzero((score == around) & (alike > 0))
-        best = highest[np.argsort(-score.ravel()[highest])[:CANDIDATES]]
-        return self._shifts[np.stack(np.unravel_index(best, score.shape), axis=1)]
-
-
-def prior(rows: Distance, cols: Distance, reach_px: float) -> Distance:
-    """Return the log-probability of a shift that misses what was expected by so much, nats; hands jerk: heavy tails.
-
-    Parameters
-    ----------
-    rows, cols : float or numpy.ndarray
-        Distance of the shift from the predicted one, pixels.
-    reach_px : float
-        Scale of the prior, pixels.
-    """
-    log_probability: Distance = -1.5 * np.log(1 + (rows * rows + cols * cols) / (reach_px * reach_px))
-    return log_probability
+        alike = np.clip(self.coefficients(earlier.as_template, later), 0.0, MAX_CORRELATION)
+        score = motion.log_density(self._shifts[:, None], self._shifts)
+        score -= _NATS_PER_CELL * self.overlap * np.log(1 - alike * alike)
+        row, col = np.unravel_index(np.argmax(score), score.shape)
+        return float(self._shifts[row]), float(self._shifts[col])

@@ -31,12 +31,10 @@ _SCATTER: Final = 2.0
 _PRIOR_LINKS: Final = 4
 """Variance of links about their mean, in units of what they say, and how many links that is worth at first."""
 _MOST_ALIKE: Final = 0.95
-_FEWEST_STEADY: Final = 16
-"""Registrations from which their scatter is estimated."""
 
 
 def selected_model(found: Sequence[Remainder]) -> MotionModel:
-    """Return the model that the sum of score tests, `found` in their order, selects at its largest.
+    """Return the model that the weighted mean of score tests, `found` in their order, selects at its largest.
 
     A probe may rotate to and fro.
     """
@@ -63,77 +61,45 @@ def shows_rotation(
     needed = 0.0
     for k in range(first, len(values)):
         needed += values[k]
-    needed = _MARGIN * np.log(needed)
-    if largest_sum(turns[first:], sigmas[first:], turns[:first], sigmas[:first]) > needed:
-        return True
-    return bool(steady_turn(turns[first:], sigmas[first:]) > needed)
-
-
-@lean_kernel
-def steady_turn(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> float:
-    """Return the largest square of the weighted mean of the first registrations, over its variance.
-
-    Weights are inverse variances, so that the few frames with much in view count. Zero below sixteen, from which the
-    scatter cannot be estimated.
-
-    Parameters
-    ----------
-    steps, sigmas : numpy.ndarray
-        (m,) rotation by each score test, and its standard deviation.
-    """
-    largest, total, weighted = 0.0, 0.0, 0.0
-    # sums of weighted steps' squares, and of the products of successive ones, as polynomials of the mean
-    s0, s1, s2, p0, p1, p2, last = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(len(steps)):
-        weight, step = 1 / (sigmas[k] * sigmas[k]), steps[k]
-        total += weight
-        weighted += weight * step
-        s0 += (weight * step) ** 2
-        s1 += weight * weight * step
-        s2 += weight * weight
-        if k > 0:
-            p0 += weight * last * step * steps[k - 1]
-            p1 += weight * last * (step + steps[k - 1])
-            p2 += weight * last
-        last = weight
-        if k + 1 >= _FEWEST_STEADY:
-            mean = weighted / total
-            square = max(s0 - 2 * mean * s1 + mean * mean * s2, total)  # no better than stated
-            alike = min(max((p0 - mean * p1 + mean * mean * p2) / square, 0.0), _MOST_ALIKE)
-            largest = max(largest, weighted * weighted / (square * (1 + alike) / (1 - alike)))
-    return largest
+    found = largest_mean(turns[first:], sigmas[first:], turns[:first], sigmas[:first])
+    return bool(found > _MARGIN * np.log(needed))
 
 
 @lean_kernel
 def scatter(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> float:
-    """Return the variance of registrations about their mean over the stated one, as that of a sum of them counts.
+    """Return the variance of the weighted mean of registrations, from how they scatter, over the stated one.
 
     Parameters
     ----------
     steps, sigmas : numpy.ndarray
         (m,) estimate of each registration, and its standard deviation.
     """
-    links, mean, squares, products, before = len(steps), 0.0, 0.0, 0.0, 0.0
-    for k in range(links):
-        mean += steps[k] / sigmas[k] / links
-    for k in range(links):
-        about = steps[k] / sigmas[k] - mean
+    total, weighted, squares, products, before = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(len(steps)):
+        weight = 1 / (sigmas[k] * sigmas[k])
+        total += weight
+        weighted += weight * steps[k]
+    for k in range(len(steps)):
+        about = (steps[k] - weighted / total) / (sigmas[k] * sigmas[k])
         squares += about * about
         products += about * before
         before = about
-    found = (squares + _SCATTER * _PRIOR_LINKS) / (links + _PRIOR_LINKS)
-    alike = min(max(products / (links * found), 0.0), _MOST_ALIKE)
+    at_first = _PRIOR_LINKS * total / len(steps)
+    found = (squares + _SCATTER * at_first) / (total + at_first)
+    alike = min(max(products / (total * found), 0.0), _MOST_ALIKE)
     return float(found * (1 + alike) / (1 - alike))
 
 
 @lean_kernel
-def largest_sum(
+def largest_mean(
     steps: NDArray[np.float64],
     sigmas: NDArray[np.float64],
     steps_before: NDArray[np.float64],
     sigmas_before: NDArray[np.float64],
 ) -> float:
-    """Return the largest square of the sum of the first registrations, over its variance.
+    """Return the largest square of the weighted mean of the first registrations, over its variance.
+
+    Weights are inverse variances, so that the few frames with much in view count.
 
     Parameters
     ----------
@@ -145,11 +111,12 @@ def largest_sum(
     usual = scatter(steps, sigmas)
     if len(steps_before) > 0:
         usual = max(usual, scatter(steps_before, sigmas_before))
-    largest, turned, variance = 0.0, 0.0, 0.0
+    largest, total, weighted = 0.0, 0.0, 0.0
     for k in range(len(steps)):
-        turned += steps[k]
-        variance += sigmas[k] * sigmas[k]
-        largest = max(largest, turned * turned / variance)
+        weight = 1 / (sigmas[k] * sigmas[k])
+        total += weight
+        weighted += weight * steps[k]
+        largest = max(largest, weighted * weighted / total)
     return float(largest / usual)
 
 

@@ -5,8 +5,8 @@ with competing shifts along the direction in which the shift is constrained leas
 motion prior. Each block of pixels has contrast and noise of its own, so that a bright, even fibre does not drown its
 end, which alone constrains the shift along it: above a competing warp a block contributes half the residual that this
 leaves more, over the noise. A fibre that slides along itself is seen through the same cores, which differ after
-flat-fielding: what they may leave more is no evidence. Peaks of a search are ranked against unrelated frames, to which
-a block with n independent values and the normalised correlation r contributes n / 2 ln(1 / (1 - r^2)).
+flat-fielding: what they may leave more is no evidence. Against unrelated frames the odds are those of the correlation r
+of the whole overlap, n / 2 ln(1 / (1 - r^2)) with n independent values.
 """
 
 from __future__ import annotations
@@ -54,53 +54,6 @@ def blocks(side: int) -> Array:
 
 
 @lean_kernel
-def log_likelihood(pair: FramePair, warp: Array, sums: Array) -> float:
-    """Return the log-likelihood of a warp above that of unrelated frames, nats.
-
-    Parameters
-    ----------
-    pair : FramePair
-        High-passed frames of half resolution.
-    warp : numpy.ndarray
-        (4,) a, b, s, d in pixels of half resolution.
-    sums : numpy.ndarray
-        From :func:`blocks`.
-    """
-    template, image = pair.template, pair.image
-    across = (len(template) + BLOCK_PX - 1) // BLOCK_PX
-    sums[:] = 0.0
-    for row in range(len(template)):
-        above, down, whole, aside, begin, end = row_shift(pair, row, warp)
-        if end <= begin:
-            continue
-        weights = bilinear(down, aside)
-        corners = neighbours(image, above, begin + whole, end - begin)
-        col = begin
-        while col < end:
-            block = row // BLOCK_PX * across + col // BLOCK_PX
-            stop = min(end, (col // BLOCK_PX + 1) * BLOCK_PX)
-            zero = np.float32(0)
-            tt, ii, ti = zero, zero, zero
-            for k in range(col, stop):
-                t, i = template[row, k], between(corners, weights, k - begin)
-                tt += t * t
-                ii += i * i
-                ti += t * i
-            sums[0, block] += stop - col
-            sums[1, block] += float(tt)
-            sums[2, block] += float(ii)
-            sums[3, block] += float(ti)
-            col = stop
-    floor, nats = noise_floor(sums), 0.0
-    for block in range(sums.shape[1]):
-        n, ti = sums[0, block], sums[3, block]
-        if n > 0 and ti > 0:
-            r = ti / np.sqrt((sums[1, block] + n * floor) * (sums[2, block] + n * floor))
-            nats -= 0.5 * n / (CORRELATED_PX / 4) * np.log(1 - r * r)
-    return float(nats)
-
-
-@lean_kernel
 def log_ratio(pair: FramePair, warp: Array, other: Array, sums: Array) -> float:
     """Return the log-likelihood of a warp above that of a competing one, where the frames overlap under both, nats.
 
@@ -108,10 +61,12 @@ def log_ratio(pair: FramePair, warp: Array, other: Array, sums: Array) -> float:
 
     Parameters
     ----------
-    pair, warp, sums
-        As in :func:`log_likelihood`.
-    other : numpy.ndarray
-        (4,) competing warp, pixels of half resolution.
+    pair : FramePair
+        High-passed frames of half resolution.
+    warp, other : numpy.ndarray
+        (4,) a, b, s, d of both in pixels of half resolution.
+    sums : numpy.ndarray
+        From :func:`blocks`.
     """
     template, image = pair.template, pair.image
     across = (len(template) + BLOCK_PX - 1) // BLOCK_PX
@@ -172,7 +127,7 @@ def log_ratio(pair: FramePair, warp: Array, other: Array, sums: Array) -> float:
 
 @lean_kernel
 def noise_floor(sums: Array) -> float:
-    """Return the variance that is no evidence, squared grey levels, from sums of :func:`log_likelihood`."""
+    """Return the variance that is no evidence, squared grey levels, from sums of :func:`log_ratio`."""
     brightest = 0.0
     for block in range(sums.shape[1]):
         if sums[0, block] > BLOCK_PX:
@@ -234,7 +189,7 @@ def log_odds(
     Parameters
     ----------
     pair, sums
-        As in :func:`log_likelihood`.
+        As in :func:`log_ratio`.
     warp, information : numpy.ndarray
         (4,) registered warp in pixels of full resolution, and its (4, 4) information.
     expected, terms

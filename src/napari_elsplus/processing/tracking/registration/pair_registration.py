@@ -1,13 +1,13 @@
 """Registration of two frames: the warp between them, its covariance, and its log posterior odds.
 
-From the expected warp, or else from the best few peaks of a masked correlation over all shifts, down a pyramid of
+From the expected warp, or else from the best peak of a masked correlation over all shifts, down a pyramid of
 Lucas-Kanade steps to full resolution; then against competing shifts.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, hypot, inf, log, nan
+from math import hypot, inf, nan
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -17,15 +17,10 @@ from napari_elsplus.processing.tracking.front_end.grid import FIELD, overlap_of_
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
-from napari_elsplus.processing.tracking.registration.masked_correlation import ShiftSearch, prior
-from napari_elsplus.processing.tracking.registration.odds import (
-    COMPETITORS_PX,
-    CORRELATED_PX,
-    log_likelihood,
-    weakest_direction,
-)
+from napari_elsplus.processing.tracking.registration.masked_correlation import ShiftSearch
+from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, weakest_direction
 from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, fill_levels
-from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, descend, register
+from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, register
 from napari_elsplus.processing.tracking.registration.uneven_motion import EXACT_PX, align_unevenly
 
 if TYPE_CHECKING:
@@ -208,23 +203,21 @@ class Registrar:
         min_correlation : float
             Correlation that is needed: without it the odds are not computed, and minus infinity.
         """
-        return self._refined(earlier, later, motion, motion.warp, LEVELS - 1, min_correlation)
+        return self._refined(earlier, later, motion, motion.warp, min_correlation)
 
     def _refined(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp, coarsest: int,
-        min_correlation: float,
-    ) -> PairRegistration:  # fmt: skip
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp, min_correlation: float
+    ) -> PairRegistration:
         information, found, frames = np.empty((4, 4)), self._found, (earlier.arrays, later.arrays)
-        _register(*frames, motion, start, coarsest, min_correlation, self._tools, information, found)
+        _register(*frames, motion, start, min_correlation, self._tools, information, found)
         a, b, s, d, correlation, odds, row, col, variance = found.tolist()
         overlap = overlap_of_discs(hypot(b, d) / (FIELD * self.grid.diameter))
         return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
 
     def search(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, reach_px: float,
-        min_odds_nats: float = -inf, min_correlation: float = 0.0,
-    ) -> PairRegistration | None:  # fmt: skip
-        """Register two frames over all shifts; None where no shift is supported at all.
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0
+    ) -> PairRegistration | None:
+        """Register two frames over all shifts; other registrars return None where no shift is supported at all.
 
         Parameters
         ----------
@@ -232,10 +225,6 @@ class Registrar:
             Prepared frames.
         motion : MotionPrior
             Prior of the motion between them.
-        reach_px : float
-            Scale of the heavy-tailed prior of the shift.
-        min_odds_nats : float
-            Odds that are needed: None also where competing shifts alone leave less, before any is refined.
         min_correlation : float
             As in :meth:`link`.
         """
@@ -243,28 +232,8 @@ class Registrar:
             fill_levels(view.arrays, self._tools.pyramid)
             if view.coarse is None:
                 view.coarse = self._everywhere.of_frame(view.levels[-1])
-        found: list[tuple[float, Warp]] = []
-        expected, terms, tools, scratch = motion.warp, motion.terms, self._tools, np.empty((4, 4))
-        for b, d in self._everywhere.peaks(earlier.coarse, later.coarse, expected, reach_px).tolist():
-            warp = np.array(motion.at(b, d))
-            correlation, _, _ = descend(
-                earlier.levels, later.levels, 1, 1, np.array(expected), terms, warp, scratch, tools
-            )
-            if correlation > 0:
-                peak = Warp(*warp.tolist())
-                half = np.array((peak.a, peak.b / 2, peak.s, peak.d / 2))
-                nats = log_likelihood(self._halves(earlier, later), half, tools.sums)
-                found.append((nats + prior(peak.b - expected.b, peak.d - expected.d, reach_px), peak))
-        if not found:
-            return None
-        highest, best = max(found)
-        others = [nats for nats, peak in found if hypot(peak.b - best.b, peak.d - best.d) > COMPETITORS_PX[0]]
-        competing = sum(exp(max(nats - highest, -700.0)) for nats in others)
-        if competing > 0 and -log(competing) < min_odds_nats:
-            return None
-        link = self._refined(earlier, later, motion, best, 1, min_correlation)
-        against = exp(-min(max(link.odds, -700.0), 700.0)) + competing
-        return link._replace(odds=-log(max(against, 1e-300)))
+        start = motion.at(*self._everywhere.best(earlier.coarse, later.coarse, motion))
+        return self._refined(earlier, later, motion, start, min_correlation)
 
     def remainder(
         self,
@@ -307,9 +276,10 @@ class Registrar:
         motion: MotionPrior,
         expected_turn: float,
         scratch: PreparedFrame,
-        reach_px: float | None = None,
         turn_spread: float = inf,
         frames_apart: float = inf,
+        *,
+        anywhere: bool = False,
     ) -> PairRegistration | None:
         """Register two frames one of which may be rotated against the other.
 
@@ -323,13 +293,13 @@ class Registrar:
             Angle of the later frame less that of the earlier one, radians.
         scratch : PreparedFrame
             Is filled with the earlier frame, rotated.
-        reach_px : float, optional
-            All shifts are searched, with a prior of that scale; from what is expected alone by default.
         turn_spread : float
             Standard deviation of the angle about what is expected, radians. In a view with one fibre rotation and
             shift cannot be distinguished.
         frames_apart : float
             Frame periods within which the probe turned, evenly; infinite where its rate in each frame is unknown.
+        anywhere : bool
+            True to search all shifts, False to start from the expected one.
 
         Returns
         -------
@@ -347,10 +317,10 @@ class Registrar:
             matrix = motion_models.turned_by(-turn) @ unsheared + while_read[:, :2]
             motion_models.upright(earlier.image, scratch.image, self.grid.centre, matrix, while_read[:, 2])
             upright = self.prepare(scratch)
-            if reach_px is not None and (link is None or not link.observed):
-                link = self.search(upright, later, motion, reach_px)
+            if anywhere and (link is None or not link.observed):
+                link = self.search(upright, later, motion)
             else:
-                link = self._refined(upright, later, motion, start, LEVELS - 1, 0.0)
+                link = self._refined(upright, later, motion, start, 0.0)
             left = turn - expected_turn, turn_spread
             found = None if link is None else self.remainder(upright, later, link.warp, motion.spread, left, rim=False)
             if link is None or found is None:

@@ -110,8 +110,8 @@ def pair_at(level: int, lit: int, earlier: Images, later: Images, tools: Tools) 
 
 @lean_kernel
 def register(
-    earlier: Levels, later: Levels, prior: MotionPrior, start: Warp, coarsest: int, min_correlation: float,
-    tools: Tools, information: Array, found: Array,
+    earlier: Levels, later: Levels, prior: MotionPrior, start: Warp, min_correlation: float, tools: Tools,
+    information: Array, found: Array,
 ) -> None:  # fmt: skip
     """Register two frames: descend the pyramid, compare with competing shifts, and derive the velocity.
 
@@ -123,8 +123,6 @@ def register(
         Of the motion between them.
     start : Warp
         Where to start.
-    coarsest : int
-        Level at which to start.
     min_correlation : float
         Correlation that is needed: without it the odds are not computed, and minus infinity.
     tools : Tools
@@ -141,7 +139,7 @@ def register(
     warp[0], warp[1], warp[2], warp[3] = start
     expected[0], expected[1], expected[2], expected[3] = expected_warp(prior)
     correlation, count, sharp = descend(
-        earlier.images, later.images, coarsest, 0, expected, terms, warp, information, tools
+        earlier.images, later.images, LEVELS - 1, expected, terms, warp, information, tools
     )
     odds = _odds_against_unrelated(correlation, count) if sharp else -np.inf
     if not sharp and correlation > 0:
@@ -150,7 +148,7 @@ def register(
         high_pass(later, tools.pyramid)
         (_, half, quarter), (_, later_half, later_quarter) = earlier.images, later.images
         correlation, count, _ = descend(
-            (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), 0, 0,
+            (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), 0,
             expected, terms, warp, information, tools,
         )  # fmt: skip
         if correlation > min_correlation:
@@ -183,10 +181,10 @@ def _variance_along(information: Array, of_stretch: float, of_shift: float, work
 
 @lean_kernel
 def descend(
-    earlier: Images, later: Images, coarsest: int, finest: int, expected: Array, terms: Terms, warp: Array,
-    information: Array, tools: Tools,
+    earlier: Images, later: Images, coarsest: int, expected: Array, terms: Terms, warp: Array, information: Array,
+    tools: Tools,
 ) -> tuple[float, float, bool]:  # fmt: skip
-    """Refine a warp in place from a coarse to a fine level.
+    """Refine a warp in place from a coarse level to full resolution.
 
     From half to full resolution it goes on only if the shift is sharp by then: structure constrains it in every
     direction. Noise then matters less than what does not move at the rim, which is left out.
@@ -195,8 +193,8 @@ def descend(
     ----------
     earlier, later : tuple of numpy.ndarray
         Frames at full, half and quarter resolution, (n, n) float32.
-    coarsest, finest : int
-        First and last level.
+    coarsest : int
+        First level.
     expected : numpy.ndarray
         (4,) float64: a, b, s, d that the motion prior expects, pixels of full resolution.
     terms : tuple of float
@@ -221,7 +219,7 @@ def descend(
     stiff, centre, scaled = equations[3], equations[5, 0], equations[5, 1]
     correlation, count, sharp, begun = 0.0, 0.0, False, LEVELS
     for level, how in _STAGES:
-        if level > coarsest or level < finest:
+        if level > coarsest:
             continue
         if level == 0 < coarsest and not sharp:
             sharp = 2 * weakest_direction(information)[0] < SHARP_PX
