@@ -1,4 +1,4 @@
-"""Whether frames are of the camera region that was calibrated."""
+"""Test of the size of frames against the camera region that was calibrated."""
 
 from __future__ import annotations
 

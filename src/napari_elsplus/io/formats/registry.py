@@ -31,7 +31,7 @@ ENTRY_POINTS: Final = "napari_elsplus.file_formats"
 
 @dataclass(frozen=True, kw_only=True)
 class ImageMetadata:
-    """What a file of finished images states beside their pixels.
+    """Pixel size, frame interval, settings and calibration of finished images, written beside their pixels.
 
     Parameters
     ----------
