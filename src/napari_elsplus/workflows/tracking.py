@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.methods import TrackingMethod
     from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
-    from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
+    from napari_elsplus.processing.tracking.registration.pair_registration import TrackedPair
 
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
 """Note for the user where fewer than two frames are tracked."""

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.images.sectioning import Mode
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.pose import Pose
-    from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame
-    from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
+    from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, TrackedPair
 
 _MAX_PREPARED_FRAMES: Final = 300
 """Prepared frames kept in memory during refinement, frames of some 0.3 MB each; chosen, others are computed again."""

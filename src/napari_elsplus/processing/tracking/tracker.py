@@ -23,8 +23,8 @@ from napari_elsplus.processing.tracking.registration.pair_registration import (
     PairRegistration,
     PreparedFrame,
     Registrar,
+    TrackedPair,
 )
-from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
 
 if TYPE_CHECKING:
     import numpy as np

@@ -16,8 +16,7 @@ from napari_elsplus.processing.tracking.pose_graph.edge import Edge
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector, Node
 from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
-from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
-from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar, TrackedPair
 from napari_elsplus.processing.tracking.tracker import Tracker
 from recordings import Truth, record, texture
 

@@ -5,8 +5,7 @@ import numpy as np
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity
 from napari_elsplus.processing.tracking.pose_graph.refinement import with_origins
-from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
-from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, TrackedPair
 
 SHUTTER = RollingShutter(300.0)
 STEADY = Velocity(12.0, -5.0)

@@ -14,8 +14,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.pose import Pose
-    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
-    from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
+    from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, TrackedPair
 
 KEY_SPACING: Final = 0.25
 """Path between two nodes, bundle diameters; chosen: neighbours share 0.7 of the field."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
     from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
-    from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
+    from napari_elsplus.processing.tracking.registration.pair_registration import TrackedPair
 
 SURE_ODDS_NATS: Final = 200.0
 """Log posterior odds from which a registration stands even if no later one does; chosen on seeds 1000 to 1059 of

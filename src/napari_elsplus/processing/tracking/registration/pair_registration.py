@@ -15,7 +15,7 @@ import numpy as np
 from napari_elsplus.processing.compiled import resolved_once
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity, Warp
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
 from napari_elsplus.processing.tracking.registration.masked_correlation import ShiftSearch
 from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, weakest_direction
@@ -137,6 +137,25 @@ class PairRegistration(NamedTuple):
     def covariance(self) -> NDArray[np.float64]:
         """(2, 2) covariance of the shift (rows, cols), px squared."""
         return np.ascontiguousarray(self.warp_covariance[1::2, 1::2])
+
+
+class TrackedPair(NamedTuple):
+    """A registration that the tracker has accepted.
+
+    Parameters
+    ----------
+    earlier, later : int
+        The two frames, by the tracker's count.
+    displacement : Displacement
+        Of the later frame from the earlier one, in the later one's orientation, pixels.
+    registration : PairRegistration
+        Of the two.
+    """
+
+    earlier: int
+    later: int
+    displacement: Displacement
+    registration: PairRegistration
 
 
 class Registrar:

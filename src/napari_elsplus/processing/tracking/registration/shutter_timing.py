@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.registration.tracked_pair import TrackedPair
+    from napari_elsplus.processing.tracking.registration.pair_registration import TrackedPair
 
 _ROUNDS: Final = 6
 _TRUSTED: Final = 0.03
