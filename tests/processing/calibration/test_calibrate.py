@@ -153,6 +153,22 @@ def test_a_saturated_patch_has_no_say_in_gain_or_flat_field() -> None:
         measure(bundle=np.where(frames > 60, 255, frames).astype(np.uint8))
 
 
+def test_a_structured_target_gives_no_flat_field_and_the_sweep_one_instead() -> None:
+    """Squares of a tenth of the light, by which images would be divided: tracking then followed the squares."""
+    even, (y, x) = measure(bundle=RIG.bundle(4)).calibration.flat, RIG.cores.T
+    squares = np.where(np.sin(y / 7) * np.sin(x / 9) > 0, 1, 0.1)
+    lit = RIG.lit_from_far_end(squares) / RIG.electrons_per_dn + RIG.black_dn
+    frames = np.repeat(np.clip(lit, 0, 255).astype(np.uint8)[None], 2, axis=0)
+    assert measure(bundle=frames).calibration.flat is None
+    volts = RIG.volts(150)
+    flat = measure(bundle=frames, line=RIG.line(), sweep=RIG.sweep(volts), volts=volts).calibration.flat
+    assert even is not None
+    assert flat is not None
+    inside = disc(len(even), 0.9 * RIG.diameter_px)
+    assert np.corrcoef(flat[inside], even[inside])[0, 1] > 0.97
+    assert flat[inside].mean() == pytest.approx(1, abs=0.05)
+
+
 def test_views_cancel_better_after_the_core_filter() -> None:
     quality = measure(bundle=RIG.bundle(4)).calibration.quality
     assert quality is not None

@@ -6,14 +6,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import ceil
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.calibration.bundle import location as bundles
+from napari_elsplus.processing.calibration.bundle.gain import darkness
 from napari_elsplus.processing.calibration.bundle.laser_gain import LightCollector
-from napari_elsplus.processing.calibration.bundle.pair import BundlePair
+from napari_elsplus.processing.calibration.bundle.pair import BundlePair, structure_of_light
 from napari_elsplus.processing.calibration.bundle.view_alignment import align_views
 from napari_elsplus.processing.calibration.frame_regions import (
     brightest,
@@ -24,8 +26,10 @@ from napari_elsplus.processing.calibration.frame_regions import (
     unlit_pixels,
 )
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
+from napari_elsplus.processing.images.resampling import resampled
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
+from napari_elsplus.processing.images.warping import within_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -174,7 +178,13 @@ def measure_pair(frames: Frames) -> BundlePair:
     share = saturated_share(frames[0], "image of the bundle", MAX_SATURATED_BUNDLE)
     confocal, residual = bundles.locate_pair(frame)
     saturated = frame >= SATURATION_LEVEL * largest_level(frames[0])
-    pair = BundlePair(confocal, residual, align_views(frame, confocal, residual, saturated), frame, share)
+    alignment = align_views(frame, confocal, residual, saturated)
+    light, side = frame - darkness(frame, confocal, residual), ceil(confocal.diameter_px)
+    corner = np.array(confocal.centre) - (side - 1) / 2
+    to_frame = np.hstack([np.eye(2), corner[:, None]])
+    inside = disc(side, confocal.diameter_px) & (within_frame(to_frame, side, frame.shape) > 0)
+    structure = structure_of_light(resampled(light, to_frame, side), inside)
+    pair = BundlePair(confocal, residual, alignment, frame, share, structure)
     if pair.shows_flat_field:
         _drift(frames, "flat field")
     return pair

@@ -19,10 +19,12 @@ from napari_elsplus.instrument.optics import BUNDLE_UM, PARK_CLEARANCE_UM
 from napari_elsplus.processing.calibration.bundle.cancellation import measure_alignment_errors
 from napari_elsplus.processing.calibration.bundle.gain import darkness
 from napari_elsplus.processing.calibration.bundle.gain_map import measure_gain_map
-from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN, laser_gain
+from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN, laser_gain, swept_flat_field
+from napari_elsplus.processing.calibration.bundle.pair import MAX_STRUCTURE, structure_of_light
 from napari_elsplus.processing.calibration.measurements import measure_flat_field
 from napari_elsplus.processing.calibration.slit_offset import offset_at
 from napari_elsplus.processing.images.hot_pixels import HotPixels
+from napari_elsplus.processing.images.sectioning import disc
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -81,7 +83,8 @@ def apply_galvo(draft: Draft, galvo: GalvoMap) -> Calibration:
             else {"lag_s": before.lag_s, "natural_hz": before.natural_hz, "damping": before.damping}
         ),
     )
-    return _in_laser_light(known.model_copy(update={"galvo": section}), pair, galvo)
+    known = _in_laser_light(known.model_copy(update={"galvo": section}), pair, galvo)
+    return _with_swept_flat_field(known, pair, galvo)
 
 
 def apply_pair(draft: Draft, pair: BundlePair) -> Calibration:
@@ -166,6 +169,17 @@ def _in_laser_light(calibration: Calibration, pair: BundlePair | None, galvo: Ga
         return calibration
     update = {"residual_gain": found[0], "residual_gain_uncertainty": found[1]}
     return calibration.model_copy(update={"bundle": _bundle_section(pair).model_copy(update=update)})
+
+
+def _with_swept_flat_field(calibration: Calibration, pair: BundlePair | None, galvo: GalvoMap) -> Calibration:
+    """Return a calibration with the flat field of a sweep, where its bundle pair gave none."""
+    if calibration.flat is not None or pair is None or galvo.light is None:
+        return calibration
+    flat = swept_flat_field(galvo.light, calibration)
+    if flat is None or structure_of_light(flat, disc(len(flat), pair.confocal.diameter_px)) > MAX_STRUCTURE:
+        return calibration
+    quality = _quality(calibration, pair, flat, darkness(pair.image, pair.confocal, pair.residual))
+    return calibration.model_copy(update={"flat": flat, "quality": quality})
 
 
 def in_lamp_light(calibration: Calibration, pair: BundlePair) -> Calibration:

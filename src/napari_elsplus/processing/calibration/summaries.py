@@ -10,6 +10,7 @@ import numpy as np
 from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT, measure_alignment_errors
 from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
+from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
 from napari_elsplus.processing.calibration.scan.measure import DEFAULT_SLIT_ROWS
 from napari_elsplus.processing.calibration.sections import in_lamp_light
@@ -133,7 +134,15 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
                 f"residual beyond: record a larger region"
             )
     if not pair.shows_flat_field:
-        warnings.append(f"{100 * pair.saturated:.0f} % of the image is saturated: it gives no flat field")
+        what = (
+            f"{100 * pair.saturated:.0f} % of the image is saturated"
+            if pair.saturated > MAX_SATURATED
+            else f"the light varies by {100 * pair.structure:.0f} % from place to place, as a specimen's does"
+        )
+        how = (
+            "the sweep gives it instead" if known.flat is not None else "light the bundle evenly, or give a flat field"
+        )
+        warnings.append(f"{what}: it gives no flat field; {how}")
     if known.um_per_px is None:
         warnings.append("micrometres unknown: enter the diameter of the bundle")
     if known.offset is not None:

@@ -20,7 +20,7 @@ from napari_elsplus.processing.images.sectioning import Sectioner, disc
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.instrument.calibration import BundleSection, Calibration
 
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]
@@ -38,6 +38,13 @@ BANDS: Final = 16
 not to successive lines."""
 MIN_LINES: Final = 3
 """For a scatter of lines; chosen."""
+ROW_SHAPE_DEGREE: Final = 4
+"""Of the polynomial that brings the rows of a flat field by the sweep to one level; chosen."""
+MIN_WEIGHT: Final = 5.0
+"""Of a pixel in a flat field by the sweep; derived: lines two standard deviations apart, whose ripple is 1 %."""
+MIN_RELATIVE_WEIGHT: Final = 0.3
+MAX_UNCOVERED: Final = 0.02
+"""Of the typical weight; share of the disc that may have less. Chosen: the rim beyond the outermost whole lines."""
 MAX_OFFSET_CHANGE_ROWS: Final = 1.0
 """Of the residual view since the sweep; chosen: a fraction of the line's width."""
 
@@ -50,6 +57,8 @@ class SweptLight:
     ----------
     image : numpy.ndarray
         (rows, cols) float32: light about the lines, above darkness; 0 where no line stood near.
+    weight : numpy.ndarray
+        (rows, cols) float32: sum of the windows by which the frames were weighted in `image`.
     offset_rows : float
         Of the line in the residual view, as used.
     chance : float
@@ -57,6 +66,7 @@ class SweptLight:
     """
 
     image: Image
+    weight: Image
     offset_rows: float
     chance: float = 0.0
 
@@ -136,7 +146,7 @@ class LightCollector:
         level = lit[dark].sum(dtype=np.float64) / max(self._weight[dark].sum(dtype=np.float64), 1e-9)
         image = lit - np.float32(level) * self._weight
         total = float(image[:, self._views[0][0]].sum(dtype=np.float64))
-        return SweptLight(image, self._offset_rows, self._scatter() / total if total > 0 else 0.0)
+        return SweptLight(image, self._weight, self._offset_rows, self._scatter() / total if total > 0 else 0.0)
 
     def _scatter(self) -> float:
         """Return the standard deviation of the sum of the residual view's light, for that of the confocal view.
@@ -152,6 +162,47 @@ class LightCollector:
         return float(np.sqrt(np.square(differences).sum() / 2))
 
 
+def _has_moved(light: SweptLight, bundle: BundleSection) -> bool:
+    """Return True if the residual view is not where it was in the sweep."""
+    offset_rows = bundle.residual_centre[0] - bundle.confocal_centre[0]
+    return abs(light.offset_rows - offset_rows) > MAX_OFFSET_CHANGE_ROWS
+
+
+def swept_flat_field(light: SweptLight, calibration: Calibration) -> Image | None:
+    """Return the relative brightness of the confocal view under the line of a sweep; None where it is not covered.
+
+    Parameters
+    ----------
+    light : SweptLight
+        Of the same bundle and offset, on an evenly fluorescent target.
+    calibration : Calibration
+        With the bundle section.
+
+    Returns
+    -------
+    numpy.ndarray or None
+        (n, n) float32, mean 1 inside the disc; None if the lines lie too far apart, or leave a part of the disc out.
+
+    Notes
+    -----
+    Rows are brought to one level: towards the rim the halo of lines beyond it is missing.
+    """
+    bundle = calibration.measured_bundle
+    if _has_moved(light, bundle):
+        return None
+    sectioner = Sectioner(calibration.model_copy(update={"background": None}), light.image.shape)
+    lit, weight = sectioner.ls(light.image), sectioner.ls(light.weight)
+    inside = disc(sectioner.side, bundle.diameter_px)
+    typical = float(np.median(weight[inside]))
+    if typical < MIN_WEIGHT or np.mean(weight[inside] < MIN_RELATIVE_WEIGHT * typical) > MAX_UNCOVERED:
+        return None
+    flat = np.maximum(lit, 0) / np.maximum(weight, MIN_RELATIVE_WEIGHT * typical)
+    row, pixels = np.linspace(-1, 1, sectioner.side), inside.sum(axis=1)
+    level = np.where(inside, flat, 0).sum(axis=1) / np.maximum(pixels, 1)
+    flat /= np.polynomial.Polynomial.fit(row, level, ROW_SHAPE_DEGREE, w=np.sqrt(pixels))(row)[:, None]
+    return np.where(inside, flat / flat[inside].mean(), 1).astype(np.float32)
+
+
 def laser_gain(light: SweptLight, calibration: Calibration) -> tuple[float, float] | None:
     """Return the gain in the light of a sweep and its uncertainty; None where the sweep does not show it.
 
@@ -163,8 +214,7 @@ def laser_gain(light: SweptLight, calibration: Calibration) -> tuple[float, floa
         With the bundle section, its gain that of the lamp, and a gain map if there is one.
     """
     bundle = calibration.measured_bundle
-    offset_rows = bundle.residual_centre[0] - bundle.confocal_centre[0]
-    if abs(light.offset_rows - offset_rows) > MAX_OFFSET_CHANGE_ROWS:
+    if _has_moved(light, bundle):
         return None
     sectioner = Sectioner(calibration.model_copy(update={"background": None}), light.image.shape)
     confocal, residual = sectioner.ls(light.image), sectioner.residual(light.image)
