@@ -36,12 +36,14 @@ class PlainScans:
     light_dn: float = 60.0
     limits: GalvoLimits = field(default_factory=GalvoLimits)
     seed: int = 0
+    rate_hz: float | None = None
     taken: int = 0
 
     def __post_init__(self) -> None:
         self.calibration: Calibration = true_calibration(Instrument.of(self.preset))
         optics, bundle = PRESETS[self.preset].optics, self.calibration.bundle
-        self.timing = ScanTiming(optics.line_period_s, optics.line_periods_per_frame, SLIT_ROWS)
+        periods = optics.line_periods_per_frame if self.rate_hz is None else 1 / (self.rate_hz * optics.line_period_s)
+        self.timing = ScanTiming(optics.line_period_s, periods, SLIT_ROWS)
         self.shape = PRESETS[self.preset].frame_shape
         self.centres = np.array([bundle.confocal_centre, bundle.residual_centre])
         self.radius = bundle.diameter_px / 2

@@ -93,6 +93,19 @@ def test_shifts_beyond_the_galvos_range_are_left_out() -> None:
     assert_on_the_slit(tight, accepted(tight, found))
 
 
+def test_a_ramp_that_fits_without_any_shift_is_reported_with_the_rate_at_which_it_can_be_measured() -> None:
+    """The rows of a better ramp were all unknown, the old one was kept, and a lower rate advised without a number."""
+    limits = GalvoLimits(min_v=-1.7945)  # the first corrected ramp turns at -1.7939 V, a shift is 0.0019 V
+    tight = PlainScans(natural_hz=700.0, damping=0.7, limits=limits)
+    found = measure_scan(tight, tight.calibration, tight.setup, 1)
+    assert found.ramp is not None
+    assert found.ramp.highest_rate_hz is not None
+    assert 225 <= found.ramp.highest_rate_hz < 240
+    rate_hz = float(np.floor(found.ramp.highest_rate_hz))
+    slower = PlainScans(natural_hz=700.0, damping=0.7, limits=limits, rate_hz=rate_hz)
+    assert_on_the_slit(slower, accepted(slower, measure_scan(slower, slower.calibration, slower.setup, 1)))
+
+
 def test_learning_can_be_cancelled() -> None:
     rig = PlainScans(natural_hz=800.0, damping=0.5)
 

@@ -175,6 +175,9 @@ class RampLearner:
                     highest_rate_hz = self._scans.highest_rate_hz(trial)
                 break
             errors = self._measure(trial, reach_rows, progress)
+            if errors.seen_share < MIN_SEEN and best is before:
+                highest_rate_hz = self._measurable_rate_hz(trial)
+                break
             scans.append(ScanRecord(self._scans.drive(trial), errors.rows))
             if errors.cost < best.cost:
                 best, best_scan, kept = errors, scans[-1], (response, correction)
@@ -214,6 +217,12 @@ class RampLearner:
         while first < stop and not self._fits(trial, numbers[stop - 1]):
             stop -= 1
         return numbers[first:stop]
+
+    def _measurable_rate_hz(self, trial: Calibration) -> float | None:
+        """Return the highest frame rate at which the galvo's limits allow the shifts of a trial; None if they do."""
+        ends = [shifted(trial, side * CORRECTED_ROWS[-1]) for side in (-1, 1)]
+        rates_hz = [self._scans.highest_rate_hz(end) for end in ends if not self._fits(end, 0)]
+        return min(rates_hz, default=None)
 
     def _fits(self, trial: Calibration, number: int) -> bool:
         try:
