@@ -212,6 +212,7 @@ def test_background_that_is_given_is_used_by_line_and_sweep() -> None:
         ({"flat": np.ones((1, 40, 60))}, "flat field belongs to a located bundle"),
         ({"um_per_px": -1.0}, "um_per_px is -1"),
         ({"line_period_s": float("nan")}, "line_period_s is nan"),
+        ({"line_periods_per_frame": 39.0, "line": np.zeros((1, 40, 60))}, "39 rows per frame, but frames have 40 rows"),
         ({"line": np.full((1, 40, 60), np.nan)}, "NaN or infinity"),
     ],
 )

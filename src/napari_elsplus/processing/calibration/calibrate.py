@@ -83,6 +83,12 @@ def measure(
     if flat is not None and bundle is None:
         raise InputError("a flat field belongs to a located bundle", "give --bundle")
     optics = _optics_section(um_per_px, line_period_s, line_periods_per_frame)
+    rows = max((frames[0].shape[0] for frames in given.values()), default=0)
+    if line_periods_per_frame is not None and line_periods_per_frame < rows:
+        raise InputError(
+            f"{line_periods_per_frame:g} rows per frame, but frames have {rows} rows",
+            "count all line periods from one frame to the next",
+        )
     draft = Draft(Calibration(optics=optics), bundle_um=bundle_um)
     for step in calibration_steps(first=MEASURED_FIRST):
         if step.option in given:
