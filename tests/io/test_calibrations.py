@@ -219,6 +219,13 @@ def test_bad_arrays_are_refused(tmp_path, write):
         read_calibration(tmp_path / "c.json")
 
 
+def test_a_file_that_is_no_archive_is_said_to_hold_no_arrays(tmp_path):
+    (tmp_path / "c.json").write_text(json.dumps(FULL))
+    text(tmp_path / "c.npz")
+    with pytest.raises(CalibrationError, match=r"c\.npz holds no named arrays"):
+        read_calibration(tmp_path / "c.json")
+
+
 @given(st.binary(max_size=12), st.integers(0, 1000), st.integers(0, 30))
 def test_mutated_json_raises_nothing_but_our_own_errors(noise, place, cut):
     blob = json.dumps(FULL).encode()

@@ -166,9 +166,9 @@ def _read_arrays(path: Path, calibration: Calibration) -> dict[str, NDArray[np.f
     if not path.exists():
         return {}
     try:
+        if not zipfile.is_zipfile(path):
+            raise CalibrationError(f"{path.name} holds no named arrays", "calibrate again")
         with np.load(path, allow_pickle=False) as file:
-            if not isinstance(file, np.lib.npyio.NpzFile) or file.zip is None:
-                raise CalibrationError(f"{path.name} holds no named arrays", "calibrate again")
             unpacked = sum(member.file_size for member in file.zip.infolist())
             if unpacked > MAX_ARRAYS_BYTES:
                 raise CalibrationError(f"{path.name} unpacks to {unpacked} bytes", "calibrate again")
