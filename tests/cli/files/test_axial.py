@@ -22,6 +22,7 @@ def measured(elsplus: Elsplus, folder: Path, *options: object) -> dict[str, Any]
     run = elsplus("axial", scan, "-o", out, "--plot", folder / "out.png")
     assert run.code == 0, run.err
     assert "signal kept" in run.out
+    assert " +- 0.0 um" not in run.out
     assert (folder / "out.png").read_bytes()[:4] == b"\x89PNG"
     content: dict[str, Any] = json.loads(out.read_text())
     return content

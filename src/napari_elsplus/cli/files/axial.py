@@ -65,4 +65,8 @@ def _summary(response: AxialResponse) -> Iterator[str]:
 
 
 def _distance(drop: DropOff) -> str:
-    return f"{drop.um:.1f} +- {drop.uncertainty_um:.1f} um" if isfinite(drop.um) else "beyond the scan"
+    from napari_elsplus.processing.calibration.summaries import with_uncertainty
+
+    if not isfinite(drop.um):
+        return "beyond the scan"
+    return f"{with_uncertainty(drop.um, drop.uncertainty_um).replace('±', '+-')} um"
