@@ -227,6 +227,7 @@ def test_different_calibrations_are_noted_and_a_missing_one_fails_its_recording(
     assert other is not None
     result = batch(folder, tmp_path / "out")
     assert "no calibration lies beside" in result.failed[0]["error"]
+    assert not (tmp_path / "out" / "c").exists()
     assert result.notes == ()
     write_calibration(folder / "c.calibration.json", other.model_copy(update={"created": "2026-01-01T00:00:00Z"}))
     result = batch(folder, tmp_path / "out")

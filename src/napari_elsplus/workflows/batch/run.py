@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -124,6 +125,10 @@ def batch(
         executed = {key: found for _, (key, found) in zip(steps, _finished_stages(client, stages, job), strict=False)}
     found = {item.name: [executed[item.name, stage] for stage in job.stages] for item in items}
     rows = [_row(item, found[item.name]) for item in items]
+    for item, row in zip(items, rows, strict=True):
+        if row[ERROR]:
+            with suppress(OSError):  # it holds something
+                item.folder(job).rmdir()
     _write_table(Path(job.output, "table.csv"), rows)
     _write_sheet(job, [(item, found[item.name][-1]) for item, row in zip(items, rows, strict=True) if not row[ERROR]])
     return BatchResult(rows, _notes(rows))
