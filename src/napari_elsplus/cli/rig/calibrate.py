@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.step import Target
 
-PLAIN: Final = str.maketrans({"±": "+-", "µ": "u", "°": " deg", "²": "^2", "Ø": "diameter", "\n": " "})
+PLAIN: Final = str.maketrans({"±": "+-", "µ": "u", "°": " deg", "²": "^2", "Ø": "diameter", "\n": ", "})
 """Characters of a summary that not every terminal can print."""
 
 
