@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.instrument.frame_region import require_frame_shape
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
 from napari_elsplus.processing.tracking.front_end.binning import is_blank, subtract_views
@@ -52,11 +53,12 @@ class FrontEnd:
     Raises
     ------
     CalibrationError
-        If the bundle was not located, or lies outside of such a frame.
+        If the bundle was not located, lies outside of such a frame, or was measured on frames of another size.
     """
 
     def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode = Mode.ELS) -> None:
         grid = Grid.of(calibration)
+        require_frame_shape(calibration, frame_shape)
         self._frame_shape = (int(frame_shape[0]), int(frame_shape[1]))
         assert calibration.bundle is not None
         bundle, q = calibration.bundle, grid.binning
@@ -88,11 +90,6 @@ class FrontEnd:
         self._factors = interleaved(scale, np.zeros_like(scale))
         self._hot_pixels = HotPixels(calibration.background)
         if calibration.background is not None:
-            if calibration.background.shape != tuple(frame_shape):
-                raise CalibrationError(
-                    f"the calibration's background has {calibration.background.shape} pixels, the frames {frame_shape}",
-                    "use the calibration that was made with this camera region",
-                )
             offset = self._binned(self._hot_pixels.mended(calibration.background))
             self._factors = interleaved(scale, offset)
 
