@@ -1,6 +1,7 @@
 """A long recording processed to ELS+, beside what the disk alone takes: ``python3 run.py bench process``.
 
-The recording repeats simulated frames; it and the images, 22 GB for 14,400 frames, are deleted afterwards.
+The disk alone: the recording is read, and as many bytes as the images have are written, by turns with the command. The
+recording repeats simulated frames; it and the images, 22 GB for 14,400 frames, are deleted afterwards.
 """
 
 from __future__ import annotations
@@ -29,10 +30,8 @@ if TYPE_CHECKING:
 
 DIFFERENT: Final = 120
 """Frames that are simulated and repeated; chosen: rendered in seconds, and more than the processor's caches hold."""
-SAMPLE_BYTES: Final = 2 << 30
-"""Bytes that are written and read to measure the disk; chosen: a sixth of the images of 60 s."""
 BLOCK_BYTES: Final = 4 << 20
-"""Bytes of one call; chosen: few calls, in blocks of whole pages."""
+"""Bytes read or written in one call; chosen: few calls, in blocks of whole pages."""
 MEASURED: Final = """
 import resource, subprocess, sys
 done = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL)
@@ -44,7 +43,7 @@ sys.exit(done.returncode)
 own memory as theirs."""
 TITLES: Final = (
     "frames", "recording_gb", "images_gb", "seconds", "frames_per_s", "processor_s", "memory_mb",
-    "disk_reads_mb_per_s", "disk_writes_mb_per_s", "disk_frames_per_s", "load",
+    "disk_seconds", "disk_frames_per_s", "of_the_disks_pace", "load",
 )  # fmt: skip
 
 
@@ -66,23 +65,23 @@ def _forget(path: Path) -> None:
     os.close(descriptor)
 
 
-def _disk(folder: Path, sample_bytes: int) -> tuple[float, float]:
-    """Return the bytes per second that the disk reads and writes, by a sample of about so many bytes."""
-    path, block = folder / "sample", os.urandom(BLOCK_BYTES)
-    blocks = max(1, sample_bytes // BLOCK_BYTES)
+def _disk_alone(recording: Path, copied: Path, bytes_written: int) -> float:
+    """Return the seconds that it takes to read a recording while so many bytes are written, and nothing computed."""
+    block, left = os.urandom(BLOCK_BYTES), bytes_written
+    reads = recording.stat().st_size / BLOCK_BYTES
     begun_s = time.perf_counter()
-    with path.open("xb", buffering=0) as file:
-        for _ in range(blocks):
-            file.write(block)
-    _forget(path)
-    written_s = time.perf_counter() - begun_s
-    begun_s = time.perf_counter()
-    with path.open("rb", buffering=0) as file:
-        while file.read(BLOCK_BYTES):
+    with recording.open("rb", buffering=0) as source, copied.open("xb", buffering=0) as target:
+        while left > 0:
+            if source.tell() / BLOCK_BYTES < reads * (1 - left / bytes_written):
+                source.read(BLOCK_BYTES)
+            left -= target.write(block[:left])
+        while source.read(BLOCK_BYTES):
             pass
-    read_s = time.perf_counter() - begun_s
-    path.unlink()
-    return blocks * BLOCK_BYTES / read_s, blocks * BLOCK_BYTES / written_s
+    _forget(copied)
+    seconds = time.perf_counter() - begun_s
+    copied.unlink()
+    _forget(recording)
+    return seconds
 
 
 def _process(recording: Path, images: Path) -> tuple[float, float, float]:
@@ -99,27 +98,35 @@ def _process(recording: Path, images: Path) -> tuple[float, float, float]:
     return seconds, processor_s, memory_kb / 1024
 
 
-def _numbers(folder: Path, frames: int) -> Iterator[float]:
+def _numbers(folder: Path, frames: int, turns: int) -> Iterator[float]:
     recording, images = folder / "raw.ome.tif", folder / "els.ome.tif"
     _record(recording, frames)
-    reads, writes = _disk(folder, min(SAMPLE_BYTES, recording.stat().st_size))
-    seconds, processor_s, memory_mb = _process(recording, images)
-    raw_bytes, image_bytes = recording.stat().st_size, images.stat().st_size
-    yield from (frames, raw_bytes / 1e9, image_bytes / 1e9, seconds, frames / seconds, processor_s, memory_mb)
-    yield from (reads / 1e6, writes / 1e6, frames / (raw_bytes / reads + image_bytes / writes), os.getloadavg()[0])
+    processed, alone = [], []
+    for _ in track(range(turns), description="Processing", transient=True):
+        processed.append(_process(recording, images))
+        image_bytes = images.stat().st_size
+        images.unlink()
+        _forget(recording)
+        alone.append(_disk_alone(recording, folder / "copied", image_bytes))
+    seconds, processor_s, memory_mb = np.median(processed, axis=0)
+    disk_s = float(np.median(alone))
+    yield from (frames, recording.stat().st_size / 1e9, image_bytes / 1e9)
+    yield from (seconds, frames / seconds, processor_s, memory_mb)
+    yield from (disk_s, frames / disk_s, disk_s / seconds, os.getloadavg()[0])
 
 
 @click.command(name="process")
 @click.option("--out", type=FILE, required=True, help="Folder for process.csv, and for the files meanwhile.")
 @click.option("--frames", type=click.IntRange(1), default=14_400, show_default=True, help="Length of the recording.")
+@click.option("--turns", type=click.IntRange(1), default=3, show_default=True, help="Of which the medians are stated.")
 @force_option
-def process(out: Path, frames: int, force: bool) -> None:
+def process(out: Path, frames: int, turns: int, force: bool) -> None:
     """Process a long recording to ELS+; tabulate frames per second and memory, and the disk's own pace."""
     table = out / "process.csv"
     out.mkdir(parents=True, exist_ok=True)
     refuse_outputs(table, force=force)
     with tempfile.TemporaryDirectory(dir=out) as folder:
-        row = [f"{number:.5g}" for number in _numbers(Path(folder), frames)]
+        row = [f"{number:.5g}" for number in _numbers(Path(folder), frames, turns)]
     with replacing(table, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows((TITLES, row))
     for title, number in zip(TITLES, row, strict=True):
