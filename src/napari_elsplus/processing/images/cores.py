@@ -34,6 +34,8 @@ _MIN_PITCH_PX: Final = 2.0
 """Smallest core pitch that is searched for, pixels; derived: the Nyquist limit."""
 _MIN_PROMINENCE: Final = 3.0
 """Smallest ratio of the power of the core pattern's ring to its surroundings; chosen: images of noise stay below 2."""
+_MIN_CORES: Final = 100
+"""Local maxima that are taken for cores; chosen: light without cores has a few."""
 _DARKEST_CORE: Final = 0.1
 """Level of the dimmest core that counts, fraction of the flat field's mean; chosen: dead cores are darker."""
 _NEAREST_PITCHES: Final = 0.35
@@ -128,6 +130,34 @@ def core_pitch_px(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> floa
         )
     around = slice(max(peak - 2, 0), peak + 3)
     return float(2 / sqrt(3) / np.average(centre[around], weights=power[around]))
+
+
+def core_spacing_px(light: NDArray[np.floating], inside: NDArray[np.bool_]) -> float | None:
+    """Estimate the mean spacing of the cores from the density of local maxima, also where they lie without order.
+
+    Parameters
+    ----------
+    light : numpy.ndarray
+        (n, n) image of evenly lit cores, above darkness.
+    inside : numpy.ndarray
+        (n, n) bool, the lit disc.
+
+    Returns
+    -------
+    float or None
+        Pitch in pixels of the hexagonal lattice with as many cores; where the camera does not resolve them 2 to 3.5,
+        the spacing of maxima of its noise. None where there are next to no maxima.
+
+    Examples
+    --------
+    >>> row, col = np.mgrid[3:123, 3:123]
+    >>> cores = 2 + np.cos(2 * np.pi * row / 6) + np.cos(2 * np.pi * col / 6)  # 36 px each
+    >>> round(core_spacing_px(cores, np.ones((120, 120), bool)), 1)
+    6.4
+    """
+    image = light.astype(np.float32)
+    cores = int(np.count_nonzero((image == cv2.dilate(image, np.ones((3, 3)))) & inside & (image > 0)))
+    return sqrt(2 / sqrt(3) * int(inside.sum()) / cores) if cores >= _MIN_CORES else None
 
 
 def find_cores(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> NDArray[np.float64]:
