@@ -169,6 +169,15 @@ def test_a_structured_target_gives_no_flat_field_and_the_sweep_one_instead() -> 
     assert flat[inside].mean() == pytest.approx(1, abs=0.05)
 
 
+def test_a_given_flat_field_of_a_structured_target_is_not_used() -> None:
+    """That of the bundle pair is kept."""
+    y, x = RIG.cores.T
+    squares = RIG.lit_from_far_end(np.where(np.sin(y / 7) * np.sin(x / 9) > 0, 1, 0.1))
+    frames = np.repeat((squares / RIG.electrons_per_dn + RIG.black_dn)[None], 2, axis=0)
+    even, structured = measure(bundle=RIG.bundle(4)), measure(bundle=RIG.bundle(4), flat=frames)
+    np.testing.assert_array_equal(structured.calibration.flat, even.calibration.flat)
+
+
 def test_views_cancel_better_after_the_core_filter() -> None:
     quality = measure(bundle=RIG.bundle(4)).calibration.quality
     assert quality is not None

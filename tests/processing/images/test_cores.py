@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from skimage.feature import peak_local_max
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.images.cores import CoreFilter, _peaks, core_pitch_px, find_cores
+from napari_elsplus.processing.images.cores import CoreFilter, _peaks, core_pitch_px, core_spacing_px, find_cores
 from napari_elsplus.processing.images.sectioning import disc
 
 SIDE = 201
@@ -47,6 +47,18 @@ def test_pitch_is_read_off_the_honeycomb(pitch_px: float) -> None:
     cores = lattice(pitch_px)
     flat = honeycomb(cores, np.ones(len(cores)), pitch_px)
     assert core_pitch_px(flat, INSIDE) == pytest.approx(pitch_px, rel=0.02)
+
+
+@pytest.mark.parametrize("pitch_px", [3.33, 5.2, 6.8])
+def test_spacing_is_that_of_local_maxima(pitch_px: float) -> None:
+    cores = lattice(pitch_px)
+    assert core_spacing_px(honeycomb(cores, np.ones(len(cores)), pitch_px), INSIDE) == pytest.approx(pitch_px, rel=0.1)
+
+
+def test_smooth_light_shows_no_cores() -> None:
+    noise = gaussian_filter(np.random.default_rng(0).normal(0, 10, (SIDE, SIDE)), 2)
+    vignette = 100 - 0.005 * np.square(np.arange(SIDE) - SIDE / 2)
+    assert core_spacing_px(vignette + noise, INSIDE) is None
 
 
 @pytest.mark.parametrize("pitch_px", [3.33, 5.2])

@@ -25,6 +25,7 @@ from napari_elsplus.processing.calibration.measurements import measure_flat_fiel
 from napari_elsplus.processing.calibration.slit_offset import offset_at
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.sectioning import disc
+from napari_elsplus.processing.images.warping import within_frame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -147,11 +148,34 @@ def apply_background(draft: Draft, background: Background) -> Calibration:
 
 
 def apply_flat_field(draft: Draft, flat: Image) -> Calibration:
-    """Return the draft's calibration with a flat field, and the quality of the bundle pair that it gives."""
+    """Return the draft's calibration with a flat field, and the quality of the bundle pair that it gives.
+
+    It is left as it is if the light varies as a specimen's does.
+    """
+    if structure_of_flat_field(flat, draft.calibration) > MAX_STRUCTURE:
+        return draft.calibration
     update: dict[str, Any] = {"flat": flat}
     if draft.pair is not None:
         update["quality"] = _quality(draft.calibration, draft.pair, flat)
     return draft.calibration.model_copy(update=update)
+
+
+def structure_of_flat_field(flat: Image, calibration: Calibration) -> float:
+    """Return how much the light of a flat field varies from place to place: :func:`structure_of_light`.
+
+    Parameters
+    ----------
+    flat : numpy.ndarray
+        (n, n) float32, of the confocal view.
+    calibration : Calibration
+        With the bundle section; where it has that of the frame, what lies beyond its edge is left out.
+    """
+    side, bundle = len(flat), calibration.measured_bundle
+    inside = disc(side, bundle.diameter_px)
+    if calibration.frame is not None:
+        corner = np.subtract(bundle.confocal_centre, (side - 1) / 2)
+        inside &= within_frame(np.hstack([np.eye(2), corner[:, None]]), side, calibration.frame.shape) > 0
+    return structure_of_light(flat, inside)
 
 
 def with_darkness(draft: Draft) -> Calibration:
@@ -176,7 +200,7 @@ def _with_swept_flat_field(calibration: Calibration, pair: BundlePair | None, ga
     if calibration.flat is not None or pair is None or galvo.light is None:
         return calibration
     flat = swept_flat_field(galvo.light, calibration)
-    if flat is None or structure_of_light(flat, disc(len(flat), pair.confocal.diameter_px)) > MAX_STRUCTURE:
+    if flat is None or structure_of_flat_field(flat, calibration) > MAX_STRUCTURE:
         return calibration
     quality = _quality(calibration, pair, flat, darkness(pair.image, pair.confocal, pair.residual))
     return calibration.model_copy(update={"flat": flat, "quality": quality})

@@ -10,10 +10,10 @@ import numpy as np
 from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT, measure_alignment_errors
 from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
-from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED
+from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED, MAX_STRUCTURE
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
 from napari_elsplus.processing.calibration.scan.measure import DEFAULT_SLIT_ROWS
-from napari_elsplus.processing.calibration.sections import in_lamp_light
+from napari_elsplus.processing.calibration.sections import in_lamp_light, structure_of_flat_field
 from napari_elsplus.processing.calibration.slit_offset import MAX_OFFSET_DIFFERENCE_ROWS
 from napari_elsplus.processing.calibration.step import StepSummary
 
@@ -137,7 +137,7 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
         what = (
             f"{100 * pair.saturated:.0f} % of the image is saturated"
             if pair.saturated > MAX_SATURATED
-            else f"the light varies by {100 * pair.structure:.0f} % from place to place, as a specimen's does"
+            else _varies(pair.structure)
         )
         how = (
             "the sweep gives it instead" if known.flat is not None else "light the bundle evenly, or give a flat field"
@@ -234,9 +234,14 @@ def summarize_background(background: Background, _draft: Draft, _setup: Setup) -
     return StepSummary(f"{float(background.mean.mean()):.2f} grey levels", lines)
 
 
-def summarize_flat_field(flat: NDArray[np.float32], _draft: Draft, _setup: Setup) -> StepSummary:
+def summarize_flat_field(flat: NDArray[np.float32], draft: Draft, _setup: Setup) -> StepSummary:
     """Summarize a flat field: its unevenness; see :class:`CalibrationStep`."""
     at = np.arange(len(flat)) - (len(flat) - 1) / 2
     inside = np.hypot(at[:, None], at) < 0.45 * len(flat)
-    unevenness = 100 * float(flat[inside].std())
-    return StepSummary(f"{unevenness:.1f} % uneven", ["standard deviation in the 90 % disc, cores included"])
+    unevenness, structure = 100 * float(flat[inside].std()), structure_of_flat_field(flat, draft.calibration)
+    warnings = [f"{_varies(structure)}: it is not used; take it on an even target"] * (structure > MAX_STRUCTURE)
+    return StepSummary(f"{unevenness:.1f} % uneven", ["standard deviation in the 90 % disc, cores included"], warnings)
+
+
+def _varies(structure: float) -> str:
+    return f"the light varies by {100 * structure:.0f} % from place to place, as a specimen's does"

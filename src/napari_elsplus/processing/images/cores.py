@@ -34,6 +34,11 @@ _MIN_PITCH_PX: Final = 2.0
 """Smallest core pitch that is searched for, pixels; derived: the Nyquist limit."""
 _MIN_PROMINENCE: Final = 3.0
 """Smallest ratio of the power of the core pattern's ring to its surroundings; chosen: images of noise stay below 2."""
+_MIN_CORES: Final = 100
+"""Local maxima that are taken for cores; chosen: light without cores has a few."""
+_MIN_CONTRAST: Final = 0.1
+"""Difference of local maxima and minima over the mean from which they are cores; chosen: above the noise of light that
+was smoothed."""
 _DARKEST_CORE: Final = 0.1
 """Level of the dimmest core that counts, fraction of the flat field's mean; chosen: dead cores are darker."""
 _NEAREST_PITCHES: Final = 0.35
@@ -128,6 +133,37 @@ def core_pitch_px(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> floa
         )
     around = slice(max(peak - 2, 0), peak + 3)
     return float(2 / sqrt(3) / np.average(centre[around], weights=power[around]))
+
+
+def core_spacing_px(light: NDArray[np.floating], inside: NDArray[np.bool_]) -> float | None:
+    """Estimate the mean spacing of the cores from the density of local maxima, also where they lie without order.
+
+    Parameters
+    ----------
+    light : numpy.ndarray
+        (n, n) image of evenly lit cores, above darkness.
+    inside : numpy.ndarray
+        (n, n) bool, the lit disc.
+
+    Returns
+    -------
+    float or None
+        Pitch in pixels of the hexagonal lattice with as many cores; where the camera does not resolve them 2 to 3.5,
+        the spacing of maxima of its noise. None where maxima are few or low.
+
+    Examples
+    --------
+    >>> row, col = np.mgrid[3:123, 3:123]
+    >>> cores = 2 + np.cos(2 * np.pi * row / 6) + np.cos(2 * np.pi * col / 6)  # 36 px each
+    >>> round(core_spacing_px(cores, np.ones((120, 120), bool)), 1)
+    6.4
+    """
+    image, around = light.astype(np.float32), np.ones((3, 3))
+    peaks, dips = (inside & (image == extreme(image, around)) for extreme in (cv2.dilate, cv2.erode))
+    cores, level = np.count_nonzero(peaks & (image > 0)), image[inside].mean()
+    if cores < _MIN_CORES or image[peaks].mean() - image[dips].mean() < _MIN_CONTRAST * level:
+        return None
+    return sqrt(2 / sqrt(3) * np.count_nonzero(inside) / cores)
 
 
 def find_cores(flat: NDArray[np.floating], inside: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -111,12 +112,12 @@ def test_frames_without_structure_are_not_observed(level: float) -> None:
     assert found is None or not found.observed
 
 
-def waves(grid: Grid, row: float, col: float, seed: int) -> np.ndarray:
-    """Fine structure, known everywhere, seen on the grid from (row, col)."""
+def waves(grid: Grid, row: float, col: float, seed: int, lengths: tuple[float, float] = (0.2, 1.3)) -> np.ndarray:
+    """Structure of these wave numbers, radians per pixel, known everywhere, seen on the grid from (row, col)."""
     random = np.random.default_rng(seed)
     rows, cols = np.mgrid[: grid.side, : grid.side].astype(float)
     angle, phase = random.uniform(0, 2 * np.pi, (2, 120))
-    length = random.uniform(0.2, 1.3, 120)
+    length = random.uniform(*lengths, 120)
     image = sum(
         np.cos(k * (np.sin(a) * (rows + row) + np.cos(a) * (cols + col)) + p)
         for k, a, p in zip(length, angle, phase, strict=True)
@@ -140,6 +141,23 @@ def linked(grid: Grid, images: tuple[np.ndarray, np.ndarray], shift: tuple[float
 
 
 GRID = Grid(244, 2, (0, 0), (121.5, 121.5), 236.0, RollingShutter(np.inf))
+
+
+def test_noise_finer_than_the_structure_is_no_information() -> None:
+    """Gradients of noise, which frames do not share, would add up to a certainty."""
+    shift, binomial, normalised = (3.3, -2.6), np.array([1, 4, 6, 4, 1]) / 16, []
+    true = Warp(1.0, -shift[0], 0.0, -shift[1])
+    for seed in range(12):
+        random, registrar, views = np.random.default_rng(seed), Registrar(GRID), []
+        for row, col in ((0.0, 0.0), shift):
+            noise = cv2.sepFilter2D(random.normal(size=(GRID.side, GRID.side)), -1, binomial, binomial)
+            view = registrar.view()
+            view.image[:] = 10 * waves(GRID, row, col, seed, (0.05, 0.2)) + 60 * noise
+            views.append(registrar.prepare(view))
+        link = registrar.link(views[0], views[1], about(GRID.shutter, true))
+        miss = np.array([link.warp.b - true.b, link.warp.d - true.d])
+        normalised.append(miss @ np.linalg.solve(link.covariance, miss) / 2)
+    assert 0.05 < np.mean(normalised) < 1.5
 
 
 def test_an_even_speed_does_not_add_up_errors() -> None:

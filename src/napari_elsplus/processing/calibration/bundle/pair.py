@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC
+from napari_elsplus.processing.images.cores import core_spacing_px
 from napari_elsplus.processing.images.sectioning import disc
 
 if TYPE_CHECKING:
@@ -23,12 +24,13 @@ MAX_SATURATED: Final = 0.01
 """Largest saturated share of a frame; chosen, well above the share of hot pixels and below that of a core's image."""
 MAX_STRUCTURE: Final = 0.12
 """Largest structure of the light of a flat field, see :func:`structure_of_light`; measured: 0.01 to 0.054 in fifteen
-evenly lit bundles, simulated and photographed, 0.115 where only 38 cores lie side by side; 0.105 behind a USAF target,
-0.31 behind lens tissue, 0.52 with squares of a tenth of the light. With squares that give 0.09, 0.12 and 0.17 all, 21
-and 19 of 30 frames are tracked by such a flat field, without any 29."""
+evenly lit bundles, simulated and photographed, 0.07 to 0.084 where only 30 or 38 irregular cores lie side by side;
+0.105 behind a USAF target, 0.31 behind lens tissue, 0.52 with squares of a tenth of the light. With squares that give
+0.09, 0.12 and 0.17 all, 21 and 19 of 30 frames are tracked by such a flat field, without any 29."""
 SMOOTHED_DIAMETERS: Final = 1 / 50
-"""Standard deviation of the Gaussian that averages the cores; chosen: thirty of them count or more, where a hundred lie
-side by side."""
+SMOOTHED_SPACINGS: Final = 1.5
+"""Standard deviation of the Gaussian that averages the cores, in diameters and in their spacings, whichever is more;
+chosen: thirty of them count or more, however few lie side by side."""
 SHAPE_DEGREE: Final = 4
 """Of the polynomial that is taken for the shape of the lamp's light; chosen, as that of a vignette."""
 
@@ -58,7 +60,7 @@ def structure_of_light(image: Image, inside: NDArray[np.bool_]) -> float:
     >>> round(structure_of_light(striped.astype(np.float32), inside), 1)
     0.7
     """
-    sigma_px = SMOOTHED_DIAMETERS * len(image)
+    sigma_px = max(SMOOTHED_DIAMETERS * len(image), SMOOTHED_SPACINGS * (core_spacing_px(image, inside) or 0.0))
     lit = inside.astype(np.float32)
     light = cv2.GaussianBlur(np.where(inside, image, np.float32(0)), (0, 0), sigma_px)
     light /= np.maximum(cv2.GaussianBlur(lit, (0, 0), sigma_px), np.float32(1e-3))

@@ -35,6 +35,10 @@ PARAMETERS = 4
 """a, b, s, d of the warp."""
 UNKNOWNS = PARAMETERS + 2
 """These, and the gain and offset between the frames."""
+NOISE_GRADIENT = 0.6
+"""Mean squared gradient of noise over its variance, 1 / px^2; derived for noise smoothed by 1 4 6 4 1."""
+MIN_SHARED = 0.1
+"""Part of the squared gradient that frames of noise alone share; chosen: their shifts are then uncertain by pixels."""
 
 
 class Iteration(NamedTuple):
@@ -81,13 +85,7 @@ class Workspace(NamedTuple):
 
     @classmethod
     def of(cls, side: int) -> Workspace:
-        """Return one for frames of so many pixels squared.
-
-        Parameters
-        ----------
-        side : int
-            Rows and columns of the frames.
-        """
+        """Return one for frames of so many rows and columns, `side`."""
         return cls(np.zeros((7, UNKNOWNS, UNKNOWNS)), np.zeros((2, side), np.float32), np.array([1.0, 0.0, 1.0]))
 
 
@@ -297,6 +295,10 @@ def align(
             return 0.0, count
         ncc = both / np.sqrt(template_sum * image_sum)
         noise = max(noise, 1e-6 * image_sum / count) * correlated_px
+        if how.finely:
+            # noise adds to the gradient of the template: what both frames share of it is information
+            shared = 1 - NOISE_GRADIENT * (1 - ncc) * template_sum / (normal[1, 1] + normal[3, 3])
+            noise /= max(shared, MIN_SHARED) ** 2
         # a pixel of motion changes the image by the template's gradient times the gain
         gain = tone[2] = np.sqrt(image_sum / template_sum)
         scale_by_gain(normal, right, gain)

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 
-_HIGH_PASS_CELLS: Final = 4.0
-"""Standard deviation of the high-pass of raw frames before a search, cells of quarter resolution; chosen."""
 _NATS_PER_CELL: Final = 0.05
 """Weight of a cell of quarter resolution: its part of an independent value, over two."""
 MAX_CORRELATION: Final = 0.999
@@ -152,8 +150,8 @@ class ShiftSearch(MaskedCorrelation):
         self._shifts = (self.lags * scale).astype(np.float32)
 
     def of_frame(self, image: NDArray[np.float32]) -> CoarseImage:
-        """Return what the search needs of a coarse image (n, n)."""
-        return self.prepare(high_passed(image, self._mask, _HIGH_PASS_CELLS))
+        """Return what the search needs of a coarse image (n, n) without what is smooth in it."""
+        return self.prepare(image * self._mask)
 
     def best(self, earlier: CoarseImage, later: CoarseImage, motion: MotionPrior) -> tuple[float, float]:
         """Return the most likely shift (b, d), in pixels of full resolution.
