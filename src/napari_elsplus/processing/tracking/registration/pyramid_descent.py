@@ -46,10 +46,13 @@ if TYPE_CHECKING:
 SHARP_PX: Final = 0.04
 """Uncertainty of a shift at half resolution, pixels, below which structure constrains it in every direction; noise
 alone makes 0.06."""
+SHARP_PRIOR_PX: Final = 1.0
+"""Standard deviation of the expected shift, pixels, below which registration begins at half resolution; chosen: half a
+pixel of that."""
 _STAGES: Final = (
     (2, Iteration(1, 12, 0.2, False, 4)),
-    (1, Iteration(2, 10, 0.1, False, 8)),
-    (0, Iteration(6, 4, 0.1, True, 16)),
+    (1, Iteration(4, 10, 0.1, False, 8)),
+    (0, Iteration(10, 4, 0.1, True, 16)),
     (0, Iteration(2, 1, 0.0, True, 16)),
 )
 """Down the pyramid: levels, and how each is registered; chosen."""
@@ -110,7 +113,7 @@ def pair_at(level: int, lit: int, earlier: Images, later: Images, tools: Tools) 
 
 @lean_kernel
 def register(
-    earlier: Levels, later: Levels, prior: MotionPrior, start: Warp, min_correlation: float, tools: Tools,
+    earlier: Levels, later: Levels, prior: MotionPrior, as_expected: bool, min_correlation: float, tools: Tools,
     information: Array, found: Array,
 ) -> None:  # fmt: skip
     """Register two frames: descend the pyramid, compare with competing shifts, and derive the velocity.
@@ -121,8 +124,8 @@ def register(
         Frames; levels that are missing are filled.
     prior : MotionPrior
         Of the motion between them.
-    start : Warp
-        Where to start.
+    as_expected : bool
+        Start from the expected warp; else from the one that is found already.
     min_correlation : float
         Correlation that is needed: without it the odds are not computed, and minus infinity.
     tools : Tools
@@ -130,16 +133,20 @@ def register(
     information : numpy.ndarray
         (4, 4) float64, filled: inverse covariance of a, b, s, d.
     found : numpy.ndarray
-        (9,) float64, filled: a, b, s, d of the warp; correlation; log odds, nats; velocity (rows, cols) of the later
-        frame, pixels per frame period, and its variance.
+        (9,) float64: a, b, s, d of the warp from which to start, and in return of the result; filled: correlation; log
+        odds, nats; velocity (rows, cols) of the later frame, pixels per frame period, and its variance.
     """
     fill_levels(earlier, tools.pyramid)
     fill_levels(later, tools.pyramid)
-    warp, expected, terms = found[:PARAMETERS], tools.work.equations[6, 1], terms_of(prior)
-    warp[0], warp[1], warp[2], warp[3] = start
-    expected[0], expected[1], expected[2], expected[3] = expected_warp(prior)
+    terms = terms_of(prior.covariance, prior.line_periods_per_frame)
+    warp, expected = found[:PARAMETERS], tools.work.equations[6, 1]
+    in_pixels_of(1.0, expected_warp(prior), expected)
+    if as_expected:
+        in_pixels_of(1.0, expected_warp(prior), warp)
+    begins_at_half = as_expected and prior.covariance[1][1] < SHARP_PRIOR_PX**2
+    coarsest = LEVELS - 2 if begins_at_half else LEVELS - 1
     correlation, count, sharp = descend(
-        earlier.images, later.images, LEVELS - 1, expected, terms, warp, information, tools
+        earlier.images, later.images, coarsest, expected, terms, warp, information, tools
     )
     odds = _odds_against_unrelated(correlation, count) if sharp else -np.inf
     if not sharp and correlation > 0:
