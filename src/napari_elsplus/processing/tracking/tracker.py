@@ -162,7 +162,8 @@ class Tracker:
             self._test_rotation(renew=renew)
         if renew:
             key = self._key = last
-        if renew or self.model is not MotionModel.TRANSLATION:
+            ahead = self._motion.ahead(here.index - last.index)
+        elif self.model is not MotionModel.TRANSLATION:
             ahead = self._expected(key, here.index)
         if hypot(*ahead) > self._max_displacement_px:
             return None
@@ -255,8 +256,7 @@ class Tracker:
         if link is None or last is key or last.index - self._tested < wait or not link.tells_turn:
             return
         self._tested = last.index
-        spread = self._motion.prior(self._motion.ahead(1), 1).spread
-        found = self.registrar.remainder(key.view, last.view, link.warp, spread)
+        found = self.registrar.remainder(key.view, last.view, link.warp, self._motion.spread_of_stretch)
         if found is None:
             return
         apart, turn = last.index - key.index, -float(found.step[-1])

@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import hypot, pi, sqrt
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
+from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior, terms_of
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 
 if TYPE_CHECKING:
@@ -168,11 +168,17 @@ class Motion:
         """Standard deviation of the next velocity about what is expected."""
         return _MIN_SPREAD + _SPREAD_OF_SURPRISE * self.surprise
 
+    @property
+    def spread_of_stretch(self) -> tuple[float, float]:
+        """Standard deviations of stretch and shear between successive frames, given the shift."""
+        covariance = _of_random_walk(self.variance, self.spread**2, 1, None)
+        return (terms_of(covariance, self._shutter.line_periods_per_frame)[0] ** -0.5,) * 2
+
     def ahead(self, frames: int) -> Displacement:
         """Displacement expected from the last registered frame to one so many frames later."""
-        later = self.next_velocity
-        step = self._shutter.step(self.velocity, later)
-        return Displacement(step.row + (frames - 1) * later.row, step.col + (frames - 1) * later.col)
+        now, later = self.velocity, self.next_velocity
+        # up to the next frame the mean of both velocities, and from there on the later one
+        return Displacement(0.5 * now.row + (frames - 0.5) * later.row, 0.5 * now.col + (frames - 0.5) * later.col)
 
     def prior(
         self,

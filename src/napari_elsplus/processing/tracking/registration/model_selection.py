@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel, resolved_once
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, Remainder
 
 if TYPE_CHECKING:
@@ -63,6 +63,22 @@ def shows_rotation(
         needed += values[k]
     found = largest_mean(turns[first:], sigmas[first:], turns[:first], sigmas[:first])
     return bool(found > _MARGIN * np.log(needed))
+
+
+@lean_kernel
+def rotates(tests: NDArray[np.float64], first: int, end: int) -> bool:
+    """Return True if some score tests show a rotation: the newest of them a sudden one, or all.
+
+    Parameters
+    ----------
+    tests : numpy.ndarray
+        (3, m) float64: what :func:`shows_rotation` takes.
+    first, end : int
+        The first of them that counts, and the one after the last.
+    """
+    turns, sigmas, values = tests[0, first:end], tests[1, first:end], tests[2, first:end]
+    sudden = max(0, end - first - _SUDDEN)
+    return shows_rotation(turns, sigmas, values, sudden) or shows_rotation(turns, sigmas, values, 0)
 
 
 @lean_kernel
@@ -120,6 +136,9 @@ def largest_mean(
     return float(largest / usual)
 
 
+_rotates = resolved_once(rotates)
+
+
 class ModelSelection:
     """Sequential selection of the motion model from the score tests of registrations.
 
@@ -158,11 +177,9 @@ class ModelSelection:
         keep : bool
             Add its evidence to that of the earlier ones.
         """
-        stored = self._stored
-        self._found[:, stored] = found.step[-1], found.sigma, found.values
-        turns, sigmas, values = self._found[:, max(0, stored + 1 - _REMEMBERED) : stored + 1]
-        sudden = max(0, len(turns) - _SUDDEN)
-        if shows_rotation(turns, sigmas, values, sudden) or shows_rotation(turns, sigmas, values, 0):
+        tests, stored = self._found, self._stored
+        tests[0, stored], tests[1, stored], tests[2, stored] = found.step[-1], found.sigma, found.values
+        if _rotates(tests, max(0, stored + 1 - _REMEMBERED), stored + 1):
             self.model = MotionModel.RIGID
         if keep:
             self._stored = stored + 1
