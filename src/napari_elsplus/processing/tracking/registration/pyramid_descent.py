@@ -55,7 +55,8 @@ _STAGES: Final = (
     (0, Iteration(10, 4, 0.1, True, 16)),
     (0, Iteration(2, 1, 0.0, True, 16)),
 )
-"""Down the pyramid: levels, and how each is registered; chosen."""
+"""Down the pyramid: levels, and how each is registered; chosen on fifty recordings a scene, as docs/performance.md
+states."""
 
 
 class Tools(NamedTuple):
