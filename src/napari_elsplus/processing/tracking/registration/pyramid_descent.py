@@ -54,9 +54,14 @@ _STAGES: Final = (
     (1, Iteration(4, 10, 0.1, False, 8)),
     (0, Iteration(10, 4, 0.1, True, 16)),
     (0, Iteration(2, 1, 0.0, True, 16)),
+    (1, Iteration(2, 10, 0.1, False, 8)),
+    (0, Iteration(6, 4, 0.1, True, 16)),
+    (0, Iteration(2, 1, 0.0, True, 16)),
 )
-"""Down the pyramid: levels, and how each is registered; chosen on fifty recordings a scene, as docs/performance.md
-states."""
+"""Down the pyramid: levels, and how each is registered. Few rows suffice where structure is rich; chosen on fifty
+recordings a scene, as docs/performance.md states. Elsewhere half resolution is repeated with more."""
+_TO_HALF, _SHARP, _UNSHARP = (0, 2), (2, 4), (4, 7)
+"""Which of the stages: those from a predicted shift to half resolution, and from there on."""
 
 
 class Tools(NamedTuple):
@@ -145,18 +150,23 @@ def register(
     if as_expected:
         in_pixels_of(1.0, expected_warp(prior), warp)
     begins_at_half = as_expected and prior.covariance[1][1] < SHARP_PRIOR_PX**2
-    coarsest = LEVELS - 2 if begins_at_half else LEVELS - 1
-    correlation, count, sharp = descend(
-        earlier.images, later.images, coarsest, expected, terms, warp, information, tools
-    )
-    odds = _odds_against_unrelated(correlation, count) if sharp else -np.inf
-    if not sharp and correlation > 0:
-        # noise is more than what does not move at the rim: all that is lit, without what is smooth
+    first, end = _TO_HALF
+    stages = first + 1 if begins_at_half else first, end
+    correlation, count = descend(earlier.images, later.images, stages, False, expected, terms, warp, information, tools)
+    odds = -np.inf
+    if correlation > 0 and 2 * weakest_direction(information)[0] < SHARP_PX:
+        # noise is less than what does not move at the rim, which is left out
+        correlation, count = descend(
+            earlier.images, later.images, _SHARP, True, expected, terms, warp, information, tools
+        )
+        odds = _odds_against_unrelated(correlation, count)
+    elif correlation > 0:
+        # noise is more than that: all that is lit, without what is smooth
         high_pass(earlier, tools.pyramid)
         high_pass(later, tools.pyramid)
         (_, half, quarter), (_, later_half, later_quarter) = earlier.images, later.images
-        correlation, count, _ = descend(
-            (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), 0,
+        correlation, count = descend(
+            (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), _UNSHARP, False,
             expected, terms, warp, information, tools,
         )  # fmt: skip
         if correlation > min_correlation:
@@ -189,20 +199,19 @@ def _variance_along(information: Array, of_stretch: float, of_shift: float, work
 
 @lean_kernel
 def descend(
-    earlier: Images, later: Images, coarsest: int, expected: Array, terms: Terms, warp: Array, information: Array,
-    tools: Tools,
-) -> tuple[float, float, bool]:  # fmt: skip
-    """Refine a warp in place from a coarse level to full resolution.
-
-    From half to full resolution it goes on only if the shift is sharp by then: structure constrains it in every
-    direction. Noise then matters less than what does not move at the rim, which is left out.
+    earlier: Images, later: Images, stages: tuple[int, int], without_rim: bool, expected: Array, terms: Terms,
+    warp: Array, information: Array, tools: Tools,
+) -> tuple[float, float]:  # fmt: skip
+    """Refine a warp in place by some stages of the pyramid.
 
     Parameters
     ----------
     earlier, later : tuple of numpy.ndarray
         Frames at full, half and quarter resolution, (n, n) float32.
-    coarsest : int
-        First level.
+    stages : tuple of int
+        The first of them, and the one after the last.
+    without_rim : bool
+        Leave out the rim at full resolution.
     expected : numpy.ndarray
         (4,) float64: a, b, s, d that the motion prior expects, pixels of full resolution.
     terms : tuple of float
@@ -220,24 +229,17 @@ def descend(
         Zero-mean normalised correlation of the overlap; 0 where there is none.
     float
         Pixels of the overlap.
-    bool
-        True if the shift is sharp.
     """
     work, equations = tools.work, tools.work.equations
     stiff, centre, scaled = equations[3], equations[5, 0], equations[5, 1]
-    correlation, count, sharp, begun = 0.0, 0.0, False, LEVELS
-    for level, how in _STAGES:
-        if level > coarsest:
-            continue
-        if level == 0 < coarsest and not sharp:
-            sharp = 2 * weakest_direction(information)[0] < SHARP_PX
-            if not sharp:
-                break
+    correlation, count, begun = 0.0, 0.0, LEVELS
+    for stage in range(*stages):
+        level, how = _STAGES[stage]
         px = 2.0**level
         write_prior(px, terms, prior_terms(warp, expected, terms)[0], stiff)
         in_pixels_of(px, (expected[0], expected[1], expected[2], expected[3]), centre)
         in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
-        pair = pair_at(level, LEVELS if sharp else level, earlier, later, tools)
+        pair = pair_at(level, LEVELS if without_rim else level, earlier, later, tools)
         if begun == LEVELS or level == 0 < begun:  # from half to full resolution offsets differ
             work.tone[0], work.tone[1] = tone_between(pair, scaled, how.tone_step)
         begun = level
@@ -247,4 +249,4 @@ def descend(
             break
         count *= how.row_step * 4.0**level
         in_pixels_of(1 / px, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
-    return correlation, count, sharp
+    return correlation, count
