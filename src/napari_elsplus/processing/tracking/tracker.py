@@ -41,8 +41,8 @@ MAX_DISPLACEMENT_DIAMETERS: Final = 0.6
 """Predicted displacement, in bundle diameters, beyond which no link is tried."""
 _MEMORY: Final = 0.2
 _TEST_EVERY: Final = 4
-"""Frames between two score tests for rotation, as long as none is found; at rest each frame is tested that correlates
-less than usual, as all do of a probe that turns."""
+"""Frames between two score tests for rotation, as long as none is found; at rest each frame is tested whose correlation
+falls by more than it scatters, as it does when a probe begins to turn."""
 _UNEVEN_PX: Final = 0.2
 """Standard deviation of a displacement by uneven motion, pixels, from which that is estimated; chosen: a third of the
 largest that is accepted."""
@@ -107,6 +107,7 @@ class Tracker:
         self._motion = Motion(grid.shutter, FIELD * grid.diameter)
         self._key = self._last = self._previous = _Placed(self._slots[0])
         self._usual = nan
+        self._scatter, self._fell = 0.0, False
         self._start: _Start | None = None
         self._segment = 0
         self._frames = 0
@@ -252,7 +253,7 @@ class Tracker:
     def _test_rotation(self, *, renew: bool) -> None:
         """Test, now and then, for rotation since the key frame, and from when on it is modelled."""
         key, last, link = self._key, self._last, self._newest
-        wait = 1 if not renew and link is not None and link.correlation < self._usual else _TEST_EVERY
+        wait = 1 if self._fell and not renew else _TEST_EVERY
         if link is None or last is key or last.index - self._tested < wait or not link.tells_turn:
             return
         self._tested = last.index
@@ -355,8 +356,10 @@ class Tracker:
             self._turning.follow(here.angle - last.angle, gap)
         self._motion.follow(here.velocity, here.velocity_variance, successive=gap == 1)
         self._last, self._newest = here, link
-        first = isnan(self._usual)
-        self._usual = link.correlation if first else self._usual + _MEMORY * (link.correlation - self._usual)
+        fall = 0.0 if isnan(self._usual) else self._usual - link.correlation
+        self._fell = fall > self._scatter
+        self._usual = link.correlation + (1 - _MEMORY) * fall
+        self._scatter += _MEMORY * (abs(fall) - self._scatter)
         return Pose(
             self._segment, here.row, here.col, here.velocity, link.correlation, here.sigma, TrackingState.TRACKED,
             here.angle,
