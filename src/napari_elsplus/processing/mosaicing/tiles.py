@@ -40,11 +40,11 @@ class Rectangle(NamedTuple):
 
     def union(self, other: Rectangle) -> Rectangle:
         """Return the smallest rectangle that contains this one and an `other`."""
+        (top, left, bottom, right), (other_top, other_left, other_bottom, other_right) = self, other
+        if other_top >= top and other_left >= left and other_bottom <= bottom and other_right <= right:
+            return self
         return Rectangle(
-            min(self.top, other.top),
-            min(self.left, other.left),
-            max(self.bottom, other.bottom),
-            max(self.right, other.right),
+            min(top, other_top), min(left, other_left), max(bottom, other_bottom), max(right, other_right)
         )
 
     def translated(self, rows: int, cols: int) -> Rectangle:

@@ -203,7 +203,8 @@ class Motion:
         q = self.spread**2
         velocity, variance = (self.velocity, None) if before is None else before
         covariance = _of_random_walk(self.variance, q, frames, variance)
-        cautious = _of_random_walk(max(self.variance, min_share * q), q, frames, variance)
+        at_least = min_share * q
+        cautious = _of_random_walk(at_least, q, frames, variance) if self.variance < at_least else covariance
         rows = self._shutter.line_periods_per_frame
         return MotionPrior(velocity, self.next_velocity, displacement, covariance, cautious, rows)
 
