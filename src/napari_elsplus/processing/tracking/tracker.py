@@ -9,7 +9,7 @@ that no link reaches are predicted for a while, then lost; a new segment starts 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot, isnan, nan
+from math import hypot, isnan, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
@@ -107,7 +107,7 @@ class Tracker:
         self._motion = Motion(grid.shutter, FIELD * grid.diameter)
         self._key = self._last = self._previous = _Placed(self._slots[0])
         self._usual = nan
-        self._scatter, self._fell = 0.0, False
+        self._variance, self._fell = 0.0, False
         self._start: _Start | None = None
         self._segment = 0
         self._frames = 0
@@ -138,7 +138,10 @@ class Tracker:
 
     def _free(self) -> PreparedFrame:
         key, last, previous = self._key.view, self._last.view, self._previous.view
-        return next(view for view in self._slots if view is not key and view is not last and view is not previous)
+        for view in self._slots:  # one more than are taken
+            if view is not key and view is not last and view is not previous:
+                break
+        return view
 
     def _register(self, here: _Placed) -> Pose | None:
         """Register a frame to the segment, else to the frame before; once the track is lost, to either in turn.
@@ -357,9 +360,9 @@ class Tracker:
         self._motion.follow(here.velocity, here.velocity_variance, successive=gap == 1)
         self._last, self._newest = here, link
         fall = 0.0 if isnan(self._usual) else self._usual - link.correlation
-        self._fell = fall > self._scatter
+        self._fell = fall > sqrt(self._variance)
         self._usual = link.correlation + (1 - _MEMORY) * fall
-        self._scatter += _MEMORY * (abs(fall) - self._scatter)
+        self._variance += _MEMORY * (fall * fall - self._variance)
         return Pose(
             self._segment, here.row, here.col, here.velocity, link.correlation, here.sigma, TrackingState.TRACKED,
             here.angle,
