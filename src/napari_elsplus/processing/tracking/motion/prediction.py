@@ -88,6 +88,8 @@ class Motion:
     def __init__(self, shutter: RollingShutter, diameter: float, surprise: float | None = None) -> None:
         self._shutter = shutter
         self._read = min(diameter / shutter.line_periods_per_frame, 1.0)
+        self._jerk = sqrt(_JERK_VARIANCE / self._read) if self._read else 0.0
+        self._unevenness = sqrt(_UNEVEN) * self._read**2
         self.known = False
         self.velocity = self.next_velocity = AT_REST
         self.variance = (FIRST_SPEED * diameter) ** 2
@@ -136,7 +138,7 @@ class Motion:
             change = max(change, missed_px)
         else:
             change = self._shutter.line_periods_per_frame * hypot(warp.a - 1, warp.s)
-        return sqrt(_JERK_VARIANCE / self._read) * max(_SPREAD_OF_SURPRISE * change, self.spread)
+        return self._jerk * max(_SPREAD_OF_SURPRISE * change, self.spread)
 
     def uneven_px(self, jerk_sigma: float) -> float:
         """Return the standard deviation of a displacement because the probe moved unevenly within the frames, pixels.
@@ -148,7 +150,7 @@ class Motion:
         jerk_sigma : float
             From :meth:`jerk_sigma`.
         """
-        return sqrt(_UNEVEN) * self._read**2 * jerk_sigma
+        return self._unevenness * jerk_sigma
 
     def left_uneven_px(self, jerk_sigma: float, missed_px: float) -> float:
         """Return what of that remains where the change of the acceleration is estimated from the frames, pixels.

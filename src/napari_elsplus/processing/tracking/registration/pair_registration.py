@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.processing.compiled import resolved_once
-from napari_elsplus.processing.tracking.front_end.grid import FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
@@ -192,7 +191,7 @@ class Registrar:
         self._middle, self._column = grid.middle(1), (grid.centre[1] - 0.5) / 2
         self._everywhere = ShiftSearch(*grid.spans(level=LEVELS - 1), 2.0 ** (LEVELS - 1))
         self._tools = Tools.of(grid, lit)
-        self._found = np.empty(9)
+        self._found = np.empty(10)
 
     def view(self) -> PreparedFrame:
         """Return an empty view, to be filled again and again."""
@@ -235,8 +234,7 @@ class Registrar:
         if start is not None:
             found[:4] = start
         _register(earlier.arrays, later.arrays, motion, start is None, min_correlation, self._tools, information, found)
-        a, b, s, d, correlation, odds, row, col, variance = found.tolist()
-        overlap = overlap_of_discs(hypot(b, d) / (FIELD * self.grid.diameter))
+        a, b, s, d, correlation, odds, row, col, variance, overlap = found.tolist()
         return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
 
     def search(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.front_end.grid import INNER_FIELD
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.motion_prior import expected_warp, terms_of, velocity_given
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
@@ -74,6 +74,8 @@ class Tools(NamedTuple):
         resolution without the rim.
     middles : tuple of float
         Row of the bundle's centre at each level.
+    diameter : float
+        Of the disc that is compared, pixels of full resolution.
     pyramid : Pyramid
         Fills the levels of frames.
     sums : numpy.ndarray
@@ -84,6 +86,7 @@ class Tools(NamedTuple):
 
     lit: NDArray[np.int32]
     middles: tuple[float, ...]
+    diameter: float
     pyramid: Pyramid
     sums: NDArray[np.float64]
     work: Workspace
@@ -96,7 +99,8 @@ class Tools(NamedTuple):
         for columns, span in zip(lit, spans, strict=True):
             columns[:, : len(span[0])] = span
         middles = tuple(grid.middle(level) for level in range(LEVELS))
-        return cls(lit, middles, Pyramid.of(grid, field), blocks(grid.side), Workspace.of(grid.side))
+        diameter = FIELD * grid.diameter
+        return cls(lit, middles, diameter, Pyramid.of(grid, field), blocks(grid.side), Workspace.of(grid.side))
 
 
 @lean_kernel
@@ -139,8 +143,9 @@ def register(
     information : numpy.ndarray
         (4, 4) float64, filled: inverse covariance of a, b, s, d.
     found : numpy.ndarray
-        (9,) float64: a, b, s, d of the warp from which to start, and in return of the result; filled: correlation; log
-        odds, nats; velocity (rows, cols) of the later frame, pixels per frame period, and its variance.
+        (10,) float64: a, b, s, d of the warp from which to start, and in return of the result; filled: correlation; log
+        odds, nats; velocity (rows, cols) of the later frame, pixels per frame period, and its variance; and the part
+        of the disc that both frames show.
     """
     fill_levels(earlier, tools.pyramid)
     fill_levels(later, tools.pyramid)
@@ -176,6 +181,7 @@ def register(
     velocity, variance, of_stretch, of_shift = velocity_given(prior, Warp(warp[0], warp[1], warp[2], warp[3]))
     found[4], found[5], found[6], found[7] = correlation, odds, velocity.row, velocity.col
     found[8] = variance + _variance_along(information, of_stretch, of_shift, tools.work)
+    found[9] = overlap_of_discs(np.hypot(warp[1], warp[3]) / tools.diameter)
 
 
 @lean_kernel
