@@ -52,15 +52,13 @@ pixel of that."""
 _STAGES: Final = (
     (2, Iteration(1, 12, 0.2, False, 4)),
     (1, Iteration(4, 10, 0.1, False, 8)),
-    (0, Iteration(10, 4, 0.1, True, 16)),
-    (0, Iteration(2, 1, 0.0, True, 16)),
     (1, Iteration(2, 10, 0.1, False, 8)),
     (0, Iteration(6, 4, 0.1, True, 16)),
     (0, Iteration(2, 1, 0.0, True, 16)),
 )
-"""Down the pyramid: levels, and how each is registered. Few rows suffice where structure is rich; chosen on fifty
-recordings a scene, as docs/performance.md states. Elsewhere half resolution is repeated with more."""
-_TO_HALF, _SHARP, _UNSHARP = (0, 2), (2, 4), (4, 7)
+"""Down the pyramid: levels, and how each is registered; chosen, as docs/performance.md states. Every fourth row of half
+resolution suffices where structure is rich; elsewhere half resolution is repeated with every second."""
+_TO_HALF, _SHARP, _UNSHARP = (0, 2), (3, 5), (2, 5)
 """Which of the stages: those from a predicted shift to half resolution, and from there on."""
 
 
