@@ -40,12 +40,10 @@ class Rectangle(NamedTuple):
 
     def union(self, other: Rectangle) -> Rectangle:
         """Return the smallest rectangle that contains this one and an `other`."""
-        return Rectangle(
-            min(self.top, other.top),
-            min(self.left, other.left),
-            max(self.bottom, other.bottom),
-            max(self.right, other.right),
-        )
+        (top, left, bottom, right), (other_top, other_left, other_bottom, other_right) = self, other
+        if other_top >= top and other_left >= left and other_bottom <= bottom and other_right <= right:
+            return self
+        return Rectangle(min(top, other_top), min(left, other_left), max(bottom, other_bottom), max(right, other_right))
 
     def translated(self, rows: int, cols: int) -> Rectangle:
         """Return the rectangle translated downwards by `rows` and to the right by `cols`."""

@@ -9,7 +9,7 @@ that no link reaches are predicted for a while, then lost; a new segment starts 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot, isnan, nan
+from math import hypot, isnan, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
@@ -41,8 +41,8 @@ MAX_DISPLACEMENT_DIAMETERS: Final = 0.6
 """Predicted displacement, in bundle diameters, beyond which no link is tried."""
 _MEMORY: Final = 0.2
 _TEST_EVERY: Final = 4
-"""Frames between two score tests for rotation, as long as none is found; at rest each frame is tested that correlates
-less than usual, as all do of a probe that turns."""
+"""Frames between two score tests for rotation, as long as none is found; at rest each frame is tested whose correlation
+falls by more than it scatters, as it does when a probe begins to turn."""
 _UNEVEN_PX: Final = 0.2
 """Standard deviation of a displacement by uneven motion, pixels, from which that is estimated; chosen: a third of the
 largest that is accepted."""
@@ -107,6 +107,7 @@ class Tracker:
         self._motion = Motion(grid.shutter, FIELD * grid.diameter)
         self._key = self._last = self._previous = _Placed(self._slots[0])
         self._usual = nan
+        self._variance, self._fell = 0.0, False
         self._start: _Start | None = None
         self._segment = 0
         self._frames = 0
@@ -137,7 +138,10 @@ class Tracker:
 
     def _free(self) -> PreparedFrame:
         key, last, previous = self._key.view, self._last.view, self._previous.view
-        return next(view for view in self._slots if view is not key and view is not last and view is not previous)
+        for view in self._slots:  # one more than are taken
+            if view is not key and view is not last and view is not previous:
+                break
+        return view
 
     def _register(self, here: _Placed) -> Pose | None:
         """Register a frame to the segment, else to the frame before; once the track is lost, to either in turn.
@@ -162,7 +166,8 @@ class Tracker:
             self._test_rotation(renew=renew)
         if renew:
             key = self._key = last
-        if renew or self.model is not MotionModel.TRANSLATION:
+            ahead = self._motion.ahead(here.index - last.index)
+        elif self.model is not MotionModel.TRANSLATION:
             ahead = self._expected(key, here.index)
         if hypot(*ahead) > self._max_displacement_px:
             return None
@@ -251,12 +256,11 @@ class Tracker:
     def _test_rotation(self, *, renew: bool) -> None:
         """Test, now and then, for rotation since the key frame, and from when on it is modelled."""
         key, last, link = self._key, self._last, self._newest
-        wait = 1 if not renew and link is not None and link.correlation < self._usual else _TEST_EVERY
+        wait = 1 if self._fell and not renew else _TEST_EVERY
         if link is None or last is key or last.index - self._tested < wait or not link.tells_turn:
             return
         self._tested = last.index
-        spread = self._motion.prior(self._motion.ahead(1), 1).spread
-        found = self.registrar.remainder(key.view, last.view, link.warp, spread)
+        found = self.registrar.remainder(key.view, last.view, link.warp, self._motion.spread_of_stretch)
         if found is None:
             return
         apart, turn = last.index - key.index, -float(found.step[-1])
@@ -355,8 +359,10 @@ class Tracker:
             self._turning.follow(here.angle - last.angle, gap)
         self._motion.follow(here.velocity, here.velocity_variance, successive=gap == 1)
         self._last, self._newest = here, link
-        first = isnan(self._usual)
-        self._usual = link.correlation if first else self._usual + _MEMORY * (link.correlation - self._usual)
+        fall = 0.0 if isnan(self._usual) else self._usual - link.correlation
+        self._fell = fall > sqrt(self._variance)
+        self._usual = link.correlation + (1 - _MEMORY) * fall
+        self._variance += _MEMORY * (fall * fall - self._variance)
         return Pose(
             self._segment, here.row, here.col, here.velocity, link.correlation, here.sigma, TrackingState.TRACKED,
             here.angle,

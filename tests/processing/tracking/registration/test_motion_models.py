@@ -7,7 +7,7 @@ import pytest
 from motion_priors import about
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
-from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection, largest_mean
+from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection, largest_saving
 from napari_elsplus.processing.tracking.registration.motion_models import (
     MotionModel,
     Remainder,
@@ -163,6 +163,15 @@ def test_a_turn_that_begins_late_is_noticed() -> None:
     assert models[-1] is MotionModel.RIGID
 
 
+@pytest.mark.parametrize("links", [1, 2, 5, 20, 63, 200])
+def test_a_sudden_turn_is_noticed_at_once_whatever_was_found_before(links: int) -> None:
+    """By hand a keyframe serves many frames: of their tests only the newest counts beside those kept before."""
+    selection, random = ModelSelection(), np.random.default_rng(0)
+    before = {selection.weigh(turning(random.normal(0.0, SIGMA, 2)[0])) for _ in range(links)}
+    assert before == {MotionModel.TRANSLATION}
+    assert selection.weigh(turning(12 * SIGMA), keep=False) is MotionModel.RIGID
+
+
 def test_errors_that_mislead_many_links_in_a_row_are_no_turn() -> None:
     """Errors that wander: their sum grows like that of a turn, but no faster than they let expect."""
     climbed = 0
@@ -212,5 +221,8 @@ def test_a_few_full_views_tell_a_steady_turn_among_many_that_tell_nothing() -> N
     rng = np.random.default_rng(3)
     sigmas = np.where(np.arange(60) % 6 == 0, 3e-4, 2e-3)
     noise = sigmas * np.convolve(rng.normal(size=61), [0.8, 0.6], "valid")
-    before = noise[:0], sigmas[:0]
-    assert largest_mean(noise + 7e-4, sigmas, *before) > 24 > 10 > largest_mean(noise, sigmas, *before)
+    values = np.full(60, 1500.0)
+    turned, still = (
+        np.log(values.sum()) * largest_saving(turns, sigmas, values, False) for turns in (noise + 7e-4, noise)
+    )
+    assert turned > 24 > 10 > still

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.processing.compiled import compilable
 from napari_elsplus.processing.images.cores import core_spacing_px
 from napari_elsplus.processing.images.sectioning import LINE_FIELD, disc
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
@@ -192,6 +193,7 @@ def rectangle_within(seen: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     return rectangle
 
 
+@compilable
 def overlap_of_discs(diameters: float) -> float:
     """Share of a disc that another of its size covers, whose centre lies so many diameters away.
 

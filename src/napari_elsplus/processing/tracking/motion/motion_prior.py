@@ -69,7 +69,7 @@ class MotionPrior(NamedTuple):
     @property
     def terms(self) -> Terms:
         """Information on stretch (and shear) at a given shift, its slope with the shift, and 1 / variance of that."""
-        return terms_of(self)
+        return terms_of(self.covariance, self.line_periods_per_frame)
 
     @property
     def spread(self) -> tuple[float, float]:
@@ -148,12 +148,19 @@ def expected_warp(prior: MotionPrior) -> Warp:
 
 
 @compilable
-def terms_of(prior: MotionPrior) -> Terms:
-    """Return what the information of a prior consists of: :attr:`MotionPrior.terms`."""
-    variance, of_shift, both = _of_differences(prior.covariance)
-    rows = prior.line_periods_per_frame
-    conditional = max(variance - both * both / of_shift, 0.0) ** 0.5 / rows + _MIN_STRETCH_SIGMA
-    return conditional**-2, both / of_shift / rows, 1 / of_shift
+def terms_of(covariance: Covariance, line_periods_per_frame: float) -> Terms:
+    """Return what the information of a prior consists of: :attr:`MotionPrior.terms`.
+
+    Parameters
+    ----------
+    covariance : tuple of tuple of float
+        Of the prior.
+    line_periods_per_frame : float
+        In rows of the grid.
+    """
+    variance, of_shift, both = _of_differences(covariance)
+    conditional = max(variance - both * both / of_shift, 0.0) ** 0.5 / line_periods_per_frame + _MIN_STRETCH_SIGMA
+    return conditional**-2, both / of_shift / line_periods_per_frame, 1 / of_shift
 
 
 @compilable

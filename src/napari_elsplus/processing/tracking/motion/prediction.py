@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import hypot, pi, sqrt
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
+from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior, terms_of
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 
 if TYPE_CHECKING:
@@ -88,6 +88,8 @@ class Motion:
     def __init__(self, shutter: RollingShutter, diameter: float, surprise: float | None = None) -> None:
         self._shutter = shutter
         self._read = min(diameter / shutter.line_periods_per_frame, 1.0)
+        self._jerk = sqrt(_JERK_VARIANCE / self._read) if self._read else 0.0
+        self._unevenness = sqrt(_UNEVEN) * self._read**2
         self.known = False
         self.velocity = self.next_velocity = AT_REST
         self.variance = (FIRST_SPEED * diameter) ** 2
@@ -136,7 +138,7 @@ class Motion:
             change = max(change, missed_px)
         else:
             change = self._shutter.line_periods_per_frame * hypot(warp.a - 1, warp.s)
-        return sqrt(_JERK_VARIANCE / self._read) * max(_SPREAD_OF_SURPRISE * change, self.spread)
+        return self._jerk * max(_SPREAD_OF_SURPRISE * change, self.spread)
 
     def uneven_px(self, jerk_sigma: float) -> float:
         """Return the standard deviation of a displacement because the probe moved unevenly within the frames, pixels.
@@ -148,7 +150,7 @@ class Motion:
         jerk_sigma : float
             From :meth:`jerk_sigma`.
         """
-        return sqrt(_UNEVEN) * self._read**2 * jerk_sigma
+        return self._unevenness * jerk_sigma
 
     def left_uneven_px(self, jerk_sigma: float, missed_px: float) -> float:
         """Return what of that remains where the change of the acceleration is estimated from the frames, pixels.
@@ -168,11 +170,17 @@ class Motion:
         """Standard deviation of the next velocity about what is expected."""
         return _MIN_SPREAD + _SPREAD_OF_SURPRISE * self.surprise
 
+    @property
+    def spread_of_stretch(self) -> tuple[float, float]:
+        """Standard deviations of stretch and shear between successive frames, given the shift."""
+        covariance = _of_random_walk(self.variance, self.spread**2, 1, None)
+        return (terms_of(covariance, self._shutter.line_periods_per_frame)[0] ** -0.5,) * 2
+
     def ahead(self, frames: int) -> Displacement:
         """Displacement expected from the last registered frame to one so many frames later."""
-        later = self.next_velocity
-        step = self._shutter.step(self.velocity, later)
-        return Displacement(step.row + (frames - 1) * later.row, step.col + (frames - 1) * later.col)
+        now, later = self.velocity, self.next_velocity
+        # up to the next frame the mean of both velocities, and from there on the later one
+        return Displacement(0.5 * now.row + (frames - 0.5) * later.row, 0.5 * now.col + (frames - 0.5) * later.col)
 
     def prior(
         self,
@@ -197,7 +205,8 @@ class Motion:
         q = self.spread**2
         velocity, variance = (self.velocity, None) if before is None else before
         covariance = _of_random_walk(self.variance, q, frames, variance)
-        cautious = _of_random_walk(max(self.variance, min_share * q), q, frames, variance)
+        at_least = min_share * q
+        cautious = _of_random_walk(at_least, q, frames, variance) if self.variance < at_least else covariance
         rows = self._shutter.line_periods_per_frame
         return MotionPrior(velocity, self.next_velocity, displacement, covariance, cautious, rows)
 

@@ -154,9 +154,10 @@ def accumulate(
         if end <= begin:
             continue
         size = end - begin
-        corners, weights = neighbours(image, above, begin + whole, size), bilinear(down, across)
         if finely and reaches(image.shape, above, begin + whole, size):
             corners, weights = finely_sampled(image, above, down, begin + whole, across, size, work.samples)
+        else:
+            corners, weights = neighbours(image, above, begin + whole, size), bilinear(down, across)
         i1, ii, ti, gradients, weighted = add_row(
             template, row, (begin, end), corners, weights, tone, (row - middle, 1.0), normal, right
         )

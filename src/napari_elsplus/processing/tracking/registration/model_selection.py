@@ -1,10 +1,13 @@
 """Model selection for rotation by the Bayesian information criterion, over many registrations together.
 
-A slow rotation is significant in no single registration but in their sum, which grows faster than its uncertainty.
+A slow rotation is significant in no single registration but in their sum, which grows faster than its uncertainty. One
+that sets in is sought from every registration on, so that those before do not hide it.
 
 References
 ----------
 Schwarz, Ann. Stat. 6, 461 (1978), doi:10.1214/aos/1176344136.
+Zhang, Siegmund, Biometrics 63, 22 (2007), doi:10.1111/j.1541-0420.2006.00662.x: the criterion with changes at unknown
+places.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.compiled import lean_kernel
+from napari_elsplus.processing.compiled import lean_kernel, resolved_once
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, Remainder
 
 if TYPE_CHECKING:
@@ -24,9 +27,8 @@ if TYPE_CHECKING:
 _MARGIN: Final = 2.0
 """How many times the criterion's penalty must be saved: it is tested again and again in a long recording."""
 _REMEMBERED: Final = 64
-_SUDDEN: Final = 6
-"""Registrations in which a sudden rotation shows; a slow one shows in all that are remembered. Chosen: in two the
-deformation of tissue passes for one, in eight unrelated errors do."""
+_ONSET: Final = 2.0
+"""How many parameters, with the registrations as values, an unknown beginning or end is worth (Zhang & Siegmund)."""
 _SCATTER: Final = 2.0
 _PRIOR_LINKS: Final = 4
 """Variance of links about their mean, in units of what they say, and how many links that is worth at first."""
@@ -34,90 +36,90 @@ _MOST_ALIKE: Final = 0.95
 
 
 def selected_model(found: Sequence[Remainder]) -> MotionModel:
-    """Return the model that the weighted mean of score tests, `found` in their order, selects at its largest.
+    """Return the model that score tests, `found` in their order, select together.
 
-    A probe may rotate to and fro.
+    A probe may rotate for a while.
     """
     if not found:
         return MotionModel.TRANSLATION
-    turns, sigmas, values = np.array([(one.step[-1], one.sigma, one.values) for one in found]).T.copy()
-    return MotionModel.RIGID if shows_rotation(turns, sigmas, values, 0) else MotionModel.TRANSLATION
+    tests = np.array([(one.step[-1], one.sigma, one.values) for one in found]).T.copy()
+    return MotionModel.RIGID if shows_rotation(tests, 0, len(found), True) else MotionModel.TRANSLATION
 
 
 @lean_kernel
-def shows_rotation(
-    turns: NDArray[np.float64], sigmas: NDArray[np.float64], values: NDArray[np.float64], first: int
-) -> bool:
-    """Return True if score tests, from one of them on, select a rotation.
+def shows_rotation(tests: NDArray[np.float64], first: int, end: int, ended: bool) -> bool:
+    """Return True if score tests select a rotation.
+
+    Parameters
+    ----------
+    tests : numpy.ndarray
+        (3, m) float64: rotation by each score test, its standard deviation, and the independent values compared.
+    first, end : int
+        The first of them that counts, and the one after the last.
+    ended : bool
+        The rotation may have ended before the last of them.
+    """
+    return largest_saving(tests[0, first:end], tests[1, first:end], tests[2, first:end], ended) > _MARGIN
+
+
+@lean_kernel
+def largest_saving(
+    turns: NDArray[np.float64], sigmas: NDArray[np.float64], values: NDArray[np.float64], ended: bool
+) -> float:
+    """Return what a rotation saves at most of the sum of squares, in units of the criterion's penalty for it.
+
+    Between its beginning and its end, which are sought, registrations have its weighted mean in common; others turn by
+    nothing. By as much as all scatter about that, and from one to the next alike, the mean may err as well. Weights are
+    inverse variances, so that the few frames with much in view count.
 
     Parameters
     ----------
     turns, sigmas, values : numpy.ndarray
         (m,) float64: rotation by each score test, its standard deviation, and the independent values compared.
-    first : int
-        Of the tests from which a rotation is sought. By as much as those before scatter, these may as well: deforming
-        tissue turns to and fro.
+    ended : bool
+        The rotation may have ended before the last of them.
     """
-    needed = 0.0
-    for k in range(first, len(values)):
-        needed += values[k]
-    found = largest_mean(turns[first:], sigmas[first:], turns[:first], sigmas[:first])
-    return bool(found > _MARGIN * np.log(needed))
+    count, total, squares, products, compared, before = len(turns), 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(count):
+        score = turns[k] / (sigmas[k] * sigmas[k])
+        total += 1 / (sigmas[k] * sigmas[k])
+        squares += score * score
+        products += score * before
+        compared += values[k]
+        before = score
+    at_first = _PRIOR_LINKS * total / count
+    of_rotation, of_onset = np.log(compared), _ONSET * np.log(count)
+    largest = 0.0
+    for end in range(1 if ended else count, count + 1):
+        # sums within, and how squares and products of successive scores depend on the mean that is subtracted there
+        weights, scores, square_slope, square_bend, slope, bend = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        weight, weight_after = 0.0, 0.0
+        for first in range(end - 1, -1, -1):
+            weight_after, weight = weight, 1 / (sigmas[first] * sigmas[first])
+            score = weight * turns[first]
+            weights += weight
+            scores += score
+            square_slope += weight * score
+            square_bend += weight * weight
+            if first > 0:
+                slope += weight * turns[first - 1] / (sigmas[first - 1] * sigmas[first - 1])
+            if first + 1 < count:
+                slope += weight * turns[first + 1] / (sigmas[first + 1] * sigmas[first + 1])
+            bend += weight * weight_after
+            mean = scores / weights
+            scatter = squares - mean * (2 * square_slope - mean * square_bend)
+            scatter = (scatter + _SCATTER * at_first) / (total + at_first)
+            alike = min(max((products - mean * (slope - mean * bend)) / (total * scatter), 0.0), _MOST_ALIKE)
+            penalty = of_rotation
+            if first > 0:
+                penalty += of_onset
+            if end < count:
+                penalty += of_onset
+            largest = max(largest, scores * mean * (1 - alike) / (scatter * (1 + alike) * penalty))
+    return float(largest)
 
 
-@lean_kernel
-def scatter(steps: NDArray[np.float64], sigmas: NDArray[np.float64]) -> float:
-    """Return the variance of the weighted mean of registrations, from how they scatter, over the stated one.
-
-    Parameters
-    ----------
-    steps, sigmas : numpy.ndarray
-        (m,) estimate of each registration, and its standard deviation.
-    """
-    total, weighted, squares, products, before = 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(len(steps)):
-        weight = 1 / (sigmas[k] * sigmas[k])
-        total += weight
-        weighted += weight * steps[k]
-    for k in range(len(steps)):
-        about = (steps[k] - weighted / total) / (sigmas[k] * sigmas[k])
-        squares += about * about
-        products += about * before
-        before = about
-    at_first = _PRIOR_LINKS * total / len(steps)
-    found = (squares + _SCATTER * at_first) / (total + at_first)
-    alike = min(max(products / (total * found), 0.0), _MOST_ALIKE)
-    return float(found * (1 + alike) / (1 - alike))
-
-
-@lean_kernel
-def largest_mean(
-    steps: NDArray[np.float64],
-    sigmas: NDArray[np.float64],
-    steps_before: NDArray[np.float64],
-    sigmas_before: NDArray[np.float64],
-) -> float:
-    """Return the largest square of the weighted mean of the first registrations, over its variance.
-
-    Weights are inverse variances, so that the few frames with much in view count.
-
-    Parameters
-    ----------
-    steps, sigmas : numpy.ndarray
-        (m,) estimate of each registration, and its standard deviation.
-    steps_before, sigmas_before : numpy.ndarray
-        (n,) of registrations before these, by whose scatter these may err as well.
-    """
-    usual = scatter(steps, sigmas)
-    if len(steps_before) > 0:
-        usual = max(usual, scatter(steps_before, sigmas_before))
-    largest, total, weighted = 0.0, 0.0, 0.0
-    for k in range(len(steps)):
-        weight = 1 / (sigmas[k] * sigmas[k])
-        total += weight
-        weighted += weight * steps[k]
-        largest = max(largest, weighted * weighted / total)
-    return float(largest / usual)
+_shows_rotation = resolved_once(shows_rotation)
 
 
 class ModelSelection:
@@ -139,8 +141,8 @@ class ModelSelection:
     >>> selection.weigh(Remainder(np.zeros(5), 3e-4, 1500.0)).name
     'TRANSLATION'
     >>> turned = Remainder(np.array([0, 0, 0, 0, 0.01]), 3e-4, 1500.0)
-    >>> [selection.weigh(turned).name for _ in range(3)]
-    ['TRANSLATION', 'TRANSLATION', 'RIGID']
+    >>> selection.weigh(turned).name
+    'RIGID'
     """
 
     def __init__(self, model: MotionModel = MotionModel.TRANSLATION) -> None:
@@ -158,11 +160,9 @@ class ModelSelection:
         keep : bool
             Add its evidence to that of the earlier ones.
         """
-        stored = self._stored
-        self._found[:, stored] = found.step[-1], found.sigma, found.values
-        turns, sigmas, values = self._found[:, max(0, stored + 1 - _REMEMBERED) : stored + 1]
-        sudden = max(0, len(turns) - _SUDDEN)
-        if shows_rotation(turns, sigmas, values, sudden) or shows_rotation(turns, sigmas, values, 0):
+        tests, stored = self._found, self._stored
+        tests[0, stored], tests[1, stored], tests[2, stored] = found.step[-1], found.sigma, found.values
+        if _shows_rotation(tests, max(0, stored + 1 - _REMEMBERED), stored + 1, False):
             self.model = MotionModel.RIGID
         if keep:
             self._stored = stored + 1

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.processing.compiled import resolved_once
-from napari_elsplus.processing.tracking.front_end.grid import FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
@@ -44,6 +43,7 @@ TURNING_FIELD: Final = 0.85
 degrees a frame with the whole field of 0.9 (independent rig, vessels); with 0.8 there is less to compare."""
 _AT_REST: Final = Velocity(0.0, 0.0)
 _register, _score_rotation = resolved_once(register), resolved_once(motion_models.score_rotation)
+_weakest_direction = resolved_once(weakest_direction)
 _TELLING_PX: Final = 0.1
 _TURNS: Final = 4
 _SMALL_TURN: Final = 0.004
@@ -72,7 +72,8 @@ class PreparedFrame:
 
     def renew(self) -> None:
         """Mark everything but the image as missing: the image has changed."""
-        self.coarse, self.arrays.filled[:] = None, False
+        self.coarse = None
+        self.arrays.filled.fill(False)
 
 
 class PairRegistration(NamedTuple):
@@ -118,7 +119,7 @@ class PairRegistration(NamedTuple):
     @property
     def sigma(self) -> float:
         """Larger axis of the shift's uncertainty, one standard deviation in pixels."""
-        return float(weakest_direction(self.information)[0])
+        return float(_weakest_direction(self.information)[0])
 
     @property
     def tells_turn(self) -> bool:
@@ -187,10 +188,10 @@ class Registrar:
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
         self._lit, self._turning = grid.spans(level=1), grid.spans(TURNING_FIELD, level=1)
-        self._column = (grid.centre[1] - 0.5) / 2
+        self._middle, self._column = grid.middle(1), (grid.centre[1] - 0.5) / 2
         self._everywhere = ShiftSearch(*grid.spans(level=LEVELS - 1), 2.0 ** (LEVELS - 1))
         self._tools = Tools.of(grid, lit)
-        self._found = np.empty(9)
+        self._found = np.empty(10)
 
     def view(self) -> PreparedFrame:
         """Return an empty view, to be filled again and again."""
@@ -222,15 +223,18 @@ class Registrar:
         min_correlation : float
             Correlation that is needed: without it the odds are not computed, and minus infinity.
         """
-        return self._refined(earlier, later, motion, motion.warp, min_correlation)
+        return self._refined(earlier, later, motion, None, min_correlation)
 
     def _refined(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp, min_correlation: float
-    ) -> PairRegistration:
-        information, found, frames = np.empty((4, 4)), self._found, (earlier.arrays, later.arrays)
-        _register(*frames, motion, start, min_correlation, self._tools, information, found)
-        a, b, s, d, correlation, odds, row, col, variance = found.tolist()
-        overlap = overlap_of_discs(hypot(b, d) / (FIELD * self.grid.diameter))
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp | None,
+        min_correlation: float,
+    ) -> PairRegistration:  # fmt: skip
+        """Register two frames from a warp, or from the expected one."""
+        information, found = np.empty((4, 4)), self._found
+        if start is not None:
+            found[:4] = start
+        _register(earlier.arrays, later.arrays, motion, start is None, min_correlation, self._tools, information, found)
+        a, b, s, d, correlation, odds, row, col, variance, overlap = found.tolist()
         return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
 
     def search(
@@ -339,7 +343,7 @@ class Registrar:
             if anywhere and (link is None or not link.observed):
                 link = self.search(upright, later, motion)
             else:
-                link = self._refined(upright, later, motion, start, 0.0)
+                link = self._refined(upright, later, motion, None if link is None else start, 0.0)
             left = turn - expected_turn, turn_spread
             found = None if link is None else self.remainder(upright, later, link.warp, motion.spread, left, rim=False)
             if link is None or found is None:
@@ -380,6 +384,5 @@ class Registrar:
 
     def _halves(self, earlier: PreparedFrame, later: PreparedFrame, *, rim: bool = True) -> FramePair:
         """Return two frames at half resolution, with or without the rim."""
-        return FramePair(
-            earlier.levels[1], later.levels[1], *(self._lit if rim else self._turning), self.grid.middle(1)
-        )
+        first, last = self._lit if rim else self._turning
+        return FramePair(earlier.levels[1], later.levels[1], first, last, self._middle)

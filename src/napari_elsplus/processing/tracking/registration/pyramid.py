@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.front_end.grid import Grid
 
     Image = NDArray[np.float32]
-    Columns = tuple[NDArray[np.int32], NDArray[np.int32]]
 
 LEVELS: Final = 3
 HIGH_PASS_PX: Final = 8.0
 """Standard deviation of the Gaussian whose result is subtracted from images, pixels of full resolution."""
 _REACH: Final = 5
 """Pixels of quarter resolution to which it extends: two and a half standard deviations."""
+_WHOLE_PX: Final = 16
+"""Pixels of a vector: loops over a multiple of it have no remainder, for which pixels are added one by one."""
 
 
 class Levels(NamedTuple):
@@ -62,23 +63,29 @@ class Pyramid(NamedTuple):
 
     Parameters
     ----------
-    lit : tuple of tuple of numpy.ndarray
-        At each level (n,) int32: first lit column of each row, and the one after the last.
+    lit : tuple of numpy.ndarray
+        At each level (n, n) bool: the lit pixels.
     taps : tuple of numpy.float32
         Gaussian: its middle, and one side.
     inverse : numpy.ndarray
-        (n, n) float32 at quarter resolution: reciprocal of the lit part under the Gaussian.
-    padded, coarse, lines : numpy.ndarray
-        float32 scratch: lit pixels at quarter resolution, zero around them, and a line; what is smooth of them; and
-        lines of full resolution.
+        (n, m) float32 at quarter resolution: reciprocal of the lit part under the Gaussian.
+    padded, blurred, coarse : numpy.ndarray
+        float32 scratch of m columns, which end in a margin as wide as the Gaussian reaches: lit pixels at quarter
+        resolution, with as many rows of margin on either side; the same blurred along columns; and what is smooth.
+    lines, half, fine : numpy.ndarray
+        float32 scratch: rows of twice as many columns, n rows at half resolution; an image of half and one of full
+        resolution.
     """
 
-    lit: tuple[Columns, ...]
+    lit: tuple[NDArray[np.bool_], ...]
     taps: tuple[np.float32, ...]
     inverse: Image
     padded: Image
+    blurred: Image
     coarse: Image
     lines: Image
+    half: Image
+    fine: Image
 
     @classmethod
     def of(cls, grid: Grid, field: float) -> Pyramid:
@@ -91,13 +98,17 @@ class Pyramid(NamedTuple):
         field : float
             Part of the diameter: dark pixels beyond it would leave a static rim.
         """
-        lit = tuple(grid.spans(field, level) for level in range(LEVELS))
+        lit = tuple(lit_pixels(*grid.spans(field, level)) for level in range(LEVELS))
         gaussian = cv2.getGaussianKernel(2 * _REACH + 1, HIGH_PASS_PX / 2 ** (LEVELS - 1), cv2.CV_32F)
-        inside = lit_pixels(*lit[-1]).astype(np.float32)
-        share, padded = np.zeros_like(inside), np.pad(0 * inside, ((_REACH, _REACH + 1), (_REACH, _REACH)))
-        pyramid = cls(
-            lit, tuple(gaussian[_REACH:, 0]), np.ones_like(inside), padded, share, np.zeros((3, grid.side), np.float32)
+        inside = lit[-1].astype(np.float32)
+        size = len(inside)
+        columns = -(-(size + _REACH) // _WHOLE_PX) * _WHOLE_PX
+        padded, blurred = (np.zeros((size + 2 * _REACH, columns), np.float32) for _ in range(2))
+        share = np.zeros((size, columns), np.float32)
+        lines, half, fine = (
+            np.zeros((grid.side >> level, grid.side >> over), np.float32) for level, over in ((1, 0), (1, 1), (0, 0))
         )
+        pyramid = cls(lit, tuple(gaussian[_REACH:, 0]), np.ones_like(share), padded, blurred, share, lines, half, fine)
         smooth_within(inside, pyramid)
         return pyramid._replace(inverse=np.reciprocal(np.maximum(share, np.float32(1e-3))))
 
@@ -116,11 +127,11 @@ def fill_levels(frame: Levels, pyramid: Pyramid) -> None:
     if frame.filled[0]:
         return
     image, half, quarter = frame.images
-    halve(image, half)
-    halve(half, quarter)
+    halve(image, pyramid.half)
+    halve(pyramid.half, quarter)
     smooth_within(quarter, pyramid)
     double(pyramid.coarse, pyramid.lines, frame.smooth)
-    subtract_within(half, frame.smooth, pyramid.lit[1], half)
+    subtract_within(pyramid.half, frame.smooth, pyramid.lit[1], half)
     halve(half, quarter)
     frame.filled[0] = True
 
@@ -130,8 +141,8 @@ def high_pass(frame: Levels, pyramid: Pyramid) -> None:
     """Fill the high-passed image of full resolution if it is not; parameters as of :func:`fill_levels`."""
     if frame.filled[1]:
         return
-    double(frame.smooth, pyramid.lines, frame.high_passed)
-    subtract_within(frame.images[0], frame.high_passed, pyramid.lit[0], frame.high_passed)
+    double(frame.smooth, pyramid.lines, pyramid.fine)
+    subtract_within(frame.images[0], pyramid.fine, pyramid.lit[0], frame.high_passed)
     frame.filled[1] = True
 
 
@@ -162,34 +173,41 @@ def smooth_within(image: Image, pyramid: Pyramid) -> None:
     pyramid : Pyramid
         Its `coarse` is filled.
     """
-    size, padded, (first, last) = len(image), pyramid.padded, pyramid.lit[2]
-    for row in range(size):
-        here, into = image[row], padded[_REACH + row, _REACH:]
-        for col in range(np.uint32(first[row]), np.uint32(last[row])):
-            into[col] = here[col]
-    line = padded[2 * _REACH + size]
-    down = line[_REACH : _REACH + size]
-    for row in range(size):
-        v0, v1, v2 = padded[row, _REACH:], padded[row + 1, _REACH:], padded[row + 2, _REACH:]
-        v3, v4, v5 = padded[row + 3, _REACH:], padded[row + 4, _REACH:], padded[row + 5, _REACH:]
-        v6, v7, v8 = padded[row + 6, _REACH:], padded[row + 7, _REACH:], padded[row + 8, _REACH:]
-        rows = v0, v1, v2, v3, v4, v5, v6, v7, v8, padded[row + 9, _REACH:], padded[row + 10, _REACH:]
-        for k in range(size):
-            down[k] = _weighed(rows, pyramid.taps, k)
-        l1, l2, l3, l4, l5 = line[1:], line[2:], line[3:], line[4:], line[5:]
-        columns = line, l1, l2, l3, l4, l5, line[6:], line[7:], line[8:], line[9:], line[10:]
-        into, factor = pyramid.coarse[row], pyramid.inverse[row]
-        for k in range(size):
-            into[k] = factor[k] * _weighed(columns, pyramid.taps, k)
+    for row in range(len(image)):
+        here, lit, into = image[row], pyramid.lit[2][row], pyramid.padded[_REACH + row]
+        for col in range(len(image)):
+            into[col] = here[col] if lit[col] else np.float32(0)
+    columns, smooth, inverse = pyramid.coarse.shape[1], pyramid.coarse.reshape(-1), pyramid.inverse.reshape(-1)
+    # rows are joined by their margins, so that either direction is one run of pixels
+    blurred = pyramid.blurred.reshape(-1)
+    _blur(pyramid.padded.reshape(-1), columns, pyramid.taps, blurred[_REACH : _REACH + len(smooth)])
+    _blur(blurred, 1, pyramid.taps, smooth)
+    for k in range(len(smooth)):
+        smooth[k] *= inverse[k]
 
 
 @lean_kernel
-def _weighed(runs: tuple[Image, ...], taps: tuple[np.float32, ...], k: int) -> np.float32:
-    """Return the weighted sum of element k of eleven runs of pixels."""
-    near = taps[0] * runs[5][k] + taps[1] * (runs[4][k] + runs[6][k]) + taps[2] * (runs[3][k] + runs[7][k])
-    far = taps[3] * (runs[2][k] + runs[8][k]) + taps[4] * (runs[1][k] + runs[9][k])
-    result: np.float32 = near + far + taps[5] * (runs[0][k] + runs[10][k])
-    return result
+def _blur(pixels: Image, apart: int, taps: tuple[np.float32, ...], out: Image) -> None:
+    """Fill a run of pixels with the weighted sums of eleven that lie so far `apart`, the first at the run's beginning.
+
+    Parameters
+    ----------
+    pixels : numpy.ndarray
+        (n,) float32.
+    apart : int
+        Pixels from one to the next.
+    taps : tuple of numpy.float32
+        Weights: the middle one, and one side.
+    out : numpy.ndarray
+        (m,) float32, filled.
+    """
+    p0, p1, p2, p3 = pixels, pixels[apart:], pixels[2 * apart :], pixels[3 * apart :]
+    p4, p5, p6, p7 = pixels[4 * apart :], pixels[5 * apart :], pixels[6 * apart :], pixels[7 * apart :]
+    p8, p9, p10 = pixels[8 * apart :], pixels[9 * apart :], pixels[10 * apart :]
+    for k in range(len(out)):
+        near = taps[0] * p5[k] + taps[1] * (p4[k] + p6[k]) + taps[2] * (p3[k] + p7[k])
+        far = taps[3] * (p2[k] + p8[k]) + taps[4] * (p1[k] + p9[k])
+        out[k] = near + far + taps[5] * (p0[k] + p10[k])
 
 
 @lean_kernel
@@ -199,45 +217,39 @@ def double(coarse: Image, lines: Image, out: Image) -> None:
     Parameters
     ----------
     coarse : numpy.ndarray
-        (n, n) float32.
+        (n, n) float32; further columns are not used.
     lines : numpy.ndarray
-        (3, 2 n) float32 scratch, or larger.
+        (n, 2 n) float32 scratch, or larger.
     out : numpy.ndarray
         (2 n, 2 n) float32, filled.
     """
     size, near, far = len(coarse), np.float32(0.75), np.float32(0.25)
-    for row in range(size + 1):
-        if row < size:
-            here, line = coarse[row], lines[row % 3]
-            line[0], line[2 * size - 1] = here[0], here[size - 1]
-            left, right, into = here[: size - 1], here[1:size], line[1 : 2 * size - 1]
-            for k in range(size - 1):
-                into[2 * k] = near * left[k] + far * right[k]
-                into[2 * k + 1] = far * left[k] + near * right[k]
-        if row > 0:
-            above, at, below = lines[max(row - 2, 0) % 3], lines[(row - 1) % 3], lines[min(row, size - 1) % 3]
-            upper, lower = out[2 * row - 2], out[2 * row - 1]
-            for col in range(2 * size):
-                upper[col] = near * at[col] + far * above[col]
-                lower[col] = near * at[col] + far * below[col]
+    for row in range(size):
+        here, line = coarse[row], lines[row]
+        line[0], line[2 * size - 1] = here[0], here[size - 1]
+        left, right, into = here[: size - 1], here[1:size], line[1 : 2 * size - 1]
+        for k in range(size - 1):
+            into[2 * k] = near * left[k] + far * right[k]
+            into[2 * k + 1] = far * left[k] + near * right[k]
+    for row in range(2 * size):
+        nearest = row // 2
+        other = min(max(nearest + 2 * (row % 2) - 1, 0), size - 1)
+        here, beside, into = lines[nearest], lines[other], out[row]
+        for col in range(2 * size):
+            into[col] = near * here[col] + far * beside[col]
 
 
 @lean_kernel
-def subtract_within(image: Image, other: Image, lit: Columns, out: Image) -> None:
-    """Subtract one image from another where it is lit; zero elsewhere.
+def subtract_within(image: Image, smooth: Image, lit: NDArray[np.bool_], out: Image) -> None:
+    """Subtract what is smooth from an image where it is lit; zero elsewhere.
 
     Parameters
     ----------
-    image, other, out : numpy.ndarray
-        (n, n) float32; `out`, filled, may be one of the others.
-    lit : tuple of numpy.ndarray
-        (n,) int32: first lit column of each row, and the one after the last.
+    image, smooth, out : numpy.ndarray
+        (n, n) float32; `out`, filled, is none of the others, lest pixels be subtracted one by one.
+    lit : numpy.ndarray
+        (n, n) bool.
     """
-    first, last = lit
-    for row in range(len(image)):
-        begin, end = first[row], last[row]
-        here, there, into = image[row, begin:end], other[row, begin:end], out[row, begin:end]
-        for k in range(end - begin):
-            into[k] = here[k] - there[k]
-        out[row, :begin] = np.float32(0)
-        out[row, end:] = np.float32(0)
+    pixels, less, inside, into = image.reshape(-1), smooth.reshape(-1), lit.reshape(-1), out.reshape(-1)
+    for k in range(len(into)):
+        into[k] = pixels[k] - less[k] if inside[k] else np.float32(0)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.front_end.grid import INNER_FIELD
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.motion_prior import expected_warp, terms_of, velocity_given
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
@@ -46,13 +46,20 @@ if TYPE_CHECKING:
 SHARP_PX: Final = 0.04
 """Uncertainty of a shift at half resolution, pixels, below which structure constrains it in every direction; noise
 alone makes 0.06."""
+SHARP_PRIOR_PX: Final = 1.0
+"""Standard deviation of the expected shift, pixels, below which registration begins at half resolution; chosen: half a
+pixel of that."""
 _STAGES: Final = (
     (2, Iteration(1, 12, 0.2, False, 4)),
+    (1, Iteration(4, 10, 0.1, False, 8)),
     (1, Iteration(2, 10, 0.1, False, 8)),
     (0, Iteration(6, 4, 0.1, True, 16)),
     (0, Iteration(2, 1, 0.0, True, 16)),
 )
-"""Down the pyramid: levels, and how each is registered; chosen."""
+"""Down the pyramid: levels, and how each is registered; chosen, as docs/performance.md states. Every fourth row of half
+resolution suffices where structure is rich; elsewhere half resolution is repeated with every second."""
+_TO_HALF, _SHARP, _UNSHARP = (0, 2), (3, 5), (2, 5)
+"""Which of the stages: those from a predicted shift to half resolution, and from there on."""
 
 
 class Tools(NamedTuple):
@@ -65,6 +72,8 @@ class Tools(NamedTuple):
         resolution without the rim.
     middles : tuple of float
         Row of the bundle's centre at each level.
+    diameter : float
+        Of the disc that is compared, pixels of full resolution.
     pyramid : Pyramid
         Fills the levels of frames.
     sums : numpy.ndarray
@@ -75,6 +84,7 @@ class Tools(NamedTuple):
 
     lit: NDArray[np.int32]
     middles: tuple[float, ...]
+    diameter: float
     pyramid: Pyramid
     sums: NDArray[np.float64]
     work: Workspace
@@ -87,7 +97,8 @@ class Tools(NamedTuple):
         for columns, span in zip(lit, spans, strict=True):
             columns[:, : len(span[0])] = span
         middles = tuple(grid.middle(level) for level in range(LEVELS))
-        return cls(lit, middles, Pyramid.of(grid, field), blocks(grid.side), Workspace.of(grid.side))
+        diameter = FIELD * grid.diameter
+        return cls(lit, middles, diameter, Pyramid.of(grid, field), blocks(grid.side), Workspace.of(grid.side))
 
 
 @lean_kernel
@@ -110,7 +121,7 @@ def pair_at(level: int, lit: int, earlier: Images, later: Images, tools: Tools) 
 
 @lean_kernel
 def register(
-    earlier: Levels, later: Levels, prior: MotionPrior, start: Warp, min_correlation: float, tools: Tools,
+    earlier: Levels, later: Levels, prior: MotionPrior, as_expected: bool, min_correlation: float, tools: Tools,
     information: Array, found: Array,
 ) -> None:  # fmt: skip
     """Register two frames: descend the pyramid, compare with competing shifts, and derive the velocity.
@@ -121,8 +132,8 @@ def register(
         Frames; levels that are missing are filled.
     prior : MotionPrior
         Of the motion between them.
-    start : Warp
-        Where to start.
+    as_expected : bool
+        Start from the expected warp; else from the one that is found already.
     min_correlation : float
         Correlation that is needed: without it the odds are not computed, and minus infinity.
     tools : Tools
@@ -130,25 +141,35 @@ def register(
     information : numpy.ndarray
         (4, 4) float64, filled: inverse covariance of a, b, s, d.
     found : numpy.ndarray
-        (9,) float64, filled: a, b, s, d of the warp; correlation; log odds, nats; velocity (rows, cols) of the later
-        frame, pixels per frame period, and its variance.
+        (10,) float64: a, b, s, d of the warp from which to start, and in return of the result; filled: correlation; log
+        odds, nats; velocity (rows, cols) of the later frame, pixels per frame period, and its variance; and the part
+        of the disc that both frames show.
     """
     fill_levels(earlier, tools.pyramid)
     fill_levels(later, tools.pyramid)
-    warp, expected, terms = found[:PARAMETERS], tools.work.equations[6, 1], terms_of(prior)
-    warp[0], warp[1], warp[2], warp[3] = start
-    expected[0], expected[1], expected[2], expected[3] = expected_warp(prior)
-    correlation, count, sharp = descend(
-        earlier.images, later.images, LEVELS - 1, expected, terms, warp, information, tools
-    )
-    odds = _odds_against_unrelated(correlation, count) if sharp else -np.inf
-    if not sharp and correlation > 0:
-        # noise is more than what does not move at the rim: all that is lit, without what is smooth
+    terms = terms_of(prior.covariance, prior.line_periods_per_frame)
+    warp, expected = found[:PARAMETERS], tools.work.equations[6, 1]
+    in_pixels_of(1.0, expected_warp(prior), expected)
+    if as_expected:
+        in_pixels_of(1.0, expected_warp(prior), warp)
+    begins_at_half = as_expected and prior.covariance[1][1] < SHARP_PRIOR_PX**2
+    first, end = _TO_HALF
+    stages = first + 1 if begins_at_half else first, end
+    correlation, count = descend(earlier.images, later.images, stages, False, expected, terms, warp, information, tools)
+    odds = -np.inf
+    if correlation > 0 and 2 * weakest_direction(information)[0] < SHARP_PX:
+        # noise is less than what does not move at the rim, which is left out
+        correlation, count = descend(
+            earlier.images, later.images, _SHARP, True, expected, terms, warp, information, tools
+        )
+        odds = _odds_against_unrelated(correlation, count)
+    elif correlation > 0:
+        # noise is more than that: all that is lit, without what is smooth
         high_pass(earlier, tools.pyramid)
         high_pass(later, tools.pyramid)
         (_, half, quarter), (_, later_half, later_quarter) = earlier.images, later.images
-        correlation, count, _ = descend(
-            (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), 0,
+        correlation, count = descend(
+            (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), _UNSHARP, False,
             expected, terms, warp, information, tools,
         )  # fmt: skip
         if correlation > min_correlation:
@@ -158,6 +179,7 @@ def register(
     velocity, variance, of_stretch, of_shift = velocity_given(prior, Warp(warp[0], warp[1], warp[2], warp[3]))
     found[4], found[5], found[6], found[7] = correlation, odds, velocity.row, velocity.col
     found[8] = variance + _variance_along(information, of_stretch, of_shift, tools.work)
+    found[9] = overlap_of_discs(np.hypot(warp[1], warp[3]) / tools.diameter)
 
 
 @lean_kernel
@@ -181,20 +203,19 @@ def _variance_along(information: Array, of_stretch: float, of_shift: float, work
 
 @lean_kernel
 def descend(
-    earlier: Images, later: Images, coarsest: int, expected: Array, terms: Terms, warp: Array, information: Array,
-    tools: Tools,
-) -> tuple[float, float, bool]:  # fmt: skip
-    """Refine a warp in place from a coarse level to full resolution.
-
-    From half to full resolution it goes on only if the shift is sharp by then: structure constrains it in every
-    direction. Noise then matters less than what does not move at the rim, which is left out.
+    earlier: Images, later: Images, stages: tuple[int, int], without_rim: bool, expected: Array, terms: Terms,
+    warp: Array, information: Array, tools: Tools,
+) -> tuple[float, float]:  # fmt: skip
+    """Refine a warp in place by some stages of the pyramid.
 
     Parameters
     ----------
     earlier, later : tuple of numpy.ndarray
         Frames at full, half and quarter resolution, (n, n) float32.
-    coarsest : int
-        First level.
+    stages : tuple of int
+        The first of them, and the one after the last.
+    without_rim : bool
+        Leave out the rim at full resolution.
     expected : numpy.ndarray
         (4,) float64: a, b, s, d that the motion prior expects, pixels of full resolution.
     terms : tuple of float
@@ -212,24 +233,17 @@ def descend(
         Zero-mean normalised correlation of the overlap; 0 where there is none.
     float
         Pixels of the overlap.
-    bool
-        True if the shift is sharp.
     """
     work, equations = tools.work, tools.work.equations
     stiff, centre, scaled = equations[3], equations[5, 0], equations[5, 1]
-    correlation, count, sharp, begun = 0.0, 0.0, False, LEVELS
-    for level, how in _STAGES:
-        if level > coarsest:
-            continue
-        if level == 0 < coarsest and not sharp:
-            sharp = 2 * weakest_direction(information)[0] < SHARP_PX
-            if not sharp:
-                break
+    correlation, count, begun = 0.0, 0.0, LEVELS
+    for stage in range(*stages):
+        level, how = _STAGES[stage]
         px = 2.0**level
         write_prior(px, terms, prior_terms(warp, expected, terms)[0], stiff)
         in_pixels_of(px, (expected[0], expected[1], expected[2], expected[3]), centre)
         in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
-        pair = pair_at(level, LEVELS if sharp else level, earlier, later, tools)
+        pair = pair_at(level, LEVELS if without_rim else level, earlier, later, tools)
         if begun == LEVELS or level == 0 < begun:  # from half to full resolution offsets differ
             work.tone[0], work.tone[1] = tone_between(pair, scaled, how.tone_step)
         begun = level
@@ -239,4 +253,4 @@ def descend(
             break
         count *= how.row_step * 4.0**level
         in_pixels_of(1 / px, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
-    return correlation, count, sharp
+    return correlation, count
