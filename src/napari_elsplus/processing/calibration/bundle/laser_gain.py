@@ -71,7 +71,7 @@ class SweptLight:
     offset_rows : float
         Of the line in the residual view, as used.
     lines : numpy.ndarray
-        (lines, 3) float64, by rows: row in the confocal view, light there, light in the residual view.
+        (lines, 3) float64, by rows: row in the confocal view, light there, light in the residual view, above darkness.
     """
 
     image: Image
@@ -153,7 +153,7 @@ class LightCollector:
             first = max(int(line.min() - reach), 0)
             band = slice(first, min(int(line.max() + reach) + 2, len(frame)))
             if band.start >= band.stop:
-                found.append(0.0)
+                found += [0.0, 0.0]
                 continue
             weight = np.arange(band.start, band.stop, dtype=np.float32)[:, None] - line
             weight *= np.float32(1 / reach)
@@ -163,6 +163,7 @@ class LightCollector:
             np.maximum(weight, 0, out=weight)
             np.square(weight, out=weight)
             self._weight[band, part] += weight
+            found.append(float(weight.sum()))
             np.multiply(weight, frame[band, part], out=weight, casting="same_kind")
             self._light[band, part] += weight
             found.append(float(weight.sum()))
@@ -181,8 +182,9 @@ class LightCollector:
         dark, lit = unlit > 0, HotPixels(background).mended(self._light)
         level = lit[dark].sum(dtype=np.float64) / max(self._weight[dark].sum(dtype=np.float64), 1e-9)
         image = lit - np.float32(level) * self._weight
-        lines = np.array(sorted(self._lines), np.float64).reshape(-1, 3)
-        return SweptLight(image, self._weight, self._offset_rows, lines)
+        row, *views = np.array(sorted(self._lines), np.float64).reshape(-1, 5).T
+        above_dark = [light - level * weight for weight, light in zip(views[::2], views[1::2], strict=True)]
+        return SweptLight(image, self._weight, self._offset_rows, np.stack([row, *above_dark], axis=1))
 
 
 def _has_moved(light: SweptLight, bundle: BundleSection) -> bool:
