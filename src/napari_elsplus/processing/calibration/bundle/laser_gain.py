@@ -36,6 +36,15 @@ MAX_DISAGREEMENT: Final = 0.15
 BANDS: Final = 16
 """Of rows, the clusters of the uncertainty; chosen: power noise of the laser is common to all columns of a line, but
 not to successive lines."""
+BAND_EXCESS: Final = 1.5
+"""Scatter of the bands over that of the lines from which it counts; derived: by chance alone 0.4 % of sweeps exceed it,
+15 degrees of freedom given."""
+BAND_EDGES: Final = 1e-3
+"""Scatter of the bands, as a standard deviation of the gain, that stable power leaves, since light of a core at a
+band's edge may lie in one band of one view and in the next of the other: what one lacks the other has; measured: 0.0002
+to 0.0009 in eight rigs (seeds 8001, 8005, 8019, 8021, 8034, 8039, 8040, 8056), whose gains are off by 0.0002 RMS."""
+LEFT_OVER: Final = 2e-4
+"""Standard deviation of the gain by a laser of stable power; measured: on the same rigs."""
 MIN_LINES: Final = 3
 """For a scatter of lines; chosen."""
 ROW_SHAPE_DEGREE: Final = 4
@@ -61,14 +70,41 @@ class SweptLight:
         (rows, cols) float32: sum of the windows by which the frames were weighted in `image`.
     offset_rows : float
         Of the line in the residual view, as used.
-    chance : float
-        Standard deviation of the residual view's light, over that of the confocal, by what lines differ in at random.
+    lines : numpy.ndarray
+        (lines, 3) float64, by rows: row in the confocal view, light there, light in the residual view, above darkness.
     """
 
     image: Image
     weight: Image
     offset_rows: float
-    chance: float = 0.0
+    lines: Floats
+
+    def chance(self, centre_row: float, diameter_px: float) -> float:
+        """Return the relative standard deviation of the gain in `COMPARED_DISC`, by how lines differ at random.
+
+        By the differences of successive lines (von Neumann 1941), in which whatever varies slowly over the bundle
+        cancels: hundreds of lines tell it far better than a few bands of rows. Each counts by its part within the disc.
+
+        Parameters
+        ----------
+        centre_row, diameter_px : float
+            Of the bundle in the confocal view.
+
+        Returns
+        -------
+        float
+            0 by fewer than three lines.
+        """
+        row, first, second = self.lines.T
+        radius_px = diameter_px / 2
+        within = np.maximum((COMPARED_DISC * radius_px) ** 2 - np.square(row - centre_row), 0)
+        light = first * np.sqrt(within / (within + (1 - COMPARED_DISC**2) * radius_px**2))
+        lit = light > 0
+        if np.count_nonzero(lit) < MIN_LINES:
+            return 0.0
+        light, ratio = light[lit], second[lit] / first[lit]
+        differences = np.diff(ratio) * (light[1:] + light[:-1]) / 2
+        return float(np.sqrt(np.square(differences).sum() / 2) / light.sum())
 
 
 class LightCollector:
@@ -117,7 +153,7 @@ class LightCollector:
             first = max(int(line.min() - reach), 0)
             band = slice(first, min(int(line.max() + reach) + 2, len(frame)))
             if band.start >= band.stop:
-                found.append(0.0)
+                found += [0.0, 0.0]
                 continue
             weight = np.arange(band.start, band.stop, dtype=np.float32)[:, None] - line
             weight *= np.float32(1 / reach)
@@ -127,6 +163,7 @@ class LightCollector:
             np.maximum(weight, 0, out=weight)
             np.square(weight, out=weight)
             self._weight[band, part] += weight
+            found.append(float(weight.sum()))
             np.multiply(weight, frame[band, part], out=weight, casting="same_kind")
             self._light[band, part] += weight
             found.append(float(weight.sum()))
@@ -145,21 +182,9 @@ class LightCollector:
         dark, lit = unlit > 0, HotPixels(background).mended(self._light)
         level = lit[dark].sum(dtype=np.float64) / max(self._weight[dark].sum(dtype=np.float64), 1e-9)
         image = lit - np.float32(level) * self._weight
-        total = float(image[:, self._views[0][0]].sum(dtype=np.float64))
-        return SweptLight(image, self._weight, self._offset_rows, self._scatter() / total if total > 0 else 0.0)
-
-    def _scatter(self) -> float:
-        """Return the standard deviation of the sum of the residual view's light, for that of the confocal view.
-
-        By the differences of successive lines (von Neumann 1941), in which whatever varies slowly over the bundle
-        cancels: hundreds of lines tell it far better than a few bands of rows.
-        """
-        lines = np.array(sorted(line for line in self._lines if line[1] > 0), np.float64)
-        if len(lines) < MIN_LINES:
-            return 0.0
-        _, first, second = lines.T
-        differences = np.diff(second / first) * (first[1:] + first[:-1]) / 2
-        return float(np.sqrt(np.square(differences).sum() / 2))
+        row, *views = np.array(sorted(self._lines), np.float64).reshape(-1, 5).T
+        above_dark = [light - level * weight for weight, light in zip(views[::2], views[1::2], strict=True)]
+        return SweptLight(image, self._weight, self._offset_rows, np.stack([row, *above_dark], axis=1))
 
 
 def _has_moved(light: SweptLight, bundle: BundleSection) -> bool:
@@ -223,8 +248,11 @@ def laser_gain(light: SweptLight, calibration: Calibration) -> tuple[float, floa
     if not first.sum() > 0:
         return None
     band = np.arange(sectioner.side) * BANDS // sectioner.side
-    ratio, uncertainty = ratio_of_light(first, second, band, BANDS)
+    ratio, by_bands = ratio_of_light(first, second, band, BANDS)
     if not abs(ratio - 1) < MAX_DISAGREEMENT:
         return None
-    # The scatter over bands contains that of the lines, but of few bands it may be small by chance.
-    return ratio * bundle.residual_gain, max(uncertainty, light.chance) * bundle.residual_gain
+    by_lines = light.chance(bundle.confocal_centre[0], bundle.diameter_px)
+    # Bands tell what lines share with their neighbours; where they do not, lines tell their chance far better.
+    shared = by_lines == 0 or by_bands > BAND_EXCESS * max(by_lines, BAND_EDGES)
+    uncertainty = float(np.hypot(by_bands if shared else by_lines, LEFT_OVER))
+    return ratio * bundle.residual_gain, uncertainty * bundle.residual_gain
