@@ -29,7 +29,7 @@ from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, vis
 from napari_elsplus.processing.images.resampling import resampled
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
-from napari_elsplus.processing.images.warping import within_frame
+from napari_elsplus.processing.images.warping import crop_to_frame, within_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -180,9 +180,8 @@ def measure_pair(frames: Frames) -> BundlePair:
     saturated = frame >= SATURATION_LEVEL * largest_level(frames[0])
     alignment = align_views(frame, confocal, residual, saturated)
     light, side = frame - darkness(frame, confocal, residual), ceil(confocal.diameter_px)
-    corner = np.array(confocal.centre) - (side - 1) / 2
-    to_frame = np.hstack([np.eye(2), corner[:, None]])
-    inside = disc(side, confocal.diameter_px) & (within_frame(to_frame, side, frame.shape) > 0)
+    to_frame = crop_to_frame(confocal.centre, side)
+    inside = disc(side, confocal.diameter_px) & within_frame(to_frame, side, frame.shape)
     structure = structure_of_light(resampled(light, to_frame, side), inside)
     pair = BundlePair(confocal, residual, alignment, frame, share, structure)
     if pair.shows_flat_field:

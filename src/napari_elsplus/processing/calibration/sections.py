@@ -25,7 +25,7 @@ from napari_elsplus.processing.calibration.measurements import measure_flat_fiel
 from napari_elsplus.processing.calibration.slit_offset import offset_at
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.sectioning import disc
-from napari_elsplus.processing.images.warping import within_frame
+from napari_elsplus.processing.images.warping import crop_to_frame, within_frame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -173,8 +173,7 @@ def structure_of_flat_field(flat: Image, calibration: Calibration) -> float:
     side, bundle = len(flat), calibration.measured_bundle
     inside = disc(side, bundle.diameter_px)
     if calibration.frame is not None:
-        corner = np.subtract(bundle.confocal_centre, (side - 1) / 2)
-        inside &= within_frame(np.hstack([np.eye(2), corner[:, None]]), side, calibration.frame.shape) > 0
+        inside &= within_frame(crop_to_frame(bundle.confocal_centre, side), side, calibration.frame.shape)
     return structure_of_light(flat, inside)
 
 

@@ -47,6 +47,29 @@ def polynomial_terms(rows: Floats, cols: Floats) -> Floats:
     return np.stack([rows**down * cols**across for down, across in POWERS])
 
 
+def crop_to_frame(centre: tuple[float, float], side: int) -> NDArray[np.float64]:
+    """Return the map of a square crop about a place in a frame: what :func:`within_frame` takes.
+
+    Parameters
+    ----------
+    centre : tuple of float
+        (row, col) in the frame of the crop's middle.
+    side : int
+        Rows and columns of the crop.
+
+    Returns
+    -------
+    numpy.ndarray
+        (2, 3): maps (row, col, 1) in the crop to (row, col) in the frame.
+
+    Examples
+    --------
+    >>> crop_to_frame((10.0, 20.0), 5).tolist()
+    [[1.0, 0.0, 8.0], [0.0, 1.0, 18.0]]
+    """
+    return np.column_stack([np.eye(2), np.subtract(centre, (side - 1) / 2)])
+
+
 def within_frame(grid_to_frame: NDArray[np.float64], side: int, frame_shape: tuple[int, int]) -> NDArray[np.bool_]:
     """Return the pixels of a square grid that an affine map puts into a frame.
 

@@ -83,8 +83,8 @@ class Grid:
         calibration : Calibration
             With the bundle section; without line periods per frame the shutter counts as global.
         diameter_px : float
-            Diameter of the bundle on the grid that is aimed at; the binning is a whole number. It becomes smaller where
-            the flat field shows that cores are few.
+            Diameter of the bundle on the grid that is aimed at; the binning is a whole number. The diameter becomes
+            smaller where the flat field shows that cores are few.
         """
         calibration.require("bundle")
         assert calibration.bundle is not None
