@@ -199,11 +199,11 @@ def fit_galvo(
     if column is None:
         column = float(np.median([line.column for _, line in whole]))
     v = np.array([voltage for voltage, _ in whole])
-    radius_px = (longest if diameter_px is None else diameter_px) / 2
-    bow = _common_bow([line for _, line in whole], column, radius_px)
-    rows = np.array([line.row_at(column) for _, line in whole]) + bow.rows * bow.share
     if np.ptp(v) < MIN_SWEEP_V:
         raise InputError(f"all voltages are {v[0]:g}, to {np.ptp(v):g} V", "sweep a range of voltages")
+    radius_px = (longest if diameter_px is None else diameter_px) / 2
+    bow = _common_bow(v, [line for _, line in whole], column, radius_px)
+    rows = np.array([line.row_at(column) for _, line in whole]) + bow.rows * bow.share
     from scipy.stats import theilslopes  # 1 s to import, so only where a sweep is fitted
 
     slope = float(theilslopes(rows, v).slope)
@@ -231,17 +231,57 @@ class _Bow:
     share: Floats
 
 
-def _common_bow(lines: list[Line], column: float, radius_px: float) -> _Bow:
+def _common_bow(volts: Floats, lines: list[Line], column: float, radius_px: float) -> _Bow:
     """Return the bow that all lines of a sweep share; 0 if it is not significant."""
     bends = np.array([line.bend for line in lines]) * radius_px**2
     weights = np.array([line.mean_square_px**2 for line in lines]) + 1e-12
     away = bends - np.median(bends)
     weights[np.abs(away) > OUTLIER_SIGMAS * robust_sigma(away) + 1e-9] = 0
     rows = float(np.average(bends, weights=weights))
-    scatter = float(np.sqrt(np.average(np.square(bends - rows), weights=weights)))
-    uncertainty = scatter * float(np.sqrt(_NEIGHBOURS * np.square(weights).sum())) / float(weights.sum())
+    # A lens bends the line upwards on one side of its axis and downwards on the other, which is no scatter.
+    root = np.sqrt(weights / weights.mean())[:, None]
+    terms = root * _polynomial(_place(volts))
+    scaled = root[:, 0] * bends
+    left_over = np.asarray(scaled - terms @ np.linalg.lstsq(terms, scaled, rcond=None)[0], np.float64)
+    uncertainty = float(np.sqrt(_covariance(root, left_over, terms, _runs(volts))[0, 0]))
     share = np.array([line.bowed_rows(column, 1 / radius_px**2) for line in lines])
     return _Bow(rows if abs(rows) > MIN_BEND_SIGMAS * uncertainty else 0.0, uncertainty, share)
+
+
+def _place(volts: Floats) -> Floats:
+    """Return places in the sweep, from -1 to 1."""
+    return np.asarray((volts - (volts.max() + volts.min()) / 2) / (np.ptp(volts) / 2), np.float64)
+
+
+def _polynomial(x: Floats) -> Floats:
+    """Return the terms of a cubic, or of less for few lines, at places `x` of the sweep, shape (lines, terms)."""
+    degree = int(np.clip(len(x) - 3, 1, _MAX_DEGREE))  # leaves over as much as tells scatter
+    return np.asarray(np.polynomial.legendre.legvander(x, degree), np.float64)
+
+
+def _runs(volts: Floats) -> NDArray[np.intp]:
+    """Return the run of neighbouring voltages to which each belongs."""
+    return np.argsort(np.argsort(volts)) * RUNS // len(volts)
+
+
+def _covariance(jacobian: Floats, left_over: Floats, removed: Floats, runs: NDArray[np.intp]) -> Floats:
+    """Return the covariance of a least-squares fit to lines whose errors are like those of their neighbours.
+
+    Parameters
+    ----------
+    jacobian : numpy.ndarray
+        Of the fit, shape (lines, parameters).
+    left_over : numpy.ndarray
+        What a fuller model leaves over, shape (lines,).
+    removed : numpy.ndarray
+        Terms of that model, shape (lines, terms).
+    runs : numpy.ndarray
+        Of :func:`_runs`.
+    """
+    influence = overlapping_influence(jacobian, left_over, runs, RUNS, _NEIGHBOURS, removed)
+    variance = np.square(left_over).sum() / (len(left_over) - removed.shape[1])
+    single = variance * np.linalg.inv(jacobian.T @ jacobian)
+    return np.asarray(small_sample_factor(2 * RUNS_FREEDOM) ** 2 * (influence.T @ influence + single) / 2, np.float64)
 
 
 def _fit(
@@ -256,23 +296,19 @@ def _fit(
 ) -> GalvoMap:
     v, y = volts[used], rows[used]
     middle, half = (v.max() + v.min()) / 2, np.ptp(v) / 2
-    x = np.asarray((v - middle) / half, np.float64)
+    x, runs = _place(v), _runs(v)
     jacobian = np.asarray(np.stack([np.ones_like(x), x], axis=1), np.float64)
     level, per_half = np.linalg.lstsq(jacobian, y, rcond=None)[0]
     residuals = np.asarray(y - jacobian @ (level, per_half), np.float64)
-    runs = np.argsort(np.argsort(v)) * RUNS // len(v)
-    # A curve of the galvo or of the lens is no scatter; what it moves the middle by is added below.
-    curve = _curvature(x, y, runs)
-    influence = overlapping_influence(jacobian, curve.left_over, runs, RUNS, _NEIGHBOURS, curve.jacobian)
     volts_per_row = half / per_half
     # volts at row zero = middle - half * level / per_half, and its derivatives
     to_zero = np.array([-half / per_half, half * level / per_half**2])
+    # A curve of the galvo or of the lens is no scatter; what it moves the middle by is added below.
+    curve = _curvature(x, y, runs)
+    of_runs = _covariance(jacobian, curve.left_over, curve.terms, runs)
     # The residuals of a few lines may be small by chance: the lines' own uncertainties count as some lines more.
-    unit = np.linalg.inv(jacobian.T @ jacobian)  # covariance by lines of unit variance
-    alone = each_rows**2 * unit
-    free = len(v) - curve.jacobian.shape[1]
-    single = unit * np.square(curve.left_over).sum() / free
-    of_runs = small_sample_factor(2 * RUNS_FREEDOM) ** 2 * (influence.T @ influence + single) / 2
+    alone = each_rows**2 * np.linalg.inv(jacobian.T @ jacobian)
+    free = len(v) - curve.terms.shape[1]
     covariance = (of_runs * free + alone * PRIOR_LINES) / (free + PRIOR_LINES)
     by_bow = bow.uncertainty_rows * np.linalg.lstsq(jacobian, bow.share[used], rcond=None)[0]
 
@@ -304,9 +340,9 @@ def _fit(
 
 @dataclass(frozen=True, slots=True)
 class _Curve:
-    """Departure of a cubic from the straight line, and at the middle if that is more than noise; what is left over."""
+    """A cubic: its terms, its departure from the straight line, there and at the middle, and what it leaves over."""
 
-    jacobian: Floats
+    terms: Floats
     rows: Floats
     left_over: Floats
     middle_rows: float
@@ -315,8 +351,7 @@ class _Curve:
 
 def _curvature(x: Floats, y: Floats, runs: NDArray[np.intp]) -> _Curve:
     """Fit a cubic, or less to few lines, to the rows `y` of lines at places `x` of the sweep, from -1 to 1."""
-    degree = int(np.clip(len(x) - 3, 1, _MAX_DEGREE))  # leaves over as much as tells scatter
-    terms = np.asarray(np.polynomial.legendre.legvander(x, degree), np.float64)
+    terms = _polynomial(x)
     coefficients = np.linalg.lstsq(terms, y, rcond=None)[0]
     bend = np.asarray(terms[:, 2:] @ coefficients[2:], np.float64)
     left_over = np.asarray(y - terms @ coefficients, np.float64)
