@@ -157,21 +157,29 @@ def offset_error(rig: ImperfectRig, calibration: Calibration) -> Error:
 
 def true_offset_rows(rig: ImperfectRig) -> float:
     """Return the slit offset, rows, from where the views show the cores on the line, each at its centre's column."""
+    shown = views(rig.instrument)
+    volts = float(line_volts(rig.instrument)[0])
+    left, right = (_shown_row(rig, view, volts) for view in (shown.left, shown.right))
+    return right - left
+
+
+def _shown_row(rig: ImperfectRig, view: BundleView, volts: float, column: float | None = None) -> float:
+    """Return the row on which a view shows the line, at a column of the camera or that of the view's centre.
+
+    A lens that distorts displaces the whole view, its centre as well.
+    """
     instrument = rig.instrument
     um_per_px, radius_um = instrument.optics.um_per_px, instrument.bundle.radius_um
-    known, left, right = views(instrument)
-    near = np.hypot(known.rows_um, known.cols_um) < _NEAR_UM
-    terms = _quadratic(known.rows_um[near], known.cols_um[near])
-    line_row = float(instrument.line_row(line_volts(instrument)[0]))
+    cores = views(instrument).cores
+    near = np.hypot(cores.rows_um, cores.cols_um) < _NEAR_UM
+    terms = _quadratic(cores.rows_um[near], cores.cols_um[near])
+    to_row, to_col = (np.linalg.lstsq(terms, axis[near], rcond=None)[0] for axis in (view.rows_px, view.cols_px))
+    line_row = float(instrument.line_row(volts))
     across = np.linspace(-50.0, 50.0, 2001)  # um
     tilt, bow = np.tan(np.deg2rad(instrument.line_tilt_deg)), instrument.imperfections.line_bow_rows * um_per_px
     line = (line_row - instrument.confocal_centre[0]) * um_per_px + tilt * across + bow * (across / radius_um) ** 2
-    rows = []
-    for view in (left, right):
-        to_row, to_col = (np.linalg.lstsq(terms, axis[near], rcond=None)[0] for axis in (view.rows_px, view.cols_px))
-        seen = _quadratic(line, across)
-        rows.append(float(np.interp(to_col[0], seen @ to_col, seen @ to_row)))
-    return rows[1] - rows[0]
+    seen = _quadratic(line, across)
+    return float(np.interp(to_col[0] if column is None else column, seen @ to_col, seen @ to_row))
 
 
 def _quadratic(rows: Rows, cols: Rows) -> Rows:
@@ -216,13 +224,16 @@ def _areas_px(view: BundleView, rows_um: Rows, cols_um: Rows, judged: np.ndarray
 
 
 def galvo_error(rig: ImperfectRig, draft: Draft) -> Error:
-    """Error of the galvo map, rows, at the middle of the bundle, about which the sweep is symmetrical."""
+    """Error of the galvo map, rows, at the middle of the bundle, about which the sweep is symmetrical.
+
+    True is the row on which the left view shows the line at the column of the map.
+    """
     galvo, instrument = draft.calibration.galvo, rig.instrument
     assert galvo is not None
     assert draft.galvo is not None
-    volt = float(galvo.volts(instrument.confocal_centre[0]))
-    off = instrument.confocal_centre[0] - float(instrument.line_row(volt))
-    return Error(off, draft.galvo.middle_uncertainty_rows)
+    volts = float(galvo.volts(instrument.confocal_centre[0]))
+    shown_row = _shown_row(rig, views(instrument).left, volts, draft.galvo.column)
+    return Error(instrument.confocal_centre[0] - shown_row, draft.galvo.middle_uncertainty_rows)
 
 
 def bow_error(rig: ImperfectRig, calibration: Calibration) -> Error:

@@ -51,6 +51,14 @@ def test_the_true_gain_is_the_brightness_of_the_views_where_one_is_distorted(dis
     assert measures.true_gain(rig) == pytest.approx(pair.alignment.gain, abs=3e-4)
 
 
+@pytest.mark.parametrize("percent", [0.6, -0.6])
+def test_the_galvo_map_is_judged_by_the_row_on_which_a_distorting_lens_shows_the_line(percent: float) -> None:
+    """The lens displaces the middle of the view, by which the map was said to be 0.02 rows off."""
+    rig = ImperfectRig.of("240hz", Imperfections(lens_distortion_percent=percent))
+    error = measures.galvo_error(rig, rig.measured)
+    assert abs(error.off) < error.stated < 0.01
+
+
 def test_rigs_drawn_at_random_differ_in_the_noise_of_their_recordings() -> None:
     rigs = [ImperfectRig.drawn("240hz", seed) for seed in (1, 2)]
     assert rigs[0].recording_seed("line") != rigs[1].recording_seed("line")

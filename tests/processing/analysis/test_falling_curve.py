@@ -19,7 +19,9 @@ def share(depth_um: np.ndarray, half_um: float = 30.0) -> np.ndarray:
 def drops(depths_um: np.ndarray, signal: np.ndarray) -> list[DropOff]:
     unique, place = np.unique(depths_um, return_inverse=True)
     means = np.bincount(place, signal) / np.bincount(place)
-    curve = FallingCurve(unique, means, scatter_at_depths(depths_um, signal), 0.0, np.zeros(len(unique)))
+    curve = FallingCurve(
+        unique, means, scatter_at_depths(depths_um, signal, np.ones(len(signal))), 0.0, np.zeros(len(unique))
+    )
     return [curve.drop(level) for level in (0.5, 0.1)]
 
 

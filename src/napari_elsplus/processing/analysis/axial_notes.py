@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.processing.analysis.axial_response import MAX_UNCERTAINTY
+from napari_elsplus.processing.analysis.axial_response import MAX_CHANCE, MAX_UNCERTAINTY
 
 if TYPE_CHECKING:
     from napari_elsplus.processing.analysis.axial_response import AxialResponse
@@ -51,7 +51,9 @@ def uncertainty_note(response: AxialResponse) -> str:
     if advised == 1 and response.uncertainty <= MAX_UNCERTAINTY:
         return ""
     remedy = "calibrate with a sweep of more voltages: the residual view's gain is uncertain"
-    if advised > MAX_FRAMES_ADVISED:
+    if advised == 1 and response.chance > MAX_CHANCE:
+        remedy = "more frames would not help, the plate has bleached: lower the laser's power, or take a fresh plate"
+    elif advised > MAX_FRAMES_ADVISED:
         remedy = "more frames would not help: the line jitters or the light varies from frame to frame"
     elif advised > 1:
         remedy = f"record {advised} times as many frames at each depth"

@@ -7,7 +7,7 @@ have fallen to a half (3 dB) and to a tenth (10 dB) of their value in contact me
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, log
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -44,6 +44,9 @@ which a rig may differ from another."""
 MAX_CHANCE: Final = 0.005
 """Part of it that frames vary by, beyond which more are advised; derived: halo and bow of 100 random rigs move the
 distances by up to 2.2 %, which leaves 0.8 % for it and for the gain."""
+MAX_BLEACHED: Final = 0.9
+"""Share of all that scans of a bleaching plate can ever show from which no further ones are advised; chosen: the rest
+would lower the uncertainty by a twentieth."""
 _MIN_SIGNAL_SIGMAS: Final = 3
 """Smallest signal in contact, standard deviations of its noise; chosen: the usual limit of detection."""
 
@@ -86,8 +89,21 @@ class AxialResponse:
 
     @property
     def frames_advised(self) -> int:
-        """Multiple of the frames by which the ELS+ distances are known to `MAX_CHANCE`."""
-        return max(1, ceil((max(drop.random_um / drop.um for drop in self._els_drops) / MAX_CHANCE) ** 2))
+        """Multiple of the frames by which the ELS+ distances are known to `MAX_CHANCE`, or as well as bleaching allows.
+
+        Each further scan has the weight of the one before times the square of the light left.
+        """
+        wanted = (self.chance / MAX_CHANCE) ** 2
+        left = 1.0 if self.loss is None else min(self.loss.after_scan**2, 1.0)
+        if left == 1.0:
+            return max(1, ceil(wanted))
+        reached = min(wanted * (1 - left), MAX_BLEACHED)
+        return max(1, ceil(log(1 - reached) / log(left)))
+
+    @property
+    def chance(self) -> float:
+        """Largest part of an ELS+ distance by which it varies from scan to scan, one standard deviation."""
+        return max(drop.random_um / drop.um for drop in self._els_drops)
 
     @property
     def uncertainty(self) -> float:
@@ -239,7 +255,8 @@ def axial_response(
     """Estimate drop-off distances and kept signal from signals against depth.
 
     Frames at the same depth are averaged. They also show what the plate has lost of its light in between, by bleaching,
-    which is made up for where it is significant: record scans there and back. Contact is the maximum of LS under
+    which is made up for where it is significant, each frame weighted by the square of the light left: record scans
+    there and back. Contact is the maximum of LS under
     unimodal regression; beyond it, drop-offs are taken from an isotonic regression, so that noise does not end a curve
     too early.
 
@@ -275,14 +292,17 @@ def axial_response(
     depths, *signals = _checked(depths_um, ls, residual)
     loss = light_loss(depths, signals[0])
     gains = np.ones(len(depths)) if loss is None else loss.gains()
-    ls, residual = (signal * gains for signal in signals)
-    depth, ls_mean, residual_mean = _by_depth(depths, ls, residual)
+    # Noise that does not grow with the light is raised by the gain: without weights, later scans would harm.
+    ls, residual, weight = signals[0] * gains, signals[1] * gains, gains**-2
+    depth, ls_mean, residual_mean = _by_depth(depths, ls, residual, weight)
     els_mean = ls_mean - residual_mean
     contact = _peak(ls_mean)
     beyond = slice(contact, None)
-    ls_scatter, els_scatter = (scatter_at_depths(depths, each).beyond(contact) for each in (ls, ls - residual))
-    ls_fall = FallingCurve(depth[beyond], ls_mean[beyond], ls_scatter, systematic.ls_zero_dn, 0 * depth[beyond])
-    els_zero_dn = float(np.hypot(systematic.ls_zero_dn, systematic.residual_zero_dn))
+    ls_scatter, els_scatter = (scatter_at_depths(depths, each, weight).beyond(contact) for each in (ls, ls - residual))
+    gain = float(np.average(gains, weights=weight))
+    ls_zero_dn, residual_zero_dn = gain * systematic.ls_zero_dn, gain * systematic.residual_zero_dn
+    ls_fall = FallingCurve(depth[beyond], ls_mean[beyond], ls_scatter, ls_zero_dn, 0 * depth[beyond])
+    els_zero_dn = float(np.hypot(ls_zero_dn, residual_zero_dn))
     together_dn = systematic.gain * residual_mean[beyond]
     els_fall = FallingCurve(depth[beyond], els_mean[beyond], els_scatter, els_zero_dn, together_dn)
     if not (ls_fall.contact > _MIN_SIGNAL_SIGMAS * ls_fall.noise and ls_fall.contact > 0):
@@ -325,10 +345,10 @@ def _checked(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[
     return depth, signals[0], signals[1]
 
 
-def _by_depth(depth: Curve, ls: Curve, residual: Curve) -> tuple[Curve, Curve, Curve]:
+def _by_depth(depth: Curve, ls: Curve, residual: Curve, weight: Curve) -> tuple[Curve, Curve, Curve]:
     unique, place = np.unique(depth, return_inverse=True)
-    count = np.bincount(place)
-    ls_mean, residual_mean = (np.bincount(place, signal) / count for signal in (ls, residual))
+    total = np.bincount(place, weight)
+    ls_mean, residual_mean = (np.bincount(place, weight * signal) / total for signal in (ls, residual))
     return unique, ls_mean, residual_mean
 
 

@@ -55,10 +55,18 @@ class LightLoss(NamedTuple):
         """One standard deviation of the share."""
         return float((1 - self.share) * self.uncertainty * (self.frames - 1))
 
+    @property
+    def after_scan(self) -> float:
+        """Light at the beginning of a next scan over that of this one; 1 if the loss is not significant."""
+        return float(np.exp(-self._corrected * self.frames))
+
+    @property
+    def _corrected(self) -> float:
+        return self.per_frame if self.significant else 0.0
+
     def gains(self) -> Curve:
         """Return the factors that make up for the loss, (frames,); ones if it is not significant."""
-        rate = self.per_frame if self.significant else 0.0
-        return np.asarray(np.exp(rate * np.arange(self.frames)), np.float64)
+        return np.asarray(np.exp(self._corrected * np.arange(self.frames)), np.float64)
 
 
 def light_loss(depths_um: Curve, signal: Curve) -> LightLoss | None:

@@ -27,9 +27,13 @@ _MIN_FREEDOM: Final = 3
 
 
 class Scatter(NamedTuple):
-    """Frames at each depth, (depths,), and the sum of squares of their signals about the mean of the depth."""
+    """Frames at each depth, their weight, and the weighted sum of squares of their signals about the mean; (depths,).
+
+    The variance of the mean is that of a frame of weight 1 over the weight.
+    """
 
     frames: Curve
+    weight: Curve
     square: Curve
 
     def beyond(self, contact: int) -> Scatter:
@@ -40,7 +44,7 @@ class Scatter(NamedTuple):
         contact : int
             Index of the depth of contact.
         """
-        return Scatter(self.frames[contact:], self.square[contact:])
+        return Scatter(*(values[contact:] for values in self))
 
 
 def noise_of_curve(depth: Curve, signal: Curve) -> tuple[float, float]:
@@ -73,12 +77,12 @@ def noise_of_curve(depth: Curve, signal: Curve) -> tuple[float, float]:
     return noise, float(np.sqrt(max(excess, 0.0)))
 
 
-def scatter_at_depths(depth: Curve, signal: Curve) -> Scatter:
+def scatter_at_depths(depth: Curve, signal: Curve, weight: Curve) -> Scatter:
     """Return the scatter of the frames recorded at each different depth.
 
     Parameters
     ----------
-    depth, signal : numpy.ndarray
+    depth, signal, weight : numpy.ndarray
         (T,) of each frame, in any order.
 
     Returns
@@ -88,17 +92,18 @@ def scatter_at_depths(depth: Curve, signal: Curve) -> Scatter:
 
     Examples
     --------
-    >>> scatter_at_depths(np.array([0.0, 5.0, 0.0]), np.array([3.0, 1.0, 5.0])).square.tolist()
+    >>> scatter_at_depths(np.array([0.0, 5.0, 0.0]), np.array([3.0, 1.0, 5.0]), np.ones(3)).square.tolist()
     [2.0, 0.0]
     """
     _, place, count = np.unique(depth, return_inverse=True, return_counts=True)
-    mean = np.bincount(place, signal) / count
-    square = np.bincount(place, np.square(signal - mean[place]))
-    return Scatter(count.astype(np.float64), np.asarray(square, np.float64))
+    total = np.bincount(place, weight)
+    mean = np.bincount(place, weight * signal) / total
+    square = np.bincount(place, weight * np.square(signal - mean[place]))
+    return Scatter(*(np.asarray(values, np.float64) for values in (count, total, square)))
 
 
 def pooled_variance(share: Curve, scatter: Scatter, level: float) -> float:
-    """Return the variance of a frame at a level by the frames near it, over its squared share; NaN of too few frames.
+    """Return the variance of a frame of weight 1 at a level near it, over its squared share; NaN of too few.
 
     Variances are taken for proportional to the squared signal, as is that of the power. Of few
     frames, it is that of Student's t.

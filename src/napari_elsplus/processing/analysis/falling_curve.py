@@ -60,7 +60,7 @@ class FallingCurve:
     depth, signal : numpy.ndarray
         (depths,) in increasing order from contact, and mean signal.
     scatter : Scatter
-        Frames at each depth, and their scatter.
+        Frames at each depth, their weight and their scatter.
     zero_dn : float
         Standard deviation of the signal's zero.
     together_dn : numpy.ndarray
@@ -76,7 +76,7 @@ class FallingCurve:
         self._places: Curve = np.array([depth[a:b].mean() for a, b in zip(first, last, strict=True)])
         self._places[0] = depth[0]
         self.contact = float(self._monotonic[0])
-        self._contact_frames = float(scatter.frames[: last[0]].sum())
+        self._contact_weight = float(scatter.weight[: last[0]].sum())
         self.noise, self._relative = noise_of_curve(depth, signal)
 
     def drop(self, level: float) -> DropOff:
@@ -95,7 +95,7 @@ class FallingCurve:
         crossing = self._fitted(between.at_um, level) or between
         together = np.interp(crossing.at_um, self._depth, self._together_dn) - level * self._together_dn[0]
         per_um = level * self.contact * abs(crossing.relative_slope)
-        random_um = float(np.sqrt(crossing.variance + self._variance(1.0, self._contact_frames))) * (
+        random_um = float(np.sqrt(crossing.variance + self._variance(1.0, self._contact_weight))) * (
             level * self.contact / per_um
         )
         systematic_um = float(np.hypot((1 - level) * self._zero_dn, together)) / per_um
@@ -106,7 +106,7 @@ class FallingCurve:
         """Return where the line through the points before and after a level reaches it."""
         step, first = share[below] - share[below - 1], self._places[below - 1]
         slope, part = step / (self._places[below] - first), (level - share[below - 1]) / step
-        variance = (part**2 + (1 - part) ** 2) * self._variance(level, self._frames)
+        variance = (part**2 + (1 - part) ** 2) * self._variance(level, self._weight)
         return _Crossing(float(first + (level - share[below - 1]) / slope), float(slope / level), variance)
 
     def _fitted(self, about_um: float, level: float) -> _Crossing | None:
@@ -121,38 +121,39 @@ class FallingCurve:
         if np.count_nonzero(near) < MIN_FITTED:
             return None
         place, share = (self._depth[near] - about_um) / reach_um, self._signal[near] / self.contact
-        frames, square = self._scatter.frames[near], self._scatter.square[near] / self.contact**2
+        frames, weight, square = (values[near] for values in self._scatter)
+        square = square / self.contact**2
         terms = np.vander(place, _DEGREE + 1)
-        curvature = np.linalg.inv(terms.T @ (frames[:, None] * terms))
+        curvature = np.linalg.inv(terms.T @ (weight[:, None] * terms))
         log_fit = np.full(len(place), np.log(level))
         for _ in range(_ITERATIONS):
             target = log_fit + share / np.exp(log_fit) - 1
-            factors = curvature @ (terms.T @ (frames * target))
+            factors = curvature @ (terms.T @ (weight * target))
             log_fit = np.clip(terms @ factors, np.log(level / NEAR**2), np.log(level * NEAR**2))
         fall = np.poly1d(factors) - np.log(level)
         inside = [float(root.real) for root in fall.roots if root.imag == 0 and abs(root.real) < 1]
         if len(inside) != 1 or not (slope := float(fall.deriv()(inside[0]))) < 0:
             return None
         fitted = np.exp(log_fit)
-        left = float((frames * np.square(share / fitted - 1)).sum() + (square / np.square(fitted)).sum())
+        left = float((weight * np.square(share / fitted - 1)).sum() + (square / np.square(fitted)).sum())
         freedom = round(float(frames.sum())) - len(factors)
         at = np.vander(inside, _DEGREE + 1)[0]
         variance = small_sample_factor(freedom) ** 2 * left / freedom * float(at @ curvature @ at)
         return _Crossing(about_um + inside[0] * reach_um, slope / reach_um, variance)
 
     @property
-    def _frames(self) -> float:
-        return float(self._scatter.frames.mean())
+    def _weight(self) -> float:
+        return float(self._scatter.weight.mean())
 
-    def _variance(self, level: float, frames: float) -> float:
-        """Return the relative variance of the mean of some frames at a level.
+    def _variance(self, level: float, weight: float) -> float:
+        """Return the relative variance of a mean of some weight at a level.
 
         Scatter about a smooth curve and that of repeated frames are independent estimates, of which the mean is taken,
         the latter weighted by the frames beyond the first at each depth: its degrees of freedom.
         """
-        along_curve = (self.noise / (level * self.contact)) ** 2 + self._relative**2
+        along_curve = ((self.noise / (level * self.contact)) ** 2 + self._relative**2) * self._weight
         repeated = pooled_variance(self._signal / self.contact, self._scatter, level) / self.contact**2
         if np.isnan(repeated):
-            return along_curve * self._frames / frames
-        repeats = self._frames - 1
-        return (along_curve * self._frames + repeats * repeated) / (1 + repeats) / frames
+            return along_curve / weight
+        repeats = float(self._scatter.frames.mean()) - 1
+        return (along_curve + repeats * repeated) / (1 + repeats) / weight

@@ -148,11 +148,16 @@ def newey_west_sigma(influence: Floats, neighbours: int) -> float:
 
 
 def overlapping_influence(
-    jacobian: Floats, residuals: Floats, clusters: NDArray[np.intp], count: int, neighbours: int
+    jacobian: Floats,
+    residuals: Floats,
+    clusters: NDArray[np.intp],
+    count: int,
+    neighbours: int,
+    removed: Floats | None = None,
 ) -> Floats:
     """Return the influence of overlapping runs of serially correlated clusters on a least-squares fit.
 
-    As :func:`clustered_influence`, for correlated neighbours. The fit removes a part of every slow variation from its
+    As :func:`clustered_influence`, for correlated neighbours. A fit removes a part of every slow variation from its
     residuals; this is corrected for, so that the covariance is unbiased for independent noise.
 
     Parameters
@@ -161,19 +166,21 @@ def overlapping_influence(
         As in :func:`clustered_influence`; clusters are numbered in order.
     neighbours : int
         Number of clusters in a run.
+    removed : numpy.ndarray, optional
+        Derivatives of the model of which the residuals are, if that has further parameters; shape (samples, more).
 
     Returns
     -------
     numpy.ndarray
         Shape (runs, parameters); the covariance is ``influence.T @ influence``.
     """
-    parameters = jacobian.shape[1]
-    products = jacobian[:, :, None] * jacobian[:, None, :]
+    removed = jacobian if removed is None else removed
     last = np.arange(count + neighbours - 1)[:, None]
     run = ((clusters <= last) & (clusters > last - neighbours)).astype(np.float64)
     scores = run @ (jacobian * residuals[:, None])
-    curvature = (run @ products.reshape(len(jacobian), -1)).reshape(-1, parameters, parameters)
-    inverse = np.linalg.pinv(products.sum(axis=0))
-    seen = curvature - curvature @ inverse @ curvature
-    expected = np.linalg.cholesky(inverse @ seen.sum(axis=0) @ inverse)
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    shared = np.einsum("rs,sp,sq->rpq", run, jacobian, removed, optimize=True)
+    lost = (shared @ np.linalg.pinv(removed.T @ removed) @ shared.transpose(0, 2, 1)).sum(axis=0)
+    seen = jacobian.T @ (jacobian * run.sum(axis=0)[:, None]) - lost
+    expected = np.linalg.cholesky(inverse @ seen @ inverse)
     return np.asarray(scores @ inverse @ np.linalg.solve(expected.T, np.linalg.cholesky(inverse).T), np.float64)

@@ -32,11 +32,12 @@ if TYPE_CHECKING:
 PAPER_VOLTAGES: Final = 400
 """Least number of voltages in the paper's sweep."""
 MIN_LINES: Final = 5
-"""Chosen: a cubic has four parameters."""
+"""Chosen: a line too many leaves scatter over."""
 MIN_CHORD: Final = 0.7
 """Of the longest line; chosen: nearer to the rim the line's halo is cut on one side, which biases the fit."""
-MIN_BOW_SIGMAS: Final = 3.0
-"""Standard deviations below which the line counts as straight; chosen: one in 400 exceeds them by chance."""
+MIN_BEND_SIGMAS: Final = 3.0
+"""Standard deviations below which the line counts as straight, and the sweep as symmetrical about its middle; chosen:
+one in 400 exceeds them by chance."""
 MAX_VOLTS, MIN_SWEEP_V = 1e3, 1e-6
 """In volts; chosen: far beyond the drive of any galvo, and far below one step of its card."""
 OUTLIER_SIGMAS: Final = 5.0
@@ -45,12 +46,14 @@ RUNS: Final = 20
 """Clusters of neighbouring voltages; chosen: enough for a variance, each wider than a row of cores."""
 PRIOR_LINES: Final = 4
 """Number of lines as which each line's own uncertainty is weighted against the residuals; chosen."""
+_MAX_DEGREE: Final = 3
+"""Of the polynomial that tells whether the galvo is curved; fewer than six lines leave a lower one."""
 _NEIGHBOURS: Final = 4
 """Runs of voltages whose errors are correlated; chosen: rows of cores bias the line over many voltages."""
-RUNS_FREEDOM: Final = 1.5 * RUNS / _NEIGHBOURS
-"""Degrees of freedom of a variance by overlapping sums of runs; derived: those of Bartlett's window at frequency 0.
-So few may agree by chance, hundreds of single lines do not: a variance by these, as if they were independent, counts
-as much as that by runs, as a prior of as many degrees of freedom."""
+RUNS_FREEDOM: Final = 6
+"""Degrees of freedom of a variance by overlapping sums of runs from which a cubic was taken off; measured, twice the
+squared mean over the variance in 3000 draws of noise. So few may agree by chance, hundreds of single lines do not: a
+variance by these, as if they were independent, counts as much as that by runs, as a prior of as many degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,11 +199,11 @@ def fit_galvo(
     if column is None:
         column = float(np.median([line.column for _, line in whole]))
     v = np.array([voltage for voltage, _ in whole])
-    radius_px = (longest if diameter_px is None else diameter_px) / 2
-    bow = _common_bow([line for _, line in whole], column, radius_px)
-    rows = np.array([line.row_at(column) for _, line in whole]) + bow.rows * bow.share
     if np.ptp(v) < MIN_SWEEP_V:
         raise InputError(f"all voltages are {v[0]:g}, to {np.ptp(v):g} V", "sweep a range of voltages")
+    radius_px = (longest if diameter_px is None else diameter_px) / 2
+    bow = _common_bow(v, [line for _, line in whole], column, radius_px)
+    rows = np.array([line.row_at(column) for _, line in whole]) + bow.rows * bow.share
     from scipy.stats import theilslopes  # 1 s to import, so only where a sweep is fitted
 
     slope = float(theilslopes(rows, v).slope)
@@ -228,17 +231,57 @@ class _Bow:
     share: Floats
 
 
-def _common_bow(lines: list[Line], column: float, radius_px: float) -> _Bow:
+def _common_bow(volts: Floats, lines: list[Line], column: float, radius_px: float) -> _Bow:
     """Return the bow that all lines of a sweep share; 0 if it is not significant."""
     bends = np.array([line.bend for line in lines]) * radius_px**2
     weights = np.array([line.mean_square_px**2 for line in lines]) + 1e-12
     away = bends - np.median(bends)
     weights[np.abs(away) > OUTLIER_SIGMAS * robust_sigma(away) + 1e-9] = 0
     rows = float(np.average(bends, weights=weights))
-    scatter = float(np.sqrt(np.average(np.square(bends - rows), weights=weights)))
-    uncertainty = scatter * float(np.sqrt(_NEIGHBOURS * np.square(weights).sum())) / float(weights.sum())
+    # A lens bends the line upwards on one side of its axis and downwards on the other, which is no scatter.
+    root = np.sqrt(weights / weights.mean())[:, None]
+    terms = root * _polynomial(_place(volts))
+    scaled = root[:, 0] * bends
+    left_over = np.asarray(scaled - terms @ np.linalg.lstsq(terms, scaled, rcond=None)[0], np.float64)
+    uncertainty = float(np.sqrt(_covariance(root, left_over, terms, _runs(volts))[0, 0]))
     share = np.array([line.bowed_rows(column, 1 / radius_px**2) for line in lines])
-    return _Bow(rows if abs(rows) > MIN_BOW_SIGMAS * uncertainty else 0.0, uncertainty, share)
+    return _Bow(rows if abs(rows) > MIN_BEND_SIGMAS * uncertainty else 0.0, uncertainty, share)
+
+
+def _place(volts: Floats) -> Floats:
+    """Return places in the sweep, from -1 to 1."""
+    return np.asarray((volts - (volts.max() + volts.min()) / 2) / (np.ptp(volts) / 2), np.float64)
+
+
+def _polynomial(x: Floats) -> Floats:
+    """Return the terms of a cubic, or of less for few lines, at places `x` of the sweep, shape (lines, terms)."""
+    degree = int(np.clip(len(x) - 3, 1, _MAX_DEGREE))  # leaves over as much as tells scatter
+    return np.asarray(np.polynomial.legendre.legvander(x, degree), np.float64)
+
+
+def _runs(volts: Floats) -> NDArray[np.intp]:
+    """Return the run of neighbouring voltages to which each belongs."""
+    return np.argsort(np.argsort(volts)) * RUNS // len(volts)
+
+
+def _covariance(jacobian: Floats, left_over: Floats, removed: Floats, runs: NDArray[np.intp]) -> Floats:
+    """Return the covariance of a least-squares fit to lines whose errors are like those of their neighbours.
+
+    Parameters
+    ----------
+    jacobian : numpy.ndarray
+        Of the fit, shape (lines, parameters).
+    left_over : numpy.ndarray
+        What a fuller model leaves over, shape (lines,).
+    removed : numpy.ndarray
+        Terms of that model, shape (lines, terms).
+    runs : numpy.ndarray
+        Of :func:`_runs`.
+    """
+    influence = overlapping_influence(jacobian, left_over, runs, RUNS, _NEIGHBOURS, removed)
+    variance = np.square(left_over).sum() / (len(left_over) - removed.shape[1])
+    single = variance * np.linalg.inv(jacobian.T @ jacobian)
+    return np.asarray(small_sample_factor(2 * RUNS_FREEDOM) ** 2 * (influence.T @ influence + single) / 2, np.float64)
 
 
 def _fit(
@@ -253,24 +296,20 @@ def _fit(
 ) -> GalvoMap:
     v, y = volts[used], rows[used]
     middle, half = (v.max() + v.min()) / 2, np.ptp(v) / 2
-    x = np.asarray((v - middle) / half, np.float64)
+    x, runs = _place(v), _runs(v)
     jacobian = np.asarray(np.stack([np.ones_like(x), x], axis=1), np.float64)
     level, per_half = np.linalg.lstsq(jacobian, y, rcond=None)[0]
     residuals = np.asarray(y - jacobian @ (level, per_half), np.float64)
-    runs = np.argsort(np.argsort(v)) * RUNS // len(v)
-    # The curve of a galvo that is not linear is no scatter; what it moves the middle by is added below.
-    curve = _curvature(x, y, runs)
-    scatter = curve.left_over if curve.significant else residuals
-    influence = overlapping_influence(jacobian, scatter, runs, RUNS, _NEIGHBOURS)
     volts_per_row = half / per_half
     # volts at row zero = middle - half * level / per_half, and its derivatives
     to_zero = np.array([-half / per_half, half * level / per_half**2])
+    # A curve of the galvo or of the lens is no scatter; what it moves the middle by is added below.
+    curve = _curvature(x, y, runs)
+    of_runs = _covariance(jacobian, curve.left_over, curve.terms, runs)
     # The residuals of a few lines may be small by chance: the lines' own uncertainties count as some lines more.
-    unit = np.linalg.inv(jacobian.T @ jacobian)  # covariance by lines of unit variance
-    alone = each_rows**2 * unit
-    single = unit * np.square(scatter).sum() / (len(v) - 2)
-    of_runs = small_sample_factor(round(2 * RUNS_FREEDOM)) ** 2 * (influence.T @ influence + single) / 2
-    covariance = (of_runs * (len(v) - 2) + alone * PRIOR_LINES) / (len(v) - 2 + PRIOR_LINES)
+    alone = each_rows**2 * np.linalg.inv(jacobian.T @ jacobian)
+    free = len(v) - curve.terms.shape[1]
+    covariance = (of_runs * free + alone * PRIOR_LINES) / (free + PRIOR_LINES)
     by_bow = bow.uncertainty_rows * np.linalg.lstsq(jacobian, bow.share[used], rcond=None)[0]
 
     def sigma(by: Floats) -> float:
@@ -281,7 +320,7 @@ def _fit(
         volts_at_row_zero=float(middle - half * level / per_half),
         volts_per_row_uncertainty=sigma(np.array([0.0, volts_per_row / per_half])),
         volts_at_row_zero_uncertainty=sigma(to_zero),
-        middle_uncertainty_rows=float(np.hypot(sigma(np.array([1.0, 0.0])), curve.significant * curve.middle_rows)),
+        middle_uncertainty_rows=float(np.hypot(sigma(np.array([1.0, 0.0])), curve.middle_rows)),
         r_squared=float(1 - np.square(residuals).sum() / np.square(y - y.mean()).sum()),
         rms_rows=float(np.sqrt(np.mean(np.square(residuals)))),
         curvature_rows=float(np.abs(curve.rows).max()),
@@ -301,8 +340,9 @@ def _fit(
 
 @dataclass(frozen=True, slots=True)
 class _Curve:
-    """Departure of a cubic from the straight line, and at the middle as far as it exceeds its noise; what is left."""
+    """A cubic: its terms, its departure from the straight line, there and at the middle, and what it leaves over."""
 
+    terms: Floats
     rows: Floats
     left_over: Floats
     middle_rows: float
@@ -310,13 +350,14 @@ class _Curve:
 
 
 def _curvature(x: Floats, y: Floats, runs: NDArray[np.intp]) -> _Curve:
-    """Fit a cubic to the rows `y` of lines at places `x` of the sweep, from -1 to 1."""
-    cubic = np.asarray(np.polynomial.legendre.legvander(x, 3), np.float64)
-    coefficients = np.linalg.lstsq(cubic, y, rcond=None)[0]
-    bend = np.asarray(cubic[:, 2:] @ coefficients[2:], np.float64)
-    left_over = np.asarray(y - cubic @ coefficients, np.float64)
-    influence = clustered_influence(cubic, left_over, runs, RUNS)
-    sigmas = np.linalg.norm(influence[:, 2:], axis=0)
-    significance = float((np.abs(coefficients[2:]) / np.maximum(sigmas, 1e-12)).max())
-    middle_rows = float(np.sqrt(max(coefficients[2] ** 2 - sigmas[0] ** 2, 0.0))) / 2  # of the second polynomial at 0
-    return _Curve(bend, left_over, middle_rows, bool(np.abs(bend).max() > 0.1 and significance > 5))
+    """Fit a cubic, or less to few lines, to the rows `y` of lines at places `x` of the sweep, from -1 to 1."""
+    terms = _polynomial(x)
+    coefficients = np.linalg.lstsq(terms, y, rcond=None)[0]
+    bend = np.asarray(terms[:, 2:] @ coefficients[2:], np.float64)
+    left_over = np.asarray(y - terms @ coefficients, np.float64)
+    sigmas = np.linalg.norm(clustered_influence(terms, left_over, runs, RUNS)[:, 2:], axis=0)
+    significance = np.abs(coefficients[2:]) / np.maximum(sigmas, 1e-12)
+    even = significance[:1] > MIN_BEND_SIGMAS  # the second polynomial, -1/2 in the middle
+    middle_rows = float(np.abs(coefficients[2:3][even]).sum()) / 2
+    curved = bool(np.abs(bend).max() > 0.1 and significance.max(initial=0.0) > 5)
+    return _Curve(terms, bend, left_over, middle_rows, curved)
