@@ -136,6 +136,9 @@ def _sources_of_kernels() -> str:
 def build_prefetch(builder: Any, place: Any) -> None:
     """Add the instruction that prefetches the cache line of an address, any of which is harmless, to a kernel.
 
+    Into the second cache; measured: with the first one, the front end takes 70 instead of 52 us where frames are in no
+    cache. Likely because more lines can be on their way to the second.
+
     Parameters
     ----------
     builder : llvmlite.ir.IRBuilder
@@ -146,8 +149,8 @@ def build_prefetch(builder: Any, place: Any) -> None:
     flag, byte = ir.IntType(32), ir.IntType(8).as_pointer()
     takes = ir.FunctionType(ir.VoidType(), [byte, flag, flag, flag])
     function = cgutils.get_or_insert_function(builder.module, takes, "llvm.prefetch.p0")
-    read, keep, data = (flag(value) for value in (0, 3, 1))
-    builder.call(function, [builder.bitcast(place, byte), read, keep, data])
+    read, second_cache, data = (flag(value) for value in (0, 2, 1))
+    builder.call(function, [builder.bitcast(place, byte), read, second_cache, data])
 
 
 def _prefetch(_: Any, array: Any, row: Any, col: Any) -> Any:

@@ -7,6 +7,7 @@ inserted: each row of the mosaic is interpolated between two rows of the frame, 
 from __future__ import annotations
 
 from enum import StrEnum
+from functools import cached_property
 from math import ceil, floor, hypot
 from typing import TYPE_CHECKING, Final
 
@@ -133,10 +134,7 @@ class Mosaic(TiledCanvas):
         self.exposure = 1.0
         self._newest: tuple[float, float, float] | None = None
         self._left_out = 0
-        self._upright = np.zeros((grid.side, grid.side), np.float32)
-        self._upright_weights = np.zeros_like(self._upright)
-        self._exposed_image = np.zeros_like(self._upright)
-        self._frame_weight = float(self._weights[lit_pixels(*self._spans)].sum()) / ROW_STEP
+        self._upright, self._upright_weights, self._exposed_image = (np.empty_like(self._weights) for _ in range(3))
 
     def insert(
         self,
@@ -261,6 +259,11 @@ class Mosaic(TiledCanvas):
         stretch, shear = self._stretch_and_shear(velocity, angle)
         footprint = Footprint(weights, *self._spans, *centre, row, col, stretch, shear)
         return image, footprint.arguments
+
+    @cached_property
+    def _frame_weight(self) -> float:
+        """Sum of the weights of a frame, as :func:`overlap_sums` adds them up."""
+        return float(self._weights[lit_pixels(*self._spans)].sum()) / ROW_STEP
 
     def _exposure_gain(self, image: NDArray[np.float32], touched: Rectangle, footprint: Arguments) -> float:
         """Return the factor that brings a frame to the brightness of the mosaic under its footprint."""

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 BLOCK: Final = 32
 """Pixels of the grid in a block; derived: with two camera pixels of a byte each they fill a vector of 512 bits, the
 longest there is."""
-AHEAD: Final = 24
-"""Number of blocks, some three rows, ahead of which the camera's memory is prefetched; chosen: between 20 and 30 it
+AHEAD: Final = 96
+"""Number of blocks, some twelve rows, ahead of which the camera's memory is prefetched; chosen: between 24 and 240 it
 makes no difference beyond its scatter."""
 _PLACE: Final = ir.IntType(64)
 _FLOAT_BITS: Final = 32
