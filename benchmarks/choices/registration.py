@@ -100,14 +100,16 @@ class _Ours:
         """Start at the prediction; search all shifts where the frames do not bear it out."""
         earlier, later = self._views(pair)
         motion = self._motion((float(pair.expected[0]), float(pair.expected[1])), _PREDICTION_PX)
-        link = self._registrar.link(earlier, later, motion)
-        if link.observed and link.correlation > 0.9:
+        link = self._registrar.register(earlier, later, motion)
+        if link is not None and link.observed and link.correlation > 0.9:
             return _shift(link)
-        return _shift(self._registrar.search(earlier, later, motion))
+        return _shift(self._registrar.register(earlier, later, motion, anywhere=True))
 
     def searched(self, pair: Pair) -> Shift:
         """Search all shifts."""
-        return _shift(self._registrar.search(*self._views(pair), self._motion((0.0, 0.0), self._reach)))
+        return _shift(
+            self._registrar.register(*self._views(pair), self._motion((0.0, 0.0), self._reach), anywhere=True)
+        )
 
     def _motion(self, displacement: tuple[float, float], sigma_px: float) -> MotionPrior:
         at_rest, shutter = Velocity(0.0, 0.0), self._registrar.grid.shutter

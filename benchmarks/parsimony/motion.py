@@ -85,7 +85,9 @@ class _Linked:
             motion = MotionPrior.between((at_rest, at_rest), shift, _RIGID_PX, _SHIFT_PX, shutter)
         else:
             motion = MotionPrior.between((v, v), shutter.step(v, v), _FREE_PX, _SHIFT_PX, shutter)
-        return self._registrar.link(*views, motion)
+        link = self._registrar.register(*views, motion)
+        assert link is not None
+        return link
 
     def uncorrected(self, item: Step) -> tuple[float, float]:
         warp = self._link(item).warp

@@ -37,27 +37,17 @@ class _TimedRegistrar(Registrar):
     def __init__(self, grid: Grid, clock: Callable[[], float]) -> None:
         super().__init__(grid)
         self._clock = clock
-        self._searching = False
         self.begin()
 
     def begin(self) -> None:
         """Begin a frame."""
         self.spent = dict.fromkeys((LINK, SEARCH, MODEL), 0.0)
 
-    def link(self, *arguments: Any, **options: Any) -> PairRegistration:
-        """Time a registration and its odds, the pyramid included."""
+    def register(self, *arguments: Any, anywhere: bool = False, **options: Any) -> PairRegistration | None:
+        """Time a registration and its odds, the pyramid and the search over all shifts included."""
         start = self._clock()
-        link = super().link(*arguments, **options)
-        if not self._searching:
-            self.spent[LINK] += self._clock() - start
-        return link
-
-    def search(self, *arguments: Any, **options: Any) -> PairRegistration | None:
-        """Time a search with the links that it tries."""
-        start, self._searching = self._clock(), True
-        found = super().search(*arguments, **options)
-        self._searching = False
-        self.spent[SEARCH] += self._clock() - start
+        found = super().register(*arguments, anywhere=anywhere, **options)
+        self.spent[SEARCH if anywhere else LINK] += self._clock() - start
         return found
 
     def remainder(self, *arguments: Any, **options: Any) -> Any:

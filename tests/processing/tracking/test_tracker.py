@@ -96,7 +96,7 @@ class Scripted(Registrar):
         super().__init__(grid)
         self._script = iter(found)
 
-    def search(self, *_: Any) -> PairRegistration | None:
+    def register(self, *_: Any, **__: Any) -> PairRegistration | None:
         found = next(self._script)
         if found is None:
             return None
@@ -192,13 +192,13 @@ def test_a_lost_frame_is_searched_for_in_one_earlier_frame(monkeypatch: pytest.M
     elsewhere = np.random.default_rng(3).uniform(300, 1700, (14, 2))
     truth = record(texture(2000, 5), np.concatenate([smooth_path(6, 2.0, 2000, 1), elsewhere]))
     searches = [0]
-    search = Registrar.search
+    search = Registrar._searched
 
     def counted(*arguments: Any) -> Any:
         searches[-1] += 1
         return search(*arguments)
 
-    monkeypatch.setattr(Registrar, "search", counted)
+    monkeypatch.setattr(Registrar, "_searched", counted)
     pipeline, pairs = Pipeline(truth.calibration, truth.frames.shape[1:]), RawPairs(truth.frames, Mode.ELS)
     for index in range(len(pairs)):
         pipeline.track(pairs(index)[0], index)

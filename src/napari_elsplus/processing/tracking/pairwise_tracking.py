@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from math import inf, nan
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -84,17 +84,15 @@ class PairwiseRegistrar(Registrar):
         super().__init__(grid)
         self._register = register
 
-    def search(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0
+    def register(
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, *_: Any, **__: Any
     ) -> PairRegistration | None:
         """Register two frames; None where the function returned None.
 
         Parameters
         ----------
         earlier, later, motion
-            As of :meth:`~.Registrar.search`.
-        min_correlation : float
-            Not used.
+            As of :meth:`~.Registrar.register`.
         """
         warp = motion.warp
         found = self._register(earlier.image, later.image, (-warp.b, -warp.d))

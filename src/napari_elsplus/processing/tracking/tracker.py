@@ -24,6 +24,7 @@ from napari_elsplus.processing.tracking.registration.pair_registration import (
     PreparedFrame,
     Registrar,
     TrackedPair,
+    Turn,
 )
 
 if TYPE_CHECKING:
@@ -97,7 +98,6 @@ class Tracker:
         self.registrar = registrar or Registrar(grid)
         self.links: list[TrackedPair] = []
         self._slots = [self.registrar.view() for _ in range(4)]
-        self._scratch = self.registrar.view()
         self._selection = ModelSelection(MotionModel.TRANSLATION if turn_rate is None else MotionModel.RIGID)
         self._newest: PairRegistration | None = None
         self._tested = 0
@@ -195,7 +195,8 @@ class Tracker:
         self._motion = self._unknown_motion()
         origin = _Placed(previous.view, previous.index)
         motion = self._widest
-        link = self._link(origin, here, motion, _WAITING_ODDS_NATS)
+        waits = self.model is MotionModel.TRANSLATION
+        link = self._link(origin, here, motion, _WAITING_ODDS_NATS if waits else MIN_ODDS_NATS)
         if link is None or not self._place(origin, here, link, motion):
             return None
         if link.observed:
@@ -294,32 +295,21 @@ class Tracker:
         self, earlier: _Placed, here: _Placed, motion: MotionPrior, min_odds_nats: float = MIN_ODDS_NATS
     ) -> PairRegistration | None:
         """Register two frames, first at the expected shift, else over all; None if no shift is accepted."""
-        if self.model is not MotionModel.TRANSLATION:
-            return self._turned_link(earlier, here, motion)
-        if self._motion.known and self.registrar.registers_warps:
-            link = self.registrar.link(earlier.view, here.view, motion, self._min_correlation)
-            if self._accepted(link):
-                return link
-        found = self.registrar.search(earlier.view, here.view, motion, self._min_correlation)
-        return found if found is not None and self._accepted(found, min_odds_nats) else None
-
-    def _turned_link(self, earlier: _Placed, here: _Placed, motion: MotionPrior) -> PairRegistration | None:
-        """Register two frames of a probe that rotates."""
-        last, known, rate = self._last, self._motion.known, self._turning.rate
-        gap, apart = here.index - last.index, here.index - earlier.index
-        turn = last.angle - earlier.angle + rate * gap if known else rate * apart
-        spread = self._turning.spread(gap)
-        for anywhere in (False, True) if known else (True,):
-            link = self.registrar.turned_link(
-                earlier.view, here.view, motion, turn, self._scratch, spread, apart, anywhere=anywhere
+        turn = None if self.model is MotionModel.TRANSLATION else self._expected_turn(earlier, here)
+        for anywhere in (False, True) if self._motion.known and self.registrar.registers_warps else (True,):
+            link = self.registrar.register(
+                earlier.view, here.view, motion, self._min_correlation, anywhere=anywhere, turn=turn
             )
-            if link is not None and self._accepted(link):
+            if link is not None and link.odds >= min_odds_nats and not link.correlation < self._min_correlation:
                 return link
         return None
 
-    def _accepted(self, link: PairRegistration, min_odds_nats: float = MIN_ODDS_NATS) -> bool:
-        """Return True if the odds suffice and the frames correlate about as well as frames did so far."""
-        return link.odds >= min_odds_nats and not link.correlation < self._min_correlation
+    def _expected_turn(self, earlier: _Placed, here: _Placed) -> Turn:
+        """Return the rotation between two frames that the turning so far suggests."""
+        last, rate = self._last, self._turning.rate
+        gap, apart = here.index - last.index, here.index - earlier.index
+        angle = last.angle - earlier.angle + rate * gap if self._motion.known else rate * apart
+        return Turn(angle, self._turning.spread(gap), apart)
 
     @property
     def _min_correlation(self) -> float:

@@ -15,7 +15,7 @@ from napari_elsplus.processing.tracking.registration.motion_models import (
     turned_by,
     upright,
 )
-from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
+from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar, Turn
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Spiral, Still, Turning
 from simulated import followed
 
@@ -50,7 +50,7 @@ def pair(form: np.ndarray, shift: tuple[float, float], seed: int = 0) -> tuple[R
 @pytest.mark.parametrize("degrees", [0.3, -0.2, 0.0])
 def test_small_turns_are_told_by_what_a_link_leaves(degrees: float) -> None:
     registrar, a, b = pair(turned_by(np.deg2rad(degrees)), (5.0, -3.0))
-    link = registrar.link(a, b, about(GRID.shutter, Warp(b=-5.0, d=3.0)))
+    link = registrar.register(a, b, about(GRID.shutter, Warp(b=-5.0, d=3.0)))
     found = registrar.remainder(a, b, link.warp, LOOSE)
     assert found is not None
     _, angle = composed(link.warp, found.step)
@@ -63,7 +63,7 @@ def test_turns_are_found_to_scale_whatever_the_gain_between_the_frames(gain: flo
     registrar, a, b = pair(turned_by(turn), (5.0, -3.0))
     b.image[:] *= gain
     registrar.prepare(b)
-    link = registrar.link(a, b, about(GRID.shutter, Warp(b=-5.0, d=3.0)))
+    link = registrar.register(a, b, about(GRID.shutter, Warp(b=-5.0, d=3.0)))
     found = registrar.remainder(a, b, link.warp, LOOSE)
     assert found is not None
     _, angle = composed(link.warp, found.step)
@@ -74,7 +74,7 @@ def test_its_uncertainty_is_honest() -> None:
     misses = []
     for seed in range(20):
         registrar, a, b = pair(np.eye(2), (4.0, 2.0), seed)
-        link = registrar.link(a, b, about(GRID.shutter, Warp(b=-4.0, d=-2.0)))
+        link = registrar.register(a, b, about(GRID.shutter, Warp(b=-4.0, d=-2.0)))
         found = registrar.remainder(a, b, link.warp, LOOSE)
         assert found is not None
         misses.append(found.step[-1] / found.sigma)
@@ -87,7 +87,7 @@ def test_links_hold_under_large_turns_that_are_roughly_known(degrees: float) -> 
     registrar, a, b = pair(turned_by(turn), (8.0, 6.0))
     moved = turned_by(-turn) @ (8.0, 6.0)
     motion = about(GRID.shutter, Warp())._replace(displacement=Displacement(float(moved[0]) + 1, float(moved[1]) - 1))
-    link = registrar.turned_link(a, b, motion, 0.8 * turn, registrar.view())
+    link = registrar.register(a, b, motion, turn=Turn(0.8 * turn))
     assert link is not None
     assert link.observed
     assert abs(np.rad2deg(link.turn) - degrees) < 0.1
@@ -103,7 +103,7 @@ def test_motion_of_the_earlier_frame_is_undone_before_it_is_turned() -> None:
     upright(a.image.copy(), a.image, GRID.centre, np.linalg.inv(sheared))
     registrar.prepare(a)
     motion = about(GRID.shutter, Warp())._replace(before=velocity)
-    link = registrar.turned_link(a, b, motion, np.deg2rad(4.5), registrar.view())
+    link = registrar.register(a, b, motion, turn=Turn(np.deg2rad(4.5)))
     assert link is not None
     expected = GRID.shutter.warp(velocity, Velocity(0.0, 0.0), Displacement(0.0, 0.0))
     assert abs(link.warp.a - expected.a) < 2e-3
@@ -125,7 +125,7 @@ def test_the_rotation_within_frames_is_not_taken_for_a_part_of_that_between_them
         registrar.prepare(seen)
     moved = turned_by(-turn) @ shift
     motion = about(GRID.shutter, Warp())._replace(displacement=Displacement(*moved.tolist()))
-    links = [registrar.turned_link(*views, motion, turn, registrar.view(), frames_apart=apart) for apart in (1, np.inf)]
+    links = [registrar.register(*views, motion, turn=Turn(turn, frames_apart=apart)) for apart in (1, np.inf)]
     assert all(link is not None and link.observed for link in links)
     errors = [link.turn / turn - 1 for link in links if link is not None]
     assert abs(errors[0]) < 0.03 < 0.1 < abs(errors[1])

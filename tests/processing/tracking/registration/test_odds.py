@@ -38,7 +38,7 @@ def test_the_end_of_one_fibre_is_enough_and_a_fibre_without_ends_is_not(seed: in
     links = []
     for ends in (True, False):
         frames = [seen(registrar, one_fibre(ends=ends), shift, 2 * seed + k) for k, shift in enumerate(((0, 0), MOVED))]
-        links.append(registrar.link(*frames, about(GRID.shutter, Warp(b=-MOVED[0], d=-MOVED[1]), 1e-3)))
+        links.append(registrar.register(*frames, about(GRID.shutter, Warp(b=-MOVED[0], d=-MOVED[1]), 1e-3)))
     ended, endless = links
     assert ended.observed
     assert np.hypot(ended.warp.b + MOVED[0], ended.warp.d + MOVED[1]) < 0.5
@@ -52,7 +52,7 @@ def test_cores_of_unlike_gain_along_a_fibre_are_no_evidence_that_it_rests(seed: 
     gains = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(236, 236)).astype(np.float32), (0, 0), 1.5)
     cores = 1 + 0.06 * gains / gains.std()
     frames = [seen(registrar, scene, tuple(k * along), 2 * seed + k, cores) for k in range(2)]
-    link = registrar.link(*frames, about(GRID.shutter, Warp(), 1e-3))
+    link = registrar.register(*frames, about(GRID.shutter, Warp(), 1e-3))
     assert np.hypot(link.warp.b, link.warp.d) < 1.5, "the cores pull the shift to zero"
     assert not link.observed
 
@@ -61,5 +61,5 @@ def test_frames_that_share_only_noise_are_rejected() -> None:
     registrar, empty = Registrar(GRID), np.zeros((500, 500), np.float32)
     for seed in range(6):
         frames = [seen(registrar, empty, (0.0, 0.0), 2 * seed + k) for k in range(2)]
-        found = registrar.search(*frames, about(GRID.shutter, Warp(), shift_px=60.0))
+        found = registrar.register(*frames, about(GRID.shutter, Warp(), shift_px=60.0), anywhere=True)
         assert found is None or not found.observed

@@ -41,7 +41,7 @@ def test_displacement_of_a_fast_accelerating_probe_to_a_twentieth_of_a_pixel(spe
     after = (speed[0] + 2.0, speed[1] - 3.0)
     registrar, a, b, _, truth = pair(texture(600, 1), speed, after)
     start = registrar.grid.shutter.warp(Velocity(*speed), Velocity(*speed), Displacement(*speed))
-    link = registrar.link(a, b, about(registrar.grid.shutter, start))
+    link = registrar.register(a, b, about(registrar.grid.shutter, start))
     assert link.observed
     assert np.abs(np.subtract(displacement(registrar, link), truth)).max() < 0.05
 
@@ -49,7 +49,7 @@ def test_displacement_of_a_fast_accelerating_probe_to_a_twentieth_of_a_pixel(spe
 def test_all_shifts_are_searched() -> None:
     """Without any idea of the motion, up to 60 % of the disc."""
     registrar, a, b, _, truth = pair(texture(800, 2), (90.0, -85.0), (90.0, -85.0))
-    link = registrar.search(a, b, about(registrar.grid.shutter, Warp(), shift_px=60.0))
+    link = registrar.register(a, b, about(registrar.grid.shutter, Warp(), shift_px=60.0), anywhere=True)
     assert link is not None
     assert np.abs(np.subtract(displacement(registrar, link), truth)).max() < 0.3
 
@@ -60,7 +60,7 @@ def test_covariance_is_honest() -> None:
     normalised = []
     for seed in range(12):
         registrar, a, b, true, _ = pair(scene, (15.0, 8.0), (15.0, 8.0), photons=60.0, seed=seed)
-        link = registrar.link(a, b, about(registrar.grid.shutter, true))
+        link = registrar.register(a, b, about(registrar.grid.shutter, true))
         miss = np.array([link.warp.b - true.b, link.warp.d - true.d])
         normalised.append(miss @ np.linalg.solve(link.covariance, miss) / 2)
     assert 0.25 < np.mean(normalised) < 4
@@ -72,9 +72,9 @@ def test_gain_and_offset_between_frames_do_not_matter(gain: float) -> None:
     for seed in range(4, 8):
         registrar, a, b, true, truth = pair(texture(600, seed), (12.0, 5.0), (12.0, 5.0))
         start = true._replace(b=true.b + 1.5, d=true.d - 1.5)
-        plain = registrar.link(a, b, about(registrar.grid.shutter, start))
+        plain = registrar.register(a, b, about(registrar.grid.shutter, start))
         b.image[:] = np.where(b.image != 0, gain * b.image + 20, 0)
-        link = registrar.link(a, registrar.prepare(b), about(registrar.grid.shutter, start))
+        link = registrar.register(a, registrar.prepare(b), about(registrar.grid.shutter, start))
         assert np.abs(np.subtract(displacement(registrar, link), truth)).max() < 0.05
         assert np.abs(np.subtract(displacement(registrar, link), displacement(registrar, plain))).max() < 0.02
         assert link.sigma == pytest.approx(plain.sigma, rel=0.2)
@@ -91,14 +91,14 @@ def test_motion_along_a_single_fibre_is_not_observed() -> None:
     registrar, a, b, true, _ = pair(one_fibre(600), (10.0, 8.0), (10.0, 8.0))
     slid = true._replace(b=true.b - 3.6, d=true.d - 4.8)
     for start in (true, slid):
-        link = registrar.link(a, b, about(registrar.grid.shutter, start))
+        link = registrar.register(a, b, about(registrar.grid.shutter, start))
         assert link.correlation > 0.9
         assert not link.observed
 
 
 def test_crossing_fibres_are_observed() -> None:
     registrar, a, b, true, _ = pair(fibres(600, 60, 5), (10.0, 8.0), (10.0, 8.0))
-    assert registrar.link(a, b, about(registrar.grid.shutter, true)).observed
+    assert registrar.register(a, b, about(registrar.grid.shutter, true)).observed
 
 
 @pytest.mark.parametrize("level", [0.0, 255.0])
@@ -107,8 +107,8 @@ def test_frames_without_structure_are_not_observed(level: float) -> None:
     for view in (a, b):
         view.image[:] = level
         registrar.prepare(view)
-    assert not registrar.link(a, b, about(registrar.grid.shutter, true)).observed
-    found = registrar.search(a, b, about(registrar.grid.shutter, true, shift_px=20.0))
+    assert not registrar.register(a, b, about(registrar.grid.shutter, true)).observed
+    found = registrar.register(a, b, about(registrar.grid.shutter, true, shift_px=20.0), anywhere=True)
     assert found is None or not found.observed
 
 
@@ -135,7 +135,7 @@ def linked(grid: Grid, images: tuple[np.ndarray, np.ndarray], shift: tuple[float
     for view, image in zip(views, images, strict=True):
         view.image[:] = np.where(lit, image, 0)
         registrar.prepare(view)
-    link = registrar.link(*views, about(grid.shutter, Warp(1.0, -shift[0], 0.0, -shift[1])))
+    link = registrar.register(*views, about(grid.shutter, Warp(1.0, -shift[0], 0.0, -shift[1])))
     assert link.observed
     return np.array([-link.warp.b - shift[0], -link.warp.d - shift[1]])
 
@@ -154,7 +154,7 @@ def test_noise_finer_than_the_structure_is_no_information() -> None:
             view = registrar.view()
             view.image[:] = 10 * waves(GRID, row, col, seed, (0.05, 0.2)) + 60 * noise
             views.append(registrar.prepare(view))
-        link = registrar.link(views[0], views[1], about(GRID.shutter, true))
+        link = registrar.register(views[0], views[1], about(GRID.shutter, true))
         miss = np.array([link.warp.b - true.b, link.warp.d - true.d])
         normalised.append(miss @ np.linalg.solve(link.covariance, miss) / 2)
     assert 0.05 < np.mean(normalised) < 1.5

@@ -36,7 +36,7 @@ def test_the_displacement_of_the_middle_rows_is_right_though_the_acceleration_ch
     registrar, scene = Registrar(GRID), tissue(3)
     frames = [read_while_moving(registrar, scene, *at) for at in (((0.0, 0.0), 0.0), (MOVED, jerk))]
     motion = about(GRID.shutter, Warp(b=-MOVED[0], d=-MOVED[1]), 1e-3)
-    link = registrar.link(*frames, motion)
+    link = registrar.register(*frames, motion)
     evened = registrar.evened(*frames, motion, link, 30.0)
     assert evened is not None
     error, left = (float(np.hypot(warp.b + MOVED[0], warp.d + MOVED[1])) for warp in (link.warp, evened.warp))
@@ -50,7 +50,7 @@ def test_far_from_the_middle_rows_an_unknown_acceleration_adds_to_their_uncertai
     cv2.line(scene, (150, 120), (250, 135), 60.0, 5, cv2.LINE_AA)
     frames = [read_while_moving(registrar, scene, (0.0, 0.0), jerk) for jerk in (0.0, 0.1)]
     motion = about(GRID.shutter, Warp(), 1e-3)
-    link = registrar.link(*frames, motion)
+    link = registrar.register(*frames, motion)
     loose, tight = (registrar.evened(*frames, motion, link, sigma) for sigma in (60.0, 1e-3))
     assert loose is not None
     assert tight is not None

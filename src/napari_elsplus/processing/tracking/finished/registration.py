@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import hypot, inf, log
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
@@ -94,8 +94,8 @@ class FinishedRegistrar(Registrar):
         view.coarse = self._odds.spectra(self._field.coarse_logarithm(view.image))
         return view
 
-    def search(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0
+    def register(
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, *_: Any, **__: Any
     ) -> PairRegistration | None:
         """Register two frames over all shifts; None where the odds are less than needed.
 
@@ -103,7 +103,7 @@ class FinishedRegistrar(Registrar):
         ----------
         earlier, later : FinishedFrame
             Frames.
-        motion, min_correlation
+        motion
             Not used.
         """
         for view in (earlier, later):
@@ -118,7 +118,7 @@ class FinishedRegistrar(Registrar):
         searched = PairRegistration(shift, np.diag([_RIGID, known, _RIGID, known]), found.correlation, 1.0)
         there = Displacement(-shift.b, -shift.d)
         motion = MotionPrior.between((AT_REST, AT_REST), there, 0.0, 1.0, self.grid.shutter)
-        fine = self.link(earlier, later, motion)  # where tissue deforms it may end elsewhere
+        fine = self._refined(earlier, later, motion)  # where tissue deforms it may end elsewhere
         near = hypot(fine.warp.b - shift.b, fine.warp.d - shift.d) <= _REFINED_CELLS * cell_px
         link = fine if near and fine.correlation > 0 and np.isfinite(fine.covariance).all() else searched
         return link._replace(correlation=found.correlation, odds=found.odds, velocity=AT_REST, velocity_variance=0.0)

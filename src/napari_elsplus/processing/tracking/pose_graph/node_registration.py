@@ -10,6 +10,7 @@ import numpy as np
 from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
+from napari_elsplus.processing.tracking.registration.pair_registration import Turn
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -58,7 +59,6 @@ class NodeRegistration:
 
     def __init__(self, registrar: Registrar) -> None:
         self.grid, self._registrar = registrar.grid, registrar
-        self._scratch = registrar.view()
 
     def register(
         self, expected: Edge, poses: tuple[Pose, Pose], views: tuple[PreparedFrame, PreparedFrame], model: MotionModel,
@@ -79,17 +79,12 @@ class NodeRegistration:
         anywhere : bool
             True to search over all shifts, for nodes of different segments.
         """
-        registrar, shutter = self._registrar, self.grid.shutter
+        shutter = self.grid.shutter
         there = Displacement(expected.displacement.real, expected.displacement.imag)
         velocities = poses[0].velocity, poses[1].velocity
         motion = MotionPrior.between(velocities, there, _VELOCITY_SIGMA, _SEARCHED_PX, shutter)
-        link: PairRegistration | None
-        if model is not MotionModel.TRANSLATION:
-            link = registrar.turned_link(*views, motion, expected.turn, self._scratch, anywhere=anywhere)
-        elif anywhere or not registrar.registers_warps:
-            link = registrar.search(*views, motion)
-        else:
-            link = registrar.link(*views, motion)
+        turn = None if model is MotionModel.TRANSLATION else Turn(expected.turn)
+        link = self._registrar.register(*views, motion, anywhere=anywhere, turn=turn)
         if link is None or not link.observed or (anywhere and not self.joins(link, poses, expected)):
             return None
         moved = shutter.displacement(link.warp, poses[1].velocity)

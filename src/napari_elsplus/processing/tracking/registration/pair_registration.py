@@ -159,6 +159,24 @@ class TrackedPair(NamedTuple):
     registration: PairRegistration
 
 
+class Turn(NamedTuple):
+    """Rotation of a probe between two frames, as expected.
+
+    Parameters
+    ----------
+    angle : float
+        Angle of the later frame less that of the earlier one, radians.
+    sigma : float
+        Its standard deviation, radians. In a view with one fibre rotation and shift cannot be distinguished.
+    frames_apart : float
+        Frame periods within which the probe turns, evenly; infinite where its rate in each frame is unknown.
+    """
+
+    angle: float
+    sigma: float = inf
+    frames_apart: float = inf
+
+
 class Registrar:
     """Registers frames on one grid; keeps what depends on the grid alone. Not for two threads at once.
 
@@ -179,8 +197,8 @@ class Registrar:
     rigid_correlation : float
         Recent mean of the correlation below which each frame is registered to the one before, not to a keyframe.
     registers_warps : bool
-        True if the whole warp is registered, from the expected one by :meth:`link` where possible, with rotation and
-        uneven motion within the frames; False if the shift alone is, by :meth:`search`.
+        True if the whole warp is registered, from the expected one where possible, with rotation and uneven motion
+        within the frames; False if the shift alone is, anywhere.
     """
 
     max_sigma_px, fall_of_correlation, rigid_correlation, registers_warps = MAX_SIGMA_PX, FALL_OF_CORRELATION, 0.0, True
@@ -192,6 +210,7 @@ class Registrar:
         self._everywhere = ShiftSearch(*grid.spans(level=LEVELS - 1), 2.0 ** (LEVELS - 1))
         self._tools = Tools.of(grid, lit)
         self._found = np.empty(10)
+        self._scratch = self.view()
 
     def view(self) -> PreparedFrame:
         """Return an empty view, to be filled again and again."""
@@ -209,25 +228,35 @@ class Registrar:
         fill_levels(view.arrays, self._tools.pyramid)
         return view
 
-    def link(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0
-    ) -> PairRegistration:
-        """Register two frames from the expected warp.
+    def register(
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0,
+        *, anywhere: bool = False, turn: Turn | None = None,
+    ) -> PairRegistration | None:  # fmt: skip
+        """Register two frames; None where nothing was found.
 
         Parameters
         ----------
         earlier, later : PreparedFrame
             Prepared frames.
         motion : MotionPrior
-            Prior of the motion between them.
+            Prior of the motion between them; if they may be rotated, in the later frame's orientation, with the earlier
+            frame's velocity in its own.
         min_correlation : float
-            Correlation that is needed: without it the odds are not computed, and minus infinity.
+            Correlation that is needed: without it the odds are not computed, and minus infinity. Not used for frames
+            that may be rotated.
+        anywhere : bool
+            True to start from the best of all shifts, False to start from the expected warp.
+        turn : Turn, optional
+            Rotation that is expected, if the later frame may be rotated against the earlier one; none by default.
         """
-        return self._refined(earlier, later, motion, None, min_correlation)
+        if turn is not None:
+            return self._turned(earlier, later, motion, turn, anywhere=anywhere)
+        start = self._searched(earlier, later, motion) if anywhere else None
+        return self._refined(earlier, later, motion, start, min_correlation)
 
     def _refined(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp | None,
-        min_correlation: float,
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp | None = None,
+        min_correlation: float = 0.0,
     ) -> PairRegistration:  # fmt: skip
         """Register two frames from a warp, or from the expected one."""
         information, found = np.empty((4, 4)), self._found
@@ -237,26 +266,13 @@ class Registrar:
         a, b, s, d, correlation, odds, row, col, variance, overlap = found.tolist()
         return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
 
-    def search(
-        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0
-    ) -> PairRegistration | None:
-        """Register two frames over all shifts; other registrars return None where no shift is supported at all.
-
-        Parameters
-        ----------
-        earlier, later : PreparedFrame
-            Prepared frames.
-        motion : MotionPrior
-            Prior of the motion between them.
-        min_correlation : float
-            As in :meth:`link`.
-        """
+    def _searched(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> Warp:
+        """Return the expected warp at the most likely of all shifts."""
         for view in (earlier, later):
             fill_levels(view.arrays, self._tools.pyramid)
             if view.coarse is None:
                 view.coarse = self._everywhere.of_frame(view.levels[-1])
-        start = motion.at(*self._everywhere.best(earlier.coarse, later.coarse, motion))
-        return self._refined(earlier, later, motion, start, min_correlation)
+        return motion.at(*self._everywhere.best(earlier.coarse, later.coarse, motion))
 
     def remainder(
         self,
@@ -292,69 +308,35 @@ class Registrar:
         a, b, s, d, angle, sigma, values, *_ = found.tolist()
         return motion_models.Remainder(np.array([a, b, s, d, angle]), sigma, values)
 
-    def turned_link(
-        self,
-        earlier: PreparedFrame,
-        later: PreparedFrame,
-        motion: MotionPrior,
-        expected_turn: float,
-        scratch: PreparedFrame,
-        turn_spread: float = inf,
-        frames_apart: float = inf,
-        *,
-        anywhere: bool = False,
+    def _turned(
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, expected: Turn, *, anywhere: bool
     ) -> PairRegistration | None:
-        """Register two frames one of which may be rotated against the other.
-
-        Parameters
-        ----------
-        earlier, later : PreparedFrame
-            Prepared frames.
-        motion : MotionPrior
-            Of the displacement in the later frame's orientation, with the earlier frame's velocity in its own.
-        expected_turn : float
-            Angle of the later frame less that of the earlier one, radians.
-        scratch : PreparedFrame
-            Is filled with the earlier frame, rotated.
-        turn_spread : float
-            Standard deviation of the angle about what is expected, radians. In a view with one fibre rotation and
-            shift cannot be distinguished.
-        frames_apart : float
-            Frame periods within which the probe turned, evenly; infinite where its rate in each frame is unknown.
-        anywhere : bool
-            True to search all shifts, False to start from the expected one.
-
-        Returns
-        -------
-        PairRegistration or None
-            Its warp is the one that frames of the same orientation would have had. None where nothing was found.
-        """
-        shutter, before, own = self.grid.shutter, motion.before, motion
-        turn, sigma, rows = expected_turn, inf, shutter.line_periods_per_frame
+        """Register two frames one of which may be rotated; the warp is the one that upright frames would have had."""
+        own, before, rows = motion, motion.before, motion.line_periods_per_frame
+        motion, scratch = motion._replace(before=_AT_REST), self._scratch
+        turn, sigma = expected.angle, inf
+        warp, start, searches = motion.warp, None, anywhere
         unsheared = motion_models.unsheared(before, rows)
-        motion = motion._replace(before=_AT_REST)
-        start = motion.warp
-        link: PairRegistration | None = None
         for _ in range(_TURNS):
-            while_read = motion_models.turned_while_read(turn / frames_apart / rows, start)
+            while_read = motion_models.turned_while_read(turn / expected.frames_apart / rows, warp)
             matrix = motion_models.turned_by(-turn) @ unsheared + while_read[:, :2]
             motion_models.upright(earlier.image, scratch.image, self.grid.centre, matrix, while_read[:, 2])
             upright = self.prepare(scratch)
-            if anywhere and (link is None or not link.observed):
-                link = self.search(upright, later, motion)
-            else:
-                link = self._refined(upright, later, motion, None if link is None else start, 0.0)
-            left = turn - expected_turn, turn_spread
-            found = None if link is None else self.remainder(upright, later, link.warp, motion.spread, left, rim=False)
-            if link is None or found is None:
+            if searches:
+                start = self._searched(upright, later, motion)
+            link = self._refined(upright, later, motion, start)
+            searches = anywhere and not link.observed
+            left = turn - expected.angle, expected.sigma
+            found = self.remainder(upright, later, link.warp, motion.spread, left, rim=False)
+            if found is None:
                 return None
-            start, more = motion_models.composed(link.warp, found.step)
+            warp, more = motion_models.composed(link.warp, found.step)
+            start = warp
             turn, sigma = turn - more, found.sigma
             if abs(more) < _SMALL_TURN:
                 break
-        assert link is not None
         stretch, shear = 1 + before.row / rows, before.col / rows
-        warp = Warp(start.a * stretch, start.b, start.s * stretch + shear, start.d)
+        warp = Warp(warp.a * stretch, warp.b, warp.s * stretch + shear, warp.d)
         velocity, variance = own.later_velocity(warp, link.warp_covariance)
         return link._replace(warp=warp, velocity=velocity, velocity_variance=variance, turn=turn, turn_sigma=sigma)
 
@@ -367,7 +349,7 @@ class Registrar:
         Parameters
         ----------
         earlier, later, motion
-            As of :meth:`link`.
+            As of :meth:`register`.
         link : PairRegistration
             Of even motion within each frame.
         jerk_sigma : float
