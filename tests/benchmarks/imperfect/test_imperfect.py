@@ -56,7 +56,7 @@ def test_the_galvo_map_is_judged_by_the_row_on_which_a_distorting_lens_shows_the
     """The lens displaces the middle of the view, by which the map was said to be 0.02 rows off."""
     rig = ImperfectRig.of("240hz", Imperfections(lens_distortion_percent=percent))
     error = measures.galvo_error(rig, rig.measured)
-    assert abs(error.off) < error.stated < 0.01
+    assert abs(error.off) < 3 * error.stated < 0.02
 
 
 def test_rigs_drawn_at_random_differ_in_the_noise_of_their_recordings() -> None:
