@@ -256,9 +256,8 @@ def axial_response(
 
     Frames at the same depth are averaged. They also show what the plate has lost of its light in between, by bleaching,
     which is made up for where it is significant, each frame weighted by the square of the light left: record scans
-    there and back. Contact is the maximum of LS under
-    unimodal regression; beyond it, drop-offs are taken from an isotonic regression, so that noise does not end a curve
-    too early.
+    there and back. Contact is the maximum of LS under unimodal regression; beyond it, drop-offs are taken from an
+    isotonic regression, so that noise does not end a curve too early.
 
     Parameters
     ----------

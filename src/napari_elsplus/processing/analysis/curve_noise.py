@@ -103,7 +103,7 @@ def scatter_at_depths(depth: Curve, signal: Curve, weight: Curve) -> Scatter:
 
 
 def pooled_variance(share: Curve, scatter: Scatter, level: float) -> float:
-    """Return the variance of a frame of weight 1 at a level near it, over its squared share; NaN of too few.
+    """Return the variance of a frame of weight 1 at a level, over its squared share; NaN of too few frames near it.
 
     Variances are taken for proportional to the squared signal, as is that of the power. Of few
     frames, it is that of Student's t.

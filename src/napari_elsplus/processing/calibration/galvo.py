@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 PAPER_VOLTAGES: Final = 400
 """Least number of voltages in the paper's sweep."""
 MIN_LINES: Final = 5
-"""Chosen: a line too many leaves scatter over."""
+"""Chosen: fewer leave too little over to tell scatter from a curve."""
 MIN_CHORD: Final = 0.7
 """Of the longest line; chosen: nearer to the rim the line's halo is cut on one side, which biases the fit."""
 MIN_BEND_SIGMAS: Final = 3.0
