@@ -150,16 +150,31 @@ class Error(NamedTuple):
 
 
 def offset_error(rig: ImperfectRig, calibration: Calibration) -> Error:
-    """Error of the slit offset, rows, where the line stood when it was measured."""
-    assert calibration.offset is not None
-    return Error(calibration.offset.rows - true_offset_rows(rig), calibration.offset.uncertainty_rows)
+    """Error of the slit offset, rows, where the line stood when it was measured, at the calibration's own centres.
+
+    A lens that distorts displaces the middle of a view from its central core, along a line that need not lie level.
+    """
+    offset, bundle = calibration.offset, calibration.bundle
+    assert offset is not None
+    columns = (None, None) if bundle is None else (bundle.confocal_centre[1], bundle.residual_centre[1])
+    return Error(offset.rows - true_offset_rows(rig, columns), offset.uncertainty_rows)
 
 
-def true_offset_rows(rig: ImperfectRig) -> float:
-    """Return the slit offset, rows, from where the views show the cores on the line, each at its centre's column."""
+def true_offset_rows(rig: ImperfectRig, columns: tuple[float | None, float | None] = (None, None)) -> float:
+    """Return the slit offset, rows, from where the views show the cores on the line.
+
+    Parameters
+    ----------
+    rig : ImperfectRig
+        The instrument.
+    columns : tuple of float, optional
+        Column of the camera at which each view is looked at, by default where it shows the bundle's central core.
+    """
     shown = views(rig.instrument)
     volts = float(line_volts(rig.instrument)[0])
-    left, right = (_shown_row(rig, view, volts) for view in (shown.left, shown.right))
+    left, right = (
+        _shown_row(rig, view, volts, column) for view, column in zip((shown.left, shown.right), columns, strict=True)
+    )
     return right - left
 
 

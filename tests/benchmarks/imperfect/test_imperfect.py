@@ -13,8 +13,11 @@ from benchmarks.imperfect.cases import CASES, Case, corrects, without
 from benchmarks.imperfect.rig import ImperfectRig
 from benchmarks.imperfect.study import Outcome, measure_case, quick_cases, run_cases, write_outcomes
 from benchmarks.imperfect.survey import CALIBRATED, DISTANCES, Surveyed, markdown, read_survey, write_survey
+from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.calibration.measurements import measure_pair
+from napari_elsplus.processing.calibration.steps import find_step
 from napari_elsplus.processing.images.sectioning import Sectioner
+from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.calibration_scenes import transmission
 from napari_elsplus.simulation.model.imperfections import Imperfections
 from napari_elsplus.simulation.specimen.scenes import uniform
@@ -57,6 +60,17 @@ def test_the_galvo_map_is_judged_by_the_row_on_which_a_distorting_lens_shows_the
     rig = ImperfectRig.of("240hz", Imperfections(lens_distortion_percent=percent))
     error = measures.galvo_error(rig, rig.measured)
     assert abs(error.off) < 3 * error.stated < 0.02
+
+
+@pytest.mark.parametrize("percent", [1.75, -1.75])
+def test_the_slit_offset_is_judged_at_the_middles_of_views_that_a_distorting_lens_displaces(percent: float) -> None:
+    """Two pixels from the central cores, one to the left and one to the right: 0.01 rows along a tilted line."""
+    rig = ImperfectRig.of("240hz", Imperfections(lens_distortion_percent=percent))
+    volts = np.full(find_step("offset").frames, calibration_scenes.line_volts(rig.instrument)[0])
+    line, dark = rig.line_frames(volts, 1), list(calibration_scenes.dark_tube(rig.instrument, seed=2))
+    bundle = list(calibration_scenes.transmission(rig.instrument, seed=3))
+    error = measures.offset_error(rig, measure(line=line, bundle=bundle, background=dark).calibration)
+    assert abs(error.off) < 3 * error.stated < 0.008
 
 
 def test_rigs_drawn_at_random_differ_in_the_noise_of_their_recordings() -> None:
