@@ -210,7 +210,7 @@ def sectioned(frames: MovingFrames, modes: Sequence[Mode]) -> dict[Mode, Section
     moment = Moment(frames.raw[0], frames.raw[1], sectioner.ls(frames.in_focus[0]))
     found = {}
     for mode in modes:
-        image = sectioner.image(frames.raw[:2], 0, mode)
+        image = sectioner.section(frames.raw[0], frames.raw[mode.source_frames(0)[1]], mode)
         levels = contrast(image, inside)
         shown = np.where(inside, image, np.float32(0))
         found[mode] = Sectioned(shown, levels.background / levels.structure, judge(moment, image).error)

@@ -7,7 +7,7 @@ import pytest
 import tifffile
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
-from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.instrument.calibration import Calibration, OpticsSection
 from napari_elsplus.workflows.sectioning import SectionedImages, section
 
 SHAPE = (60, 130)
@@ -34,6 +34,14 @@ def test_each_mode_gives_its_number_of_images(calibration: Calibration, mode: st
     result = section(RAW, calibration, mode)[:]
     assert result.shape == (count, 52, 52)
     assert result.dtype == np.float32
+
+
+@pytest.mark.parametrize(("mode", "frames", "period_s"), [("els", 5, 0.01), ("elsa", 2, 0.02), ("elsa", 3, 0.02)])
+def test_images_are_as_far_apart_as_the_frames_that_each_is_made_of(
+    calibration: Calibration, mode: str, frames: int, period_s: float
+) -> None:
+    timed = calibration.model_copy(update={"optics": OpticsSection(line_period_s=1e-4, line_periods_per_frame=100)})
+    assert section(RAW[:frames], timed, mode).frame_period_s == pytest.approx(period_s)
 
 
 def test_els_is_ls_minus_residual(calibration: Calibration) -> None:

@@ -125,7 +125,7 @@ def correlation_with_focal_plane(
     rows, cols = raw.shape
     sectioner = Sectioner(calibration, (rows, cols))
     used = disc(sectioner.side, USED_DIAMETER * sectioner.diameter_px)
-    image = sectioner.image([raw], 0, mode)
+    image = sectioner.section(raw, raw, mode)
     expected = sectioner.ls(in_focus)
     pair = [cv2.GaussianBlur(picture, (0, 0), SMOOTHING_PX)[used] for picture in (image, expected)]
     return float(np.corrcoef(*pair)[0, 1])

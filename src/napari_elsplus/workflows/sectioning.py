@@ -117,8 +117,7 @@ class SectionedImages:
         row_power: bool = False,
     ) -> None:
         self.mode, self.calibration = Mode(mode), calibration
-        self._raw = raw
-        self._count = len(RawPairs(raw, self.mode))
+        self._pairs = RawPairs(raw, self.mode)
         rows, cols = raw[0].shape
         noisy = row_reference and calibration.bundle is not None and shows_row_noise(raw, calibration)
         self.sectioner = Sectioner(calibration, (rows, cols), row_reference=noisy)
@@ -133,16 +132,16 @@ class SectionedImages:
     @property
     def shape(self) -> tuple[int, int, int]:
         """Number of images, rows, columns."""
-        return self._count, self.side, self.side
+        return len(self), self.side, self.side
 
     @property
     def frame_period_s(self) -> float | None:
         """Seconds from one image to the next; ELSA's is that of two frames. None without timing in the calibration."""
         period_s = self.calibration.frame_period_s
-        return None if period_s is None else period_s * (len(self._raw) // self._count)
+        return None if period_s is None else period_s * self.mode.frames_per_image
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._pairs)
 
     @overload
     def __getitem__(self, index: int) -> NDArray[np.float32]: ...
@@ -150,20 +149,20 @@ class SectionedImages:
     def __getitem__(self, index: slice) -> NDArray[np.float32]: ...
     def __getitem__(self, index: int | slice) -> NDArray[np.float32]:
         if isinstance(index, slice):
-            chosen = range(*index.indices(self._count))
+            chosen = range(*index.indices(len(self)))
             stack = np.empty((len(chosen), self.side, self.side), np.float32)
             for place, number in enumerate(chosen):
                 stack[place] = self[number]
             return stack
-        if not -self._count <= index < self._count:
-            raise IndexError(f"image {index} of {self._count}")
-        index %= self._count
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"image {index} of {len(self)}")
+        raw, raw_residual = self._pairs(index % len(self))
         if self._power is not None:
-            return self._finish(self._power.image(self._raw[index], self.mode))
-        return self._finish(self.sectioner.image(self._raw, index, self.mode))
+            return self._finish(self._power.image(raw, self.mode))
+        return self._finish(self.sectioner.section(raw, raw_residual, self.mode))
 
     def __iter__(self) -> Iterator[NDArray[np.float32]]:
-        return (self[index] for index in range(self._count))
+        return (self[index] for index in range(len(self)))
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         return np.array(self[:], dtype=dtype, copy=copy)
@@ -194,7 +193,7 @@ class SectionedImages:
         InputError
             If no format writes the suffix, or the file exists and `force` is not given.
         """
-        images = self._images(progress(range(self._count), self.mode.value))
+        images = self._images(progress(range(len(self)), self.mode.value))
         write_images(path, images if threads == 1 else computed_ahead(images), self._metadata, force=force)
 
     def allocate(self, path: str | os.PathLike[str]) -> None:

@@ -93,7 +93,8 @@ def test_elsa_takes_the_residual_of_the_next_frame() -> None:
     frames = np.random.default_rng(2).integers(0, 255, (4, *SHAPE)).astype(np.uint8)
     sectioner = Sectioner(calibrated(), SHAPE)
     expected = sectioner.ls(frames[2]) - sectioner.residual(frames[3])
-    assert np.array_equal(sectioner.image(frames, 1, Mode.ELSA), expected)
+    confocal, residual = Mode.ELSA.source_frames(1)
+    assert np.array_equal(sectioner.section(frames[confocal], frames[residual], Mode.ELSA), expected)
 
 
 def test_subtraction_adds_no_bias_at_three_photons_per_pixel() -> None:
@@ -184,7 +185,11 @@ def test_sectioning_gives_back_what_is_in_focus(open_recording: Path) -> None:
         blurred: NDArray[np.float32] = cv2.GaussianBlur(image, (0, 0), 1.5)[used]
         return blurred
 
-    mean = {mode: np.mean([sectioner.image(frames, k, mode) for k in range(3)], axis=0) for mode in Mode}
+    pairs = {mode: [mode.source_frames(k) for k in range(3)] for mode in Mode}
+    mean = {
+        mode: np.mean([sectioner.section(frames[one], frames[other], mode) for one, other in made], axis=0)
+        for mode, made in pairs.items()
+    }
     correlation = {mode: np.corrcoef(smooth(image), smooth(expected))[0, 1] for mode, image in mean.items()}
     assert correlation[Mode.ELS] > 0.99
     assert correlation[Mode.LS] < 0.92

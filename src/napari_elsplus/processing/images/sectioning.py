@@ -234,14 +234,6 @@ class Sectioner:
         mended = self._hot_pixels.mended(raw)
         return mended if self._rows is None else self._rows.without_row_noise(mended)
 
-    def image(
-        self, frames: Frames, index: int, mode: Mode, out: NDArray[np.float32] | None = None
-    ) -> NDArray[np.float32]:
-        """Return the image of a mode with an index, made from the raw frames that :meth:`Mode.source_frames` names."""
-        confocal, residual = mode.source_frames(index)
-        raw = frames[confocal]
-        return self.section(raw, raw if residual == confocal else frames[residual], mode, out)
-
     def section(
         self,
         raw: NDArray[np.generic],
