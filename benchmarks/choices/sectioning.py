@@ -73,7 +73,11 @@ def _ours(mode: Mode, *, row_reference: bool = False) -> Callable[[Case], Callab
         rig = case.context
         sectioner = Sectioner(rig.calibration, rig.instrument.frame_shape, row_reference=row_reference)
         out = np.empty((sectioner.side, sectioner.side), np.float32)
-        return lambda item: sectioner.image([item.raw, item.following], 0, mode, out)
+
+        def image(item: Moment) -> Image:
+            return sectioner.section(item.raw, item.following if mode is Mode.ELSA else item.raw, mode, out)
+
+        return image
 
     return prepare
 
